@@ -21,42 +21,19 @@ from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
 from foretouch.grasp.reach import DEFAULT_REACH, check_reach
-<<<<<<< HEAD
-from foretouch.models import load_model
-from foretouch.models.contact.features import HandFrameFeatures
-=======
 from foretouch.models import DEFAULT_MODEL, load_model
-from foretouch.models.contact.hand_features import HandScene
->>>>>>> main
+from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
 from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
-<<<<<<< HEAD
-MODELS = ("contact-v2", "touchnet-v1")
-=======
 MODELS = (DEFAULT_MODEL, "touchnet-v1")
->>>>>>> main
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.csv"
 
 STEPS = {
-<<<<<<< HEAD
-    "segmentation: labels": Step("% of the objects' pixels", 5.0),
-    "segmentation: table plane": Step("mm at 1 m", 5.0),
-    "segmentation: clusters": Step("objects", 0.5),
-    "GeoGrasp original: best grasp": Step("mm", 10.0),
-    "GeoGrasp stable: best grasp": Step("mm", 10.0),
-    "reach and limits": Step("other verdicts", 0.5),
-    "contact features": Step("% of the spread over objects, rms", 25.0),
-    "contact-v2: prediction": Step("counts", 50.0),
-    "touchnet-v1: prediction": Step("counts", 50.0),
-    "novelty flag": Step("other flags", 0.5),
-    "calibration after 3 touches": Step("counts", 50.0),
-    "contact simulator: force per cell": Step("% of the largest", 10.0),
-=======
     "segmentation: labels": ("% of the objects' pixels", 5.0),
     "segmentation: table plane": ("mm at 1 m", 5.0),
     "segmentation: clusters": ("objects", 0.5),
@@ -68,7 +45,6 @@ STEPS = {
     "novelty flag": ("other flags", 0.5),
     "calibration after 3 touches": ("counts", 50.0),
     "contact simulator: force per cell": ("% of the largest", 10.0),
->>>>>>> main
 }
 """What is compared, in which unit, and from where on a difference counts as a jump."""
 
@@ -262,11 +238,7 @@ def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
 
 def feature_spread(clouds: list[Float32]) -> Float64:
     """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
-<<<<<<< HEAD
-    described = [HandFrameFeatures(xyz.astype(np.float64)).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
-=======
-    described = [HandScene(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
->>>>>>> main
+    described = [HandFrameFeatures(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
     spread = np.std(described, axis=0)
     return np.where(spread > 0.0, spread, np.inf)
 
@@ -317,11 +289,7 @@ def object_steps(
     compare("reach and limits", _verdict, _largest)
     compare(
         "contact features",
-<<<<<<< HEAD
-        lambda points, one: HandFrameFeatures(points.astype(np.float64)).describe([one])[0],
-=======
-        lambda points, one: HandScene(points).describe([one])[0],
->>>>>>> main
+        lambda points, one: HandFrameFeatures(points).describe([one])[0],
         lambda before, after: float(np.sqrt(np.mean(((after - before) / spread) ** 2)) * 100.0),
     )
     for name, model in models.items():
@@ -407,11 +375,7 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
         g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
         others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
     others[57] = grasp
-<<<<<<< HEAD
-    scene = HandFrameFeatures(xyz.astype(np.float64))
-=======
-    scene = HandScene(xyz)
->>>>>>> main
+    scene = HandFrameFeatures(xyz)
     found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
     for name, model in models.items():
         alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
@@ -457,11 +421,7 @@ def answers() -> dict[str, npt.NDArray[np.floating]]:
         for method in ("original", "stable"):
             plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig.from_mapping({"method": method}))
             result[f"GeoGrasp {method}: best grasp|{number}"] = 1e3 * np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-<<<<<<< HEAD
-        result[f"contact features|{number}"] = HandFrameFeatures(xyz.astype(np.float64)).describe([grasp])[0]
-=======
-        result[f"contact features|{number}"] = HandScene(xyz).describe([grasp])[0]
->>>>>>> main
+        result[f"contact features|{number}"] = HandFrameFeatures(xyz).describe([grasp])[0]
         for name, model in models.items():
             result[f"{name}: prediction|{number}"] = _vector(_answer(model, xyz, grasp))
     for seed in range(3):
@@ -522,11 +482,7 @@ def live(found: Found) -> None:
             found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(difference)
             expected = offline.targets[0].predictions[0]
             predicted = pipeline.predict(targets[0], [sent])[0]
-<<<<<<< HEAD
-            found["contact-v2: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
-=======
             found[f"{DEFAULT_MODEL}: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
->>>>>>> main
             found["novelty flag", OTHERS[2]].append(float(expected.flags != predicted.flags))
         assert offline.scene is not None
         assert offline.scene.segmentation.plane is not None
