@@ -18,6 +18,13 @@ def pytest_configure() -> None:
             signal.signal(number, handler)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What a test expects of the recordings of others stands in the repository."""
+    for item in items:
+        if item.get_closest_marker("real_data"):
+            item.add_marker("committed_numbers")
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of FORETOUCH_DATA, or a skip with a reason."""

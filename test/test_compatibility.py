@@ -30,6 +30,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.committed_numbers
 def test_files_of_releases_are_read_with_the_same_numbers(files: Path, tmp_path: Path) -> None:
     """Keys may be added, but none may be missing and no value may differ."""
 

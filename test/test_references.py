@@ -4,9 +4,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from every_case import every_case
 
 from benchmarks.references import bench, reference
+
+pytestmark = pytest.mark.committed_numbers
 
 LEVELS = 3  # the benign end of each family, its middle and its hard end
 

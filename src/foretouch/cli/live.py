@@ -40,7 +40,7 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
     if view.executed is not None:
         parts.append(_executed(*view.executed))
     if view.last is not None and view.last.predictions:
-        parts.append(_predictions(view.last.predictions, view.nodes))
+        parts.append(_predictions(view.last.predictions))
     for name, node in view.nodes.items():
         if found := _dropped(node.values):
             parts.append(Text(f"{_short(name)} dropped {', '.join(f'{n} {why}' for why, n in found.items())}"))
@@ -80,10 +80,9 @@ def _problems(nodes: Mapping[str, NodeView]) -> list[Text]:
     return [Text(f"{_short(name)}: {one.message}", level(one.level, "")) for name, one in nodes.items() if one.level]
 
 
-def _predictions(predictions: Sequence[TouchPrediction], nodes: Mapping[str, NodeView]) -> FittedTable:
+def _predictions(predictions: Sequence[TouchPrediction]) -> FittedTable:
     from foretouch.ros.messages.conversions import reference_text
 
-    touches = next((int(node.values["touches"]) for node in nodes.values() if "touches" in node.values), 0)
     models = " ".join(sorted({one.model for one in predictions if one.model}))
     rows: list[list[str | Text]] = []
     for one in predictions:
@@ -94,7 +93,7 @@ def _predictions(predictions: Sequence[TouchPrediction], nodes: Mapping[str, Nod
             rows.append([one.grasp.object_id, width, "", "", "", "", one.reason])
             continue
         flags = [flag.replace("_", " ") for flag in one.flags]
-        based = Text("\n".join([reference_text(one, touches), *flags]), "yellow" if flags else "")
+        based = Text("\n".join([reference_text(one), *flags]), "yellow" if flags else "")
         rows.append([one.grasp.object_id, width, *_modalities(one), based])
     title = f"last prediction (counts){models and f' by {models}'}"
     return _table("object", "mm", *MODALITIES, "based on", rows=rows, title=title)

@@ -175,7 +175,7 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
 
     def ended() -> bool:
-        enough = arguments.samples is not None and node.samples >= arguments.samples
+        enough = arguments.samples is not None and node.session_status().samples >= arguments.samples
         return enough or not node.recording or (end is not None and time.monotonic() >= end)
 
     try:

@@ -130,7 +130,7 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
             executor.shutdown(timeout_sec=1.0)
             for node in nodes:
                 node.destroy_node()
-    return any(node.has_failed() for node in nodes)
+    return any(node.has_failed for node in nodes)
 
 
 def _warn_of_unknown_parameters(nodes: Sequence[ForetouchNode[Any]]) -> None:

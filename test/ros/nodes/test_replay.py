@@ -177,7 +177,7 @@ def test_files_of_objects_are_published_behind_the_segmentation_and_images_befor
     assert [(m.height, m.width) for m in received["points"]] == [(6, 8)]
 
 
-def test_in_lockstep_a_cloud_waits_for_the_answer_to_the_last_and_a_missing_one_is_counted(graph, bag):
+def test_in_lockstep_a_cloud_waits_for_the_answer_to_the_last_and_a_missing_one_is_counted(graph, bag, monkeypatch):
     path, _ = bag(4)
     outstanding, most, answering = [], [], [True]
     answers = graph.talk(TouchPredictionArray, "touch")
@@ -195,7 +195,7 @@ def test_in_lockstep_a_cloud_waits_for_the_answer_to_the_last_and_a_missing_one_
     assert node.ended.wait(20.0)
     assert (node.played["/foretouch/points"], node.unanswered, max(most)) == (4, 0, 1)
     answering[0] = False
-    graph.set(node, answer_timeout_s=0.1)
+    monkeypatch.setattr("foretouch.ros.nodes.replay._ANSWER_S", 0.1)
     node.trigger_deactivate()
     node.trigger_activate()
     assert node.ended.wait(20.0)

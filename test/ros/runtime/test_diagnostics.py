@@ -2,9 +2,7 @@
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from foretouch.ros.runtime.diagnostics import InputStatistics, NodeStatus, diagnostic_status
-
-ACTIVE = NodeStatus(state="active")
+from foretouch.ros.runtime.diagnostics import InputStatistics, diagnostic_status
 
 
 def values(status):
@@ -34,10 +32,10 @@ def test_quantiles_are_those_of_numpy_and_none_is_made_up_before_the_first_input
 
 def test_silence_is_a_warning_only_where_inputs_are_expected_and_the_node_is_active():
     now = InputStatistics().summary()
-    silent = diagnostic_status("n", now, None, NodeStatus(state="active", expects_input_every_s=5.0))
+    silent = diagnostic_status("n", "active", now, silence_s=5.0)
     assert (silent.level, silent.message) == (DiagnosticStatus.WARN, "no input yet")
-    for node in (ACTIVE, NodeStatus(state="inactive", expects_input_every_s=5.0)):
-        assert diagnostic_status("n", now, None, node).level == DiagnosticStatus.OK
+    for status in (diagnostic_status("n", "active", now), diagnostic_status("n", "inactive", now, silence_s=5.0)):
+        assert status.level == DiagnosticStatus.OK
 
 
 def test_drops_are_reported_once_with_their_reasons():
@@ -47,14 +45,14 @@ def test_drops_are_reported_once_with_their_reasons():
     statistics.drop("superseded")
     statistics.lose(3)
     now = statistics.summary()
-    status = diagnostic_status("n", now, before, ACTIVE)
+    status = diagnostic_status("n", "active", now, before)
     assert status.message == "dropped: 1 superseded, 3 lost in transport"
     assert (values(status)["dropped.superseded"], values(status)["lost_on_the_way"]) == ("1", "3")
-    assert diagnostic_status("n", now, now, ACTIVE).level == DiagnosticStatus.OK
+    assert diagnostic_status("n", "active", now, now).level == DiagnosticStatus.OK
 
 
 def test_an_error_outweighs_warnings():
-    node = NodeStatus(state="active", errors=("model: x is damaged",), warnings=("w",), notes={"model": "m"})
-    status = diagnostic_status("n", InputStatistics().summary(), None, node)
+    found = {"errors": ("model: x is damaged",), "warnings": ("w",), "notes": {"model": "m"}}
+    status = diagnostic_status("n", "active", InputStatistics().summary(), **found)
     assert (status.level, status.message) == (DiagnosticStatus.ERROR, "model: x is damaged")
     assert values(status)["model"] == "m"

@@ -92,7 +92,7 @@ def test_a_parameter_callback_that_fails_refuses_the_change(graph):
 def test_a_node_that_cannot_stop_is_deactivated_nevertheless(graph, monkeypatch):
     (node,) = graph.add("segmentation")
     with monkeypatch.context() as patch:
-        patch.setattr(type(node), "stop", fail)
+        patch.setattr(type(node), "_stop", fail)
         assert graph.change("segmentation", "deactivate")
     node.stop()
     assert node.internal_errors.counts() == {"fail": 1}
@@ -103,8 +103,8 @@ def test_a_cloud_whose_refusal_fails_too_is_counted_and_the_worker_goes_on(graph
     clouds = graph.talk(PointCloud2, "points")
     graph.matched("points")
     with monkeypatch.context() as patch:
-        patch.setattr(node, "answer", fail)
-        patch.setattr(node, "refuse", fail)
+        patch.setattr(node, "_answer", fail)
+        patch.setattr(node, "_refuse", fail)
         clouds.publish(cloud_to_msg(scene_cloud(stamp_ns=1)))
         graph.until(lambda: node.statistics.summary().dropped == {"failed": 1})
     clouds.publish(cloud_to_msg(scene_cloud(stamp_ns=2)))
@@ -130,11 +130,11 @@ import sys
 from foretouch.ros import executables
 from foretouch.ros.nodes.recorder import RecorderNode
 from std_srvs.srv import Trigger
-setup = RecorderNode.setup
+setup = RecorderNode._setup
 def with_broken_service(self):
     setup(self)
     self.create_service(Trigger, "broken", lambda request, response: "no response")
-RecorderNode.setup = with_broken_service
+RecorderNode._setup = with_broken_service
 sys.exit(executables.run("recorder"))
 """)
     client = lone_graph.probe.create_client(Trigger, "broken")

@@ -15,8 +15,7 @@ from std_msgs.msg import Header
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.runtime.hand_eye import read_hand_eye
-from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
+from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig, read_hand_eye
 from foretouch_msgs.msg import Status
 
 pytestmark = pytest.mark.ros

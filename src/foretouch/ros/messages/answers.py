@@ -8,9 +8,9 @@ ends at a multiple of four bytes.
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -73,10 +73,6 @@ class TouchAnswer:
         message.input_age = self.age
         message.model, message.model_sha256 = self.model, self.model_sha256
         return message
-
-    def moved(self, header: Header, grasps: Sequence[GraspMsg]) -> Self:
-        """The same answer with another header and the grasps in its frame."""
-        return replace(self, header=header, grasps=grasps)
 
     @property
     def message(self) -> TouchPredictionArray:

@@ -111,13 +111,8 @@ def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[
 
 
 def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:
-    names: list[tuple[str, str]] = [(name, "<f4") for name in "xyz"]
-    if coloured:
-        names.append(("rgb", "<u4"))
-    names.append(("label", "<u4"))
-    if imaged:
-        names += [("row", "<u2"), ("column", "<u2")]
-    return np.dtype(names)
+    rgb, pixel = [("rgb", "<u4")] if coloured else [], [("row", "<u2"), ("column", "<u2")] if imaged else []
+    return np.dtype([*((name, "<f4") for name in "xyz"), *rgb, ("label", "<u4"), *pixel])
 
 
 def _records(target: FoundObject, *, coloured: bool) -> npt.NDArray[Any]:

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
@@ -82,15 +82,20 @@ def plane_from_msg(message: PlaneMsg) -> Plane | None:
     return Plane(exact[:3], float(exact[3])) if unit else plane
 
 
+def rotation_to_msg(rotation: Float64) -> Quaternion:
+    """Convert a rotation matrix (3, 3)."""
+    x, y, z, w = map(float, quaternion_xyzw(rotation))
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
 def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> GraspMsg:
     """Convert a grasp; `pose` is redundant and meant for those who move the hand."""
-    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
     return GraspMsg(
         id=grasp.id,
         object_id=grasp.object_id,
         g1=point_to_msg(grasp.g1),
         g2=point_to_msg(grasp.g2),
-        pose=Pose(position=point_to_msg(grasp.midpoint), orientation=Quaternion(x=x, y=y, z=z, w=w)),
+        pose=Pose(position=point_to_msg(grasp.midpoint), orientation=rotation_to_msg(grasp.rotation)),
         rotation=grasp.rotation.reshape(9),
         score=grasp.score,
         status=status,
@@ -98,19 +103,8 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
     )
 
 
-def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:
-    """The pose of the hand in the form that planners use."""
-    return PoseStamped(header=header, pose=grasp.pose)
-
-
 def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
-    """Convert the prediction for one grasp, with the header of the cloud.
-
-    The node adds model, age and further flags.
-    """
-    if prediction.value is None:
-        status = Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED
-        return refusal_to_msg(grasp, header, status, prediction.reason)
+    """Convert the prediction for one grasp, which has a value, with the header of the cloud; the node adds the rest."""
     return _prediction(
         header=header,
         grasp=grasp,
@@ -128,10 +122,7 @@ _UNCHECKED: Final = "_check_fields" in Interval.__slots__ and os.environ.get("RO
 
 
 def _prediction(**fields: Any) -> TouchPredictionMsg:
-    """A message of these fields; the node adds model and age.
-
-    The constructor would make 50 intervals of its own first, which takes as long as all else.
-    """
+    """A message of these fields, not by its constructor, which makes 50 intervals first, as slow as all else."""
     if not _UNCHECKED:
         return TouchPredictionMsg(**fields)
     message = TouchPredictionMsg.__new__(TouchPredictionMsg)
@@ -209,31 +200,24 @@ def interval_text(interval: Interval) -> str:
     return f"{interval.value:.0f} ± {(interval.upper - interval.lower) / 2.0:.0f}"
 
 
-def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
-    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`.
-
-    Args:
-        message: The prediction.
-        touches: Number of touches to show if the message has none, as those of earlier versions; 0 leaves it out.
-    """
+def reference_text(message: TouchPredictionMsg) -> str:
+    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
     name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
-    count = message.touches or touches
-    touched = f"{count} touch{'' if count == 1 else 'es'}" if count else "touches"
-    return {"none": "cloud only", "touches": touched, "history": f"history of {message.readings} readings"}.get(
-        name, name
-    )
+    texts = {
+        "none": "cloud only",
+        "touches": f"{message.touches} touch{'' if message.touches == 1 else 'es'}",
+        "history": f"history of {message.readings} readings",
+    }
+    return texts.get(name, name)
 
 
 def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:
     """Make the message of a refused prediction: every value is NaN, with a status and a reason."""
-    unknown = Touch.from_vector(np.full(TOUCH_SIZE, math.nan))
-    return TouchPredictionMsg(
-        header=header, grasp=grasp, **_modalities(unknown, None, None), status=status, reason=reason
-    )
+    return TouchPredictionMsg(header=header, grasp=grasp, **_modalities(None, None, None), status=status, reason=reason)
 
 
-def _modalities(value: Touch, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
-    """The fields pdc_th, pdc_mf, e_th and e_mf of a message; unknown bounds become NaN."""
+def _modalities(value: Touch | None, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
+    """The fields pdc_th, pdc_mf, e_th and e_mf of a message; what is unknown becomes NaN."""
     unknown = np.full(TOUCH_SIZE, math.nan)
     columns = [unknown if touch is None else touch.vector() for touch in (value, lower, upper)]
     intervals = _intervals(np.stack(columns, axis=1).tolist())

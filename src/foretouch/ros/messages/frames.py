@@ -135,7 +135,7 @@ class FrameTransform:
         moved = [self.grasp(one) for one in answer.grasps] if grasps is None else grasps
         return replace(answer, header=self.header(answer.header), grasps=moved)
 
-    def prediction(self, prediction: TouchPrediction) -> TouchPrediction:
+    def _prediction(self, prediction: TouchPrediction) -> TouchPrediction:
         """A prediction with its grasp."""
         moved = copy(prediction)
         moved.header, moved.grasp = self.header(prediction.header), self.grasp(prediction.grasp)
@@ -149,5 +149,5 @@ class FrameTransform:
             one.header, one.pose = self.header(one.header), self.pose(one.pose)
         moved.grasps = [self.grasp(one) for one in message.grasps]
         if hasattr(message, "predictions"):
-            moved.predictions = [self.prediction(one) for one in message.predictions]
+            moved.predictions = [self._prediction(one) for one in message.predictions]
         return moved

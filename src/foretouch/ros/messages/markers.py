@@ -42,16 +42,13 @@ def object_markers(message: ObjectArray) -> MarkerArray:
     return MarkerArray(markers=markers)
 
 
-def touch_markers(
-    prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True, touches: int = 0
-) -> MarkerArray:
+def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True) -> MarkerArray:
     """Draw contacts, hand frame and the 48 electrodes of one prediction, with its pressures and what it is based on.
 
     Args:
         prediction: A refused one gives no marker.
         ranges: An electrode at the upper end of its range is green, at the lower end red: compression lowers the count.
         thumb_takes_g1: Which finger touches g1.
-        touches: Number of touches that it was adapted to.
     """
     if prediction.status != Status.OK:
         return MarkerArray()
@@ -72,7 +69,7 @@ def touch_markers(
     thumb, finger = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
     markers.append(_electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")))
     markers.append(_electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")))
-    markers.append(_text(prediction, grasp, touches))
+    markers.append(_text(prediction, grasp))
     return MarkerArray(markers=markers)
 
 
@@ -92,14 +89,14 @@ def _electrodes(
     return marker
 
 
-def _text(prediction: TouchPrediction, grasp: Grasp, touches: int) -> Marker:
+def _text(prediction: TouchPrediction, grasp: Grasp) -> Marker:
     """Write pressures with half widths, reference and flags above the hand, in yellow if there is a flag."""
     colour = _FLAGGED if prediction.flags else ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
     label = _marker(prediction.header, "prediction", 0, Marker.TEXT_VIEW_FACING, colour)
     label.pose.position = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
     label.scale.z = 0.02
     pressures = f"PDC {interval_text(prediction.pdc_th)} | {interval_text(prediction.pdc_mf)}"
-    label.text = "\n".join([f"{pressures} ({reference_text(prediction, touches)})", *prediction.flags])
+    label.text = "\n".join([f"{pressures} ({reference_text(prediction)})", *prediction.flags])
     return label
 
 

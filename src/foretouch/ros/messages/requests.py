@@ -21,24 +21,7 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
-_CODES: dict[str, int] = {
-    "ok": Status.OK,
-    "initial_points": Status.INITIAL_POINTS,
-    "bad_request": Status.BAD_REQUEST,
-    "bad_cloud": Status.BAD_CLOUD,
-    "empty_cloud": Status.EMPTY_CLOUD,
-    "too_few_points": Status.TOO_FEW_POINTS,
-    "unknown_frame": Status.UNKNOWN_FRAME,
-    "no_plane": Status.NO_PLANE,
-    "no_object": Status.NO_OBJECT,
-    "no_target": Status.NO_TARGET,
-    "no_grasp": Status.NO_GRASP,
-    "bad_grasp": Status.BAD_GRASP,
-    "bad_plane": Status.BAD_PLANE,
-    "refused": Status.REFUSED,
-    "no_model": Status.NO_MODEL,
-    "failed": Status.FAILED,
-}
+_CODES: dict[str, int] = {name.lower(): getattr(Status, name) for name in dir(Status) if name.isupper()}
 _NAMES = {code: name for name, code in _CODES.items()}
 _M = TypeVar("_M")
 
@@ -92,11 +75,11 @@ def read_cloud(message: PointCloud2) -> Cloud:
         raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
 
-def read_targets(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
-    """Convert a cloud of objects, which must hold at least one.
+def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
+    """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
     Raises:
-        RefusalError: BAD_CLOUD or EMPTY_CLOUD.
+        RefusalError: BAD_CLOUD, EMPTY_CLOUD, or UNKNOWN_FRAME with a reason that holds `not_optical`.
     """
     try:
         targets = objects_from_msg(message, plane)
@@ -104,21 +87,11 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[Foun
         raise RefusalError(Status.BAD_CLOUD, str(err)) from err
     if not targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
-    return targets
-
-
-def check_optical(targets: Sequence[FoundObject], limits: ObjectLimits) -> None:
-    """Check that objects are in the optical frame of a camera.
-
-    Objects beyond the limits are left out, which are refused by them.
-
-    Raises:
-        RefusalError: UNKNOWN_FRAME, with a reason that holds `not_optical`.
-    """
-    for target in targets:
+    for target in () if isinstance(message, TargetCloud) else targets:  # those of this process were checked
         fault = not_optical(target.cloud.xyz)
         if fault and _is_within(target, limits):
             raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {target.cloud.frame_id!r}: {fault}")
+    return targets
 
 
 def _is_within(target: FoundObject, limits: ObjectLimits) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`BiotacAll` as the Shadow Hand's driver sends it, and the classes of the supported tactile messages.
+"""`BiotacAll` as the Shadow Hand's driver sends it, and the topic and classes of the supported tactile messages.
 
 Tactile messages are decoded in `foretouch.tactile.messages`.
 """
@@ -7,13 +7,17 @@ Tactile messages are decoded in `foretouch.tactile.messages`.
 import array
 import importlib
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.config import Settings, setting
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.tactile.messages import TactileConfig
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.topics import TACTILE_TOPIC
 from foretouch.types import ELECTRODES
 from foretouch_msgs.msg import Biotac, BiotacAll
 
@@ -22,16 +26,25 @@ Counts = npt.NDArray[np.int16]
 _ABSENT: Counts = np.zeros(1 + ELECTRODES, np.int16)
 
 
-def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds: int) -> BiotacAll:
-    """A message of all five fingers; vibration and temperature are not simulated and are 0.
+@dataclass(frozen=True, kw_only=True)
+class TactileInput(Settings):
+    """Settings of nodes that receive tactile messages."""
 
-    Args:
-        fingers: (25,) int16 counts by finger, PDC then electrodes. An absent finger sends zeros, as one
-            without a BioTac does.
-        frame_id: Frame of the header.
-        nanoseconds: Stamp of the header [ns].
+    tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
+    tactile: TactileConfig = field(default_factory=TactileConfig)
+
+
+def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds: int) -> BiotacAll:
+    """A message of all five fingers with a frame and a stamp [ns]; vibration and temperature are not simulated and are 0.
+
+    `fingers` holds (25,) int16 counts by finger, PDC then electrodes. An absent finger sends zeros, as one without a BioTac
+    does.
     """
-    tactiles = [_biotac(fingers.get(name, _ABSENT)) for name in FINGER_ORDER]
+    # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
+    tactiles = [
+        Biotac(pdc=int(counts[0]), electrodes=array.array("h", counts[1:].tobytes()))
+        for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER)
+    ]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)
 
 
@@ -45,12 +58,6 @@ def tactile_class(type_name: str) -> type:
     try:
         message: type = getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as err:
-        raise MissingDependencyError(
-            f"{type_name}: {package} is not installed; source the workspace that holds it"
-        ) from err
+        text = f"{type_name}: {package} is not installed; source the workspace that holds it"
+        raise MissingDependencyError(text) from err
     return message
-
-
-def _biotac(counts: Counts) -> Biotac:
-    # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
-    return Biotac(pdc=int(counts[0]), electrodes=array.array("h", counts[1:].tobytes()))

@@ -7,7 +7,6 @@ executor's callbacks only read its status.
 
 import threading
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,7 +22,6 @@ from foretouch.simulation import random_scene
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene_camera import scene_camera, swinging_frames
 from foretouch.simulation.schedule import ScheduleConfig
-from foretouch.types import Cloud
 
 _READ_S = 0.1  # longest wait before the thread checks whether it should end
 _PERIOD_S = 1.0  # of the motion in the synthetic scene
@@ -32,14 +30,9 @@ _MAX_FRAMES = 30  # of that motion, kept in memory
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticConfig(Settings):
-    """The scene in front of a synthetic camera."""
+    """The scene in front of a synthetic camera: three objects on a table, of which one swings."""
 
     seed: int = setting(0, "Seed of the random scene", minimum=0, maximum=2**31 - 1, read_only=True)
-    n_objects: int = setting(3, "Objects on the table", minimum=0, maximum=8, read_only=True)
-    moving: bool = setting(True, "Whether an object swings", read_only=True)
-    noise_m: float = setting(
-        0.0, "Standard deviation of the depth at 1 m", unit="m", minimum=0.0, maximum=0.05, read_only=True
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +64,11 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         synthetic: The software device where `source` is `synthetic` or `scene`; it can be paused and unplugged.
     """
 
+    exclusive_topics = ("points",)
+
     def __init__(self, name: str = "camera", **options: Any) -> None:
         self.synthetic: SyntheticCamera | None = None
         self._camera: RealSenseCamera | None = None
-        self._points: Any = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failure = ""
@@ -82,34 +76,31 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._size: dict[str, int] = {}  # of the image, where it is set by a scene
         super().__init__(name, CameraNodeConfig, **options)
 
-    # Hooks of the base class.
-
-    def setup(self) -> None:
-        """Render the scene of a synthetic camera and advertise the topic."""
-        if self.config.source == "synthetic":
-            self.synthetic = _synthetic_camera(self.config)
-        elif self.config.source == "scene":
-            scene = self.config.scene.load()
+    def _setup(self) -> None:
+        config = self.config
+        if config.source == "synthetic":
+            self.synthetic = _synthetic_camera(config)
+        elif config.source == "scene":
+            scene = config.scene.load()
             self._size = {"width": scene.camera.width, "height": scene.camera.height}
-            self._faults = MessageFaults(self.config.faults)
-            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps, self._faults)
+            self._faults = MessageFaults(config.faults)
+            self.synthetic = scene_camera(scene, config.scene, config.camera.fps, self._faults)
         self._points = self.advertise(PointCloud2, "points")
 
-    def start(self) -> None:
-        """Open the camera and read it from a thread."""
+    def _start(self) -> None:
         self._failure = ""
         self._stopping.clear()
-        self._camera = RealSenseCamera(
-            _camera_config(self.config).replace(**self._size), self.synthetic, self._log_status
-        )
+        config, source = self.config.camera.replace(**self._size), self.config.source
+        if source not in {"device", "synthetic", "scene"}:
+            config = config.replace(file=source)
+        self._camera = RealSenseCamera(config, self.synthetic, self._log_status)
         if self.synthetic is not None:
             self.synthetic.start()
         run = self.internal_errors.guarded("camera", self._run, lambda _, reason: self._fail(reason))
         self._thread = threading.Thread(target=run, args=(self._camera,), name="camera", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """End the thread and release the device."""
+    def _stop(self) -> None:
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -120,11 +111,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         if self.synthetic is not None:
             self.synthetic.close()
 
-    def teardown(self) -> None:
-        """Release the scene."""
+    def _teardown(self) -> None:
         self.synthetic = None
 
-    def config_changed(self, config: CameraNodeConfig) -> None:
+    def _config_changed(self, config: CameraNodeConfig) -> None:
         """Apply new filters, timeouts and message faults while it streams."""
         if self._faults is not None:
             self._faults.config = config.faults
@@ -163,10 +153,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             "since_frame_s": age,
         }
 
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """The clouds."""
-        return ("points",)
-
     # The thread.
 
     def _run(self, camera: RealSenseCamera) -> None:
@@ -177,25 +163,15 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             except ForetouchError as err:  # the device does not offer what the settings ask for: do not try again
                 self._fail(str(err))
                 return
-            except Exception as err:  # noqa: BLE001  the end of a thread must be reported
-                self._fail(f"{type(err).__name__}: {err}")
-                return
-            self._count_drops(camera.status.dropped, counted)
+            for reason, count in camera.status.dropped.items():
+                for _ in range(count - counted[reason]):
+                    self.statistics.receive()
+                    self.statistics.drop(reason)
+                counted[reason] = count
             if cloud is not None:
-                self._publish(cloud)
-
-    def _publish(self, cloud: Cloud) -> None:
-        arrived = self.statistics.receive()
-        age_s = self.age_s(cloud.stamp_ns)
-        self._points.publish(cloud_to_msg(cloud))
-        self.statistics.use(arrived, age_s)
-
-    def _count_drops(self, dropped: Mapping[str, int], counted: Counter[str]) -> None:
-        for reason, count in dropped.items():
-            for _ in range(count - counted[reason]):
-                self.statistics.receive()
-                self.statistics.drop(reason)
-            counted[reason] = count
+                arrived, age_s = self.statistics.receive(), self.age_s(cloud.stamp_ns)
+                self._points.publish(cloud_to_msg(cloud))
+                self.statistics.use(arrived, age_s)
 
     def _fail(self, reason: str) -> None:
         self._failure = reason
@@ -209,16 +185,8 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             self.get_logger().warning(text)
 
 
-def _camera_config(config: CameraNodeConfig) -> RealSenseConfig:
-    if config.source in {"device", "synthetic", "scene"}:
-        return config.camera
-    return config.camera.replace(file=config.source)
-
-
 def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
-    camera, scene = config.camera, config.synthetic
-    rng = np.random.default_rng(scene.seed)
-    depth_scene = random_scene(rng, camera.width, camera.height, scene.n_objects)
-    count = min(_MAX_FRAMES, max(1, round(_PERIOD_S * camera.fps))) if scene.moving else 1
-    frames = swinging_frames(depth_scene, count, rng=rng, noise_m=scene.noise_m)
-    return SyntheticCamera(frames, camera.fps)
+    camera, rng = config.camera, np.random.default_rng(config.synthetic.seed)
+    scene = random_scene(rng, camera.width, camera.height)
+    count = min(_MAX_FRAMES, max(1, round(_PERIOD_S * camera.fps)))
+    return SyntheticCamera(swinging_frames(scene, count, rng=rng), camera.fps)

@@ -12,8 +12,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
 from foretouch.grasp import GraspHold, LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import check_optical, plan_targets, read_table, read_targets
-from foretouch.ros.runtime.direct import DirectPublisher
+from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
 from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
@@ -41,51 +40,40 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
 class GraspNode(ProcessingNode[GraspNodeConfig]):
     """Plans with GeoGrasp (`Pipeline.plan`)."""
 
-    _grasps: DirectPublisher
+    exclusive_topics = (GRASPS_TOPIC,)
     _frame: OutputFrame | None = None
 
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]
         super().__init__("grasp", GraspNodeConfig, inputs, **options)
-        self.config_changed(self.config)
+        self._config_changed(self.config)
 
-    def setup(self) -> None:
-        """Advertise before subscribing, so that no answer is lost."""
+    def _setup(self) -> None:
         self._frame = OutputFrame(self, self.config)
-        self._grasps = self.advertise(GraspArray, GRASPS_TOPIC, keep=True)
+        self._grasps = self.advertise(GraspArray, GRASPS_TOPIC, keep=True)  # before subscribing: no answer is lost
         for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
-        super().setup()
+        super()._setup()
 
-    def teardown(self) -> None:
-        """End the subscriptions of tf2."""
+    def _teardown(self) -> None:
         if self._frame is not None:
             self._frame.close()
             self._frame = None
 
     def notes(self) -> dict[str, str]:
-        """The frame of the answers, for /diagnostics."""
+        """The frame of the answers too."""
         return {**super().notes(), **(self._frame.notes() if self._frame else {})}
 
-    def config_changed(self, config: GraspNodeConfig) -> None:
-        """Apply the new settings from the next cloud on; held grasps are forgotten."""
+    def _config_changed(self, config: GraspNodeConfig) -> None:
         self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, limits=config.limits))
         holds = config.grasp_hold > 0.0 and config.grasp.method == "stable"
         self._held = GraspHold(config.grasp_hold_tolerance_m) if holds else None
 
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """The answers of this node."""
-        return (GRASPS_TOPIC,)
-
-    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
-        """Plan grasps on the targets of one cloud."""
+    def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         transform = self._frame.transform(header) if self._frame else None
         table = messages["table"]
-        targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header))
-        if isinstance(messages[CLOUD_TOPIC], PointCloud2):  # not of our segmentation in this process
-            check_optical(targets, self.config.limits)
-        margin = self.config.grasp_hold
-        message = plan_targets(self._pipeline, targets, header, table.reason, self._held, margin)
+        targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header), self.config.limits)
+        message = plan_targets(self._pipeline, targets, header, table.reason, self._held, self.config.grasp_hold)
         for grasp in message.grasps:  # as after serialisation, for subscribers of this process
             grasp.score = float(np.float32(grasp.score))
         if transform is not None:
@@ -93,6 +81,5 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         self._grasps.publish(message)
         return message.status, message.reason
 
-    def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish that there is no grasp."""
+    def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._grasps.publish(GraspArray(header=header, status=status, reason=reason))

@@ -15,15 +15,14 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from geometry_msgs.msg import Pose, Quaternion
+from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from foretouch.config import setting
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.grasp import quaternion_xyzw
-from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, stamp_to_msg
+from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
@@ -37,6 +36,7 @@ from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
+_TACTILE_FRAME = "rh_tactile"
 _BEHIND_S = 0.25  # the difference of stamps and reception that grasps are rejected for by default
 _LATE_NS = 1_000_000_000  # messages that are later than this are left out
 _DEPTH = 100
@@ -68,8 +68,7 @@ def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> E
         name: stamp_to_msg(0 if row is None else first_ns + row * period_ns)
         for name, row in (("start", trajectory.start), ("contact", trajectory.contact), ("release", trajectory.release))
     }
-    x, y, z, w = map(float, quaternion_xyzw(trajectory.rotation))
-    achieved = Pose(position=point_to_msg(trajectory.midpoint), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    achieved = Pose(position=point_to_msg(trajectory.midpoint), orientation=rotation_to_msg(trajectory.rotation))
     header = header_to_msg(planned.header.frame_id, first_ns + len(trajectory.counts) * period_ns)
     grasp_id = planned.grasps[0].id
     return ExecutedGrasp(header=header, grasp_id=grasp_id, achieved=achieved, success=trajectory.success, **times)
@@ -86,7 +85,6 @@ class HandConfig(NodeConfig):
     biotacs: tuple[str, ...] = setting(
         ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGER_ORDER, read_only=True
     )
-    tactile_frame: str = setting("rh_tactile", "Frame of the tactile messages", read_only=True)
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
 
     def __post_init__(self) -> None:
@@ -100,16 +98,17 @@ class HandNode(ForetouchNode[HandConfig]):
 
     Attributes:
         phase: `idle`, or the phase of the current grasp (`GraspTrajectory.phase`).
+        busy: Whether a grasp is being executed or computed.
         executed: Numbers of grasps by outcome: `success`, or the reason of the failure.
     """
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
         self.phase = "idle"
+        self.busy = False
         self.executed: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._newest: GraspArray | None = None
         self._accepted_ns = -1  # stamp of the cloud of the last accepted grasp
-        self._busy = False
         self._ready: _RunningGrasp | None = None
         self._current: _RunningGrasp | None = None
         self._repeats = 0
@@ -120,22 +119,15 @@ class HandNode(ForetouchNode[HandConfig]):
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
         self._resting: list[RestingFingers] = []
+        self._faults = MessageFaults(FaultConfig())
         super().__init__(name, HandConfig, **options)
 
-    @property
-    def busy(self) -> bool:
-        """Whether a grasp is being executed or computed."""
-        return self._busy
-
-    # Hooks of the base class.
-
-    def setup(self) -> None:
-        """Read the scene, advertise, subscribe."""
-        self._faults = MessageFaults(self.config.faults)  # before the hand: the diagnostics timer runs already
+    def _setup(self) -> None:
+        self._faults = MessageFaults(self.config.faults)
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
-            self._began = time.monotonic() - (self.get_clock().now().nanoseconds - self.config.scene.origin_ns) * 1e-9
+            self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)
         at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
@@ -147,15 +139,14 @@ class HandNode(ForetouchNode[HandConfig]):
         )
         self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
 
-    def start(self) -> None:
-        """Start to publish from a thread."""
+    def _start(self) -> None:
         self._stopping.clear()
         self._solver.start()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Stop; a grasp that is being executed is not reported."""
+    def _stop(self) -> None:
+        """A grasp that is being executed is not reported."""
         self._stopping.set()
         if self._thread is not None:
             self._solver.stop()
@@ -163,17 +154,14 @@ class HandNode(ForetouchNode[HandConfig]):
             self._thread = None
             self._abandon("stopped")
 
-    def teardown(self) -> None:
-        """Release the scene and the grasps."""
+    def _teardown(self) -> None:
         if self._hand is not None:
             self.destroy_service(self._service)
         self._hand = self._newest = None
         self._resting.clear()
 
-    def config_changed(self, config: HandConfig) -> None:
-        """Apply new message faults."""
-        if self._hand is not None:
-            self._faults.config = config.faults
+    def _config_changed(self, config: HandConfig) -> None:
+        self._faults.config = config.faults
 
     def warnings(self) -> tuple[str, ...]:
         """Whether this computer keeps up: the stamps of late readings are older than the readings."""
@@ -184,12 +172,11 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def notes(self) -> dict[str, str]:
         """Phase of the hand, and counts of grasps and messages."""
-        faults = self._faults if self._hand is not None else MessageFaults(self.config.faults)
         return {
             "phase": self.phase,
-            "tactile.sent": str(faults.passed),
-            "tactile.dropped.injected": str(faults.dropped),
-            "tactile.moved.injected": str(faults.moved),
+            "tactile.sent": str(self._faults.passed),
+            "tactile.dropped.injected": str(self._faults.dropped),
+            "tactile.moved.injected": str(self._faults.moved),
             "tactile.left_out.late": str(self._late),
             **{f"executed.{outcome}": str(count) for outcome, count in self.executed.items()},
         }
@@ -212,14 +199,14 @@ class HandNode(ForetouchNode[HandConfig]):
             newest = self._newest
             if self.state_name != "active":
                 return False, f"the hand is {self.state_name}"
-            if self._busy:
+            if self.busy:
                 return False, "the hand is busy"
             if newest is None or not newest.grasps:
                 return False, "there is no grasp"
             planned_ns = stamp_ns(newest.header.stamp)
             if planned_ns <= self._accepted_ns:
                 return False, "there is no new grasp"
-            self._busy, self._accepted_ns = True, planned_ns
+            self.busy, self._accepted_ns = True, planned_ns
         self._solver.put(_Command(newest, planned_ns, self.statistics.receive()))
         return True, newest.grasps[0].id
 
@@ -236,29 +223,26 @@ class HandNode(ForetouchNode[HandConfig]):
     def _idle(self) -> None:
         self.phase = "idle"
         with self._lock:
-            self._busy = False
+            self.busy = False
 
     # Contacts, computed in the solver's thread.
 
     def _solve(self, command: _Command) -> None:
-        header = command.message.header
+        frame, expected = command.message.header.frame_id, self.config.frame_id
         try:
-            if header.frame_id != self.config.frame_id:
-                raise ConfigError(f"grasps: frame {header.frame_id!r} is not the camera's, {self.config.frame_id!r}")
-            self._ready = _RunningGrasp(command, self._execute(command))
+            if frame != expected:
+                raise ConfigError(f"grasps: frame {frame!r} is not the camera's, {expected!r}")
+            assert self._hand is not None  # noqa: S101  setup made it
+            grasp, slot = decode_grasp(command.message.grasps[0]), self.config.scene.slot(command.planned_ns)
+            self._repeats += 1
+            trajectory = self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)
+            self._ready = _RunningGrasp(command, trajectory)
         except ForetouchError as err:
             self.get_logger().warning(str(err))
             self._drop("refused")
         except Exception as err:  # noqa: BLE001  the end of a thread must be reported
             self.internal_errors.report("execute_grasp", err)
             self._drop("failed")
-
-    def _execute(self, command: _Command) -> GraspTrajectory:
-        assert self._hand is not None  # noqa: S101  setup made it
-        grasp = decode_grasp(command.message.grasps[0])
-        slot = self.config.scene.slot(command.planned_ns)
-        self._repeats += 1
-        return self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)
 
     # Messages, published by the sender's thread.
 
@@ -291,7 +275,7 @@ class HandNode(ForetouchNode[HandConfig]):
         counts = self._fingers(number)
         stamp = self._faults.stamp(start_ns + number * period_ns)
         if stamp is not None:
-            self._tactile.publish(biotac_all_to_msg(counts, self.config.tactile_frame, stamp))
+            self._tactile.publish(biotac_all_to_msg(counts, _TACTILE_FRAME, stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.trajectory.counts) - 1:
             self._finish(current, start_ns + current.first * period_ns, period_ns)

@@ -11,23 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, Role, SampleAssembler
 from foretouch.dataset.record import check_name
 from foretouch.dataset.recording import Outcome, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.recorder.config import RecorderConfig
-from foretouch.ros.recorder.message_queue import MessageQueue
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus
 from foretouch.ros.recorder.status import status_to_msg
-from foretouch.ros.recorder.subscriptions import InputTopic, RecorderSubscriptions
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.tactile.messages import TactileReader, make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
@@ -39,12 +36,7 @@ _RAW_DEPTH = 20
 
 
 def _decode_label(request: Any) -> Label:
-    """The label in a request.
-
-    Raises:
-        ConfigError: If the outcome is not one of the known.
-        DatasetError: If the label of the object is no plain name.
-    """
+    """The label in a request; a `ConfigError` or `DatasetError` if its outcome or the object's label is none."""
     if request.outcome >= len(_OUTCOMES):
         raise ConfigError(f"outcome: {request.outcome} is none of UNKNOWN, SUCCESS, FAILURE")
     if request.object:
@@ -68,6 +60,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         reason: Why the last recording ended by itself, or "".
     """
 
+    exclusive_topics = (GRASPS_TOPIC,)
+
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         self.path = ""
         self.reason = ""
@@ -79,13 +73,12 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._duration_s = 0.0
         super().__init__(name, RecorderConfig, **options)
 
-    # Hooks of the base class.
-
-    def setup(self) -> None:
-        """Subscribe to all topics, advertise the status, offer the services."""
+    def _setup(self) -> None:
         self._reader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
-        self._input_topics = RecorderSubscriptions(self, self._topics(), self._mismatch)
+        raw_depth = _RAW_DEPTH if self.config.points else 0
+        topics = sample_topics(self.config, depth=_DEPTH, cloud_depth=_CLOUD_DEPTH, points_depth=raw_depth)
+        self._input_topics = RecorderSubscriptions(self, topics, self._mismatch)
         group = MutuallyExclusiveCallbackGroup()
         self._timer = self.create_timer(_TICK_S, self._tick, callback_group=group)
         self._offered = [
@@ -97,17 +90,14 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             )
         ]
 
-    def start(self) -> None:
-        """Start recording, if the settings name a dataset."""
+    def _start(self) -> None:
         if self.config.record:
-            self.begin(self.config.record, self.config.object, self.config.note)
+            self.begin(self.config.record, self.config.object)
 
-    def stop(self) -> None:
-        """End the current recording."""
+    def _stop(self) -> None:
         self.end()
 
-    def teardown(self) -> None:
-        """Remove services, timer and subscriptions."""
+    def _teardown(self) -> None:
         for service in self._offered:
             self.destroy_service(service)
         if self._offered:
@@ -115,10 +105,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if self._input_topics is not None:
             self._input_topics.destroy()
         self._offered, self._input_topics, self._reader = [], None, None
-
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """What samples are made of, as far as one node publishes it."""
-        return (GRASPS_TOPIC,)
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
@@ -154,26 +140,18 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Whether there is a session to end: a running one, or one that has just ended by itself."""
         return self._session is not None
 
-    @property
-    def samples(self) -> int:
-        """Number of samples with a touch in the current session, or in the last one."""
-        return self.session_status().samples
-
     def session_status(self) -> SessionStatus:
         """State of the current session, or of the last one."""
         session = self._session
         return self._last_status if session is None else session.status
 
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
-        """Start a session; an existing dataset is extended.
+        """Start a session and return the dataset's path; an existing dataset is extended.
 
         Args:
             path: Path of the dataset; "" for a name made of the time.
             label: Label of the object on the table.
             note: Note for every sample.
-
-        Returns:
-            The dataset's path.
 
         Raises:
             ConfigError: If a session is running.
@@ -185,29 +163,26 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.end()
         if label:
             check_name(label, "object")
-        assert self._input_topics is not None  # noqa: S101  made by setup
+        topics, config = self._input_topics, self.config
+        assert topics is not None  # noqa: S101  made by setup
         assert self._reader is not None  # noqa: S101
-        config = self.config
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(
             target, config.dataset_identity(), config.writing, fallback_folder=config.fallback_folder or None
         )
-        for name, one in self._input_topics.inputs.items():
+        for name, one in topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)
-        assembler = SampleAssembler(
-            AssemblerConfig(
-                pairing=config.pairing,
-                contact=config.contact,
-                object=label,
-                note=note,
-                unlabelled_s=config.unlabelled_s if config.unlabelled else None,
-                assume_grasps=config.assume_grasps,
-                watch_sensors=True,
-            ),
-            self._reader,
+        assembling = AssemblerConfig(
+            pairing=config.pairing,
+            contact=config.contact,
+            object=label,
+            note=note,
+            unlabelled_s=config.unlabelled_s if config.unlabelled else None,
+            assume_grasps=config.assume_grasps,
+            watch_sensors=True,
         )
         queue = MessageQueue(config.queue_mb * _MB)
-        self._input_topics.open(queue)
+        topics.open(queue)
         roles: dict[str, Role] = {
             config.tactile_topic: "tactile",
             CLOUD_TOPIC: "cloud",
@@ -216,10 +191,13 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         }
         inputs = {
             name: (roles[one.topic.name], one.topic.message)
-            for name, one in self._input_topics.inputs.items()
+            for name, one in topics.inputs.items()
             if one.topic.name in roles
         }
-        self._session = RecordingSession(writer, queue, assembler, inputs, self._input_topics.lost, self._warn)
+        assembler = SampleAssembler(assembling, self._reader)
+        self._session = RecordingSession(
+            writer, queue, assembler, inputs, topics.lost, lambda text: self.get_logger().warning(text)
+        )
         self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")
         return target
@@ -228,20 +206,16 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """End the session, if one is running; gives the final state of the last one."""
         if self._input_topics is not None:
             self._input_topics.close()
-        self._finish_session()
-        return self._last_status
+        return self._finish()
 
-    def label(self, label: Label) -> tuple[str, str]:
-        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`).
-
-        Raises:
-            ConfigError: If no session is running.
-            PairingError: If the grasp is not known, or its sample is complete.
-        """
+    def _finish(self) -> SessionStatus:
         session = self._session
-        if session is None:
-            raise ConfigError("nothing is being recorded")
-        return session.label(label)
+        if session is not None:
+            session.close()
+            self._last_status, self.reason, self._session = session.status, session.status.error, None
+            self.path = str(session.writer.path)
+            self._duration_s = time.monotonic() - session.began_s
+        return self._last_status
 
     def status(self) -> RecorderStatus:
         """The current `recorder_status`."""
@@ -256,7 +230,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             now_ns=self.get_clock().now().nanoseconds,
         )
 
-    # Services.
+    # Services and the timer.
 
     def _start_recording(self, request: Any, response: Any) -> Any:
         try:
@@ -278,14 +252,16 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return response
 
     def _label_grasp(self, request: Any, response: Any) -> Any:
+        session = self._session
         try:
-            response.grasp_id, response.message = self.label(_decode_label(request))
+            label = _decode_label(request)
+            if session is None:
+                raise ConfigError("nothing is being recorded")
+            response.grasp_id, response.message = session.label(label)
             response.success = True
         except ForetouchError as err:
             response.grasp_id, response.message = request.grasp_id, str(err)
         return response
-
-    # The timer, and the end of a session.
 
     def _tick(self) -> None:
         inputs = self._input_topics
@@ -293,28 +269,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             self.get_logger().info(text)
         session = self._session
         if session is not None and session.ended.is_set():  # by itself; messages from now on are counted as late
-            self._finish_session()
+            self._finish()
             self.get_logger().error(self.reason or "the recording has ended")
         self._status.publish(self.status())
-
-    def _finish_session(self) -> None:
-        session = self._session
-        if session is not None:
-            session.close()
-            self._last_status, self.reason, self._session = session.status, session.status.error, None
-            self.path = str(session.writer.path)
-            self._duration_s = time.monotonic() - session.began_s
-
-    def _topics(self) -> list[InputTopic]:
-        topics = [
-            InputTopic(self.config.tactile_topic, tactile_class(self.config.tactile.type), _DEPTH),
-            InputTopic(CLOUD_TOPIC, PointCloud2, _CLOUD_DEPTH),
-            InputTopic("table", TablePlane, _DEPTH),
-            InputTopic(GRASPS_TOPIC, GraspArray, _DEPTH),
-            InputTopic("touch", TouchPredictionArray, _DEPTH),
-            InputTopic(EXECUTED_TOPIC, ExecutedGrasp, _DEPTH),
-        ]
-        return topics + [InputTopic("points", PointCloud2, _RAW_DEPTH)] * self.config.points
-
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(text)

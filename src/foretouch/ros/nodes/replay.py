@@ -32,8 +32,8 @@ from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, ent
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.runtime.discovery import Matching, matched_ends
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.ros.runtime.matching import Matching, matched_ends
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane
@@ -43,31 +43,33 @@ _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
 _ACKNOWLEDGED_S = 2.0
 _POLL_S = 0.02
 _LOGGED_S = 1.0  # a longer wait is logged
+_ANSWER_S = 5.0  # longest wait for an answer in lockstep
+_SETTLE_S = 0.3  # after the subscribers were found, until they have discovered this node too
 _TYPE = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
 _LIVE_ONLY = frozenset({"/diagnostics", "/parameter_events", "/rosout"})
 _INPUTS = frozenset({EXECUTED_TOPIC})  # in the graph's namespace, but published by the robot
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
-    """Sort the topics of a recording, without that of the clouds, into those that can be played and the others.
+    """The message class of each topic of a recording that can be played, and the reason for each other with messages.
 
     What the nodes in `namespace` published then must not be mixed with what they publish now.
-
-    Returns:
-        The message class of each topic that can be played, and the reason for each other topic with messages.
     """
     classes: dict[Topic, type] = {}
     reasons: dict[str, str] = {}
+    prefix = namespace.rstrip("/") + "/"
     for topic in topics:
-        if not topic.count:
-            continue
-        reason = _reason_to_skip(topic.name, namespace)
-        if not reason:
+        found = None
+        if topic.name in _LIVE_ONLY:
+            reason = "reports on running nodes"
+        elif topic.name.startswith(prefix) and topic.name.removeprefix(prefix) not in _INPUTS:
+            reason = f"this graph publishes under {namespace} itself"
+        else:
             found, reason = message_class(topic)
-            if found is not None:
-                classes[topic] = found
-                continue
-        reasons[topic.name] = f"{reason} ({topic.count} messages)"
+        if topic.count and found is not None:
+            classes[topic] = found
+        elif topic.count:
+            reasons[topic.name] = f"{reason} ({topic.count} messages)"
     return classes, reasons
 
 
@@ -89,15 +91,6 @@ def message_class(topic: Topic) -> tuple[type | None, str]:
     if recorded != fields:
         return None, f"type {topic.type} had other fields when it was recorded"
     return found, ""
-
-
-def _reason_to_skip(name: str, namespace: str) -> str:
-    if name in _LIVE_ONLY:
-        return "reports on running nodes"
-    prefix = namespace.rstrip("/") + "/"
-    if name.startswith(prefix) and name.removeprefix(prefix) not in _INPUTS:
-        return f"this graph publishes under {namespace} itself"
-    return ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,17 +121,7 @@ class ReplayConfig(NodeConfig):
     loop: bool = setting(False, "Start again at the end, with increasing stamps")
     restamp: bool = setting(False, "Stamp every message with the time of its publication")
     lockstep: bool = setting(False, "Publish each cloud after the answer on `touch` to the one before", read_only=True)
-    answer_timeout_s: float = setting(
-        5.0, "Longest wait for an answer in lockstep", unit="s", minimum=0.01, maximum=3600.0
-    )
     subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", minimum=0, maximum=100)
-    settle_s: float = setting(
-        0.3,
-        "Pause after the subscribers were found, until they have discovered this node too",
-        unit="s",
-        minimum=0.0,
-        maximum=60.0,
-    )
     discovery_s: float = setting(
         3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
@@ -158,7 +141,6 @@ class ReplayConfig(NodeConfig):
         maximum=3600.0,
     )
     frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
-    other_topics: bool = setting(True, "Play the other topics of a recording too", read_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -173,9 +155,12 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         ended: Set at the end of the replay; `outcome` is the reason.
         outcome: `waiting`, `playing`, `finished`, `stopped` or `failed`.
         reason: Why it failed, else "".
+        clouds_topic: Full name of the topic of the clouds; "" before it is known.
         played: Published messages by topic, also of the clouds.
         unanswered: In lockstep, clouds without an answer on `touch` in time.
     """
+
+    exclusive_topics = ("points", "objects", GRASPS_TOPIC, "touch")
 
     def __init__(self, name: str = "replay", **options: Any) -> None:
         self.ended = threading.Event()
@@ -183,6 +168,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self.played: Counter[str] = Counter()
         self.unanswered = 0
         self.reason = ""
+        self.clouds_topic = ""
         self._source: Source | None = None
         self._topic_publishers: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}
@@ -200,16 +186,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._status = self.create_publisher(DiagnosticStatus, "replay_status", latched)
 
     @property
-    def clouds_topic(self) -> str:
-        """Full name of the topic of the clouds; "" before it is known."""
-        return str(self._topic_publishers[CLOUDS].topic_name) if CLOUDS in self._topic_publishers else ""
-
-    @property
     def unreadable(self) -> int:
         """Entries of the source that could not be read and were not played; each is logged."""
         return self.statistics.summary().dropped.get("unreadable", 0)
-
-    # Hooks of the base class.
 
     def autostart(self) -> bool:
         """A source that cannot be opened is the end of it: its parameters are read-only."""
@@ -218,28 +197,26 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self.ended.set()
         return started
 
-    def setup(self) -> None:
-        """Open the source and advertise its topics."""
+    def _setup(self) -> None:
+        config = self.config
         try:
-            self._source = self._open()
+            if not config.path:
+                raise ConfigError("path: is empty; set it to a recording, a folder or a file")
+            self._source = open_source(config.path, config.topic or None, frame_id=config.frame_id)
         except ForetouchError as err:
-            self.outcome, self.reason = "failed", str(err)
+            self.outcome, self.reason, self.has_failed = "failed", str(err), True
             raise
-        segmented = self.config.publish == CLOUD_TOPIC
-        if self.config.publish == "auto":
-            segmented = cloud_is_object(self._source)
-        self._topic_publishers[CLOUDS] = self.advertise(
-            PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False
-        )
+        segmented = cloud_is_object(self._source) if config.publish == "auto" else config.publish == CLOUD_TOPIC
+        clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False)
+        self._topic_publishers[CLOUDS], self.clouds_topic = clouds, str(clouds.topic_name)
         self._table = self.advertise(TablePlane, "table", depth=_DEPTH, direct=False) if segmented else None
         self._advertise_others(self._source)
-        if self.config.lockstep:
+        if config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
-        self._matching = Matching(self, self.config.discovery_s, self.config.wait_for)
+        self._matching = Matching(self, config.discovery_s, config.wait_for)
         self._reports = self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH)
 
-    def start(self) -> None:
-        """Play from the beginning."""
+    def _start(self) -> None:
         self._stopping.clear()
         self.ended.clear()
         self.played.clear()
@@ -247,8 +224,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Stop after the current message."""
+    def _stop(self) -> None:
         self._stopping.set()
         with self._answered:
             self._answered.notify_all()
@@ -256,8 +232,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self._thread.join()
             self._thread = None
 
-    def teardown(self) -> None:
-        """Release the source."""
+    def _teardown(self) -> None:
         for topic, publisher in self._topic_publishers.items():
             if topic != CLOUDS:
                 self.destroy_publisher(publisher)
@@ -270,13 +245,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         """Whether there is nothing more to play."""
         return self.ended.is_set() and self.outcome != "stopped"  # a stopped node may be activated again
 
-    def has_failed(self) -> bool:
-        """Whether the source could not be played to its end."""
-        return self.outcome == "failed"
-
     def errors(self) -> tuple[str, ...]:
         """Why the replay failed."""
-        return (self.reason,) if self.outcome == "failed" else ()
+        return (self.reason,) if self.has_failed else ()
 
     def notes(self) -> dict[str, str]:
         """State of the replay, and counts by topic."""
@@ -293,10 +264,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         """Those of the other topics of a recording too."""
         others = [one for topic, one in self._topic_publishers.items() if topic != CLOUDS]
         return {**super().matched_ends(), **matched_ends(others, ())}
-
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """The clouds, and the answers to them."""
-        return ("points", "objects", GRASPS_TOPIC, "touch")
 
     # The thread.
 
@@ -317,17 +284,18 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self.ended.set()
 
     def _wait_for_subscribers(self) -> bool:
-        def ready() -> bool:
-            matched = int(self._topic_publishers[CLOUDS].get_subscription_count())
-            answerable = not self.config.lockstep or self.count_publishers("touch") > 0
-            return self.state_name == "active" and matched >= self.config.subscribers and answerable
-
-        while not ready():
+        """Wait for those of the clouds, and then for all that discovery shows; False if the replay must stop."""
+        config, clouds = self.config, self._topic_publishers[CLOUDS]
+        while not (
+            self.state_name == "active"
+            and clouds.get_subscription_count() >= config.subscribers
+            and (not config.lockstep or self.count_publishers("touch"))
+        ):
             if self._stopping.wait(_POLL_S):
                 return False
-        if not self.config.subscribers and not self.config.wait_for:
+        if not config.subscribers and not config.wait_for:
             return True
-        return not self._stopping.wait(self.config.settle_s) and self._wait_for_matches()
+        return not self._stopping.wait(_SETTLE_S) and self._wait_for_matches()
 
     def _wait_for_matches(self) -> bool:
         """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""
@@ -373,7 +341,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             if entry.topic == CLOUDS:
                 self.statistics.drop("stopped")
             return False
-        data = self._stamp(entry, shift_ns)
+        data = entry.data
+        if entry.stamped and self.config.restamp:
+            data = with_stamp(data, self.get_clock().now().nanoseconds)
+        elif entry.stamped and shift_ns:
+            data = with_stamp(data, read_header(data).stamp_ns + shift_ns)
         if entry.topic == CLOUDS:
             self._publish_cloud(data)
             self.statistics.use(arrived, time.monotonic() - due)
@@ -381,13 +353,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self._topic_publishers[entry.topic].publish(data)
             self.played[entry.topic] += 1
         return True
-
-    def _stamp(self, entry: Entry, shift_ns: int) -> bytes:
-        if not entry.stamped or not (self.config.restamp or shift_ns):
-            return entry.data
-        if self.config.restamp:
-            return with_stamp(entry.data, self.get_clock().now().nanoseconds)
-        return with_stamp(entry.data, read_header(entry.data).stamp_ns + shift_ns)
 
     def _publish_cloud(self, data: bytes) -> None:
         header = read_header(data)
@@ -397,28 +362,18 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self._table.publish(TablePlane(header=stamped, plane=plane, status=Status.OK))
         self._topic_publishers[CLOUDS].publish(data)
         self.played[self.clouds_topic] += 1
-        if self.config.lockstep and not self._wait_for_answer(header.stamp_ns):
-            self.unanswered += 1
+        if self.config.lockstep:
+            with self._answered:
+                self.unanswered += not self._answered.wait_for(
+                    lambda: self._last_answer_ns == header.stamp_ns or self._stopping.is_set(), _ANSWER_S
+                )
 
     def _on_answer(self, message: TouchPredictionArray) -> None:
         with self._answered:
             self._last_answer_ns = stamp_ns(message.header.stamp)
             self._answered.notify_all()
 
-    def _wait_for_answer(self, stamp: int) -> bool:
-        with self._answered:
-            return self._answered.wait_for(
-                lambda: self._last_answer_ns == stamp or self._stopping.is_set(), self.config.answer_timeout_s
-            )
-
-    def _open(self) -> Source:
-        if not self.config.path:
-            raise ConfigError("path: is empty; set it to a recording, a folder or a file")
-        return open_source(self.config.path, self.config.topic or None, frame_id=self.config.frame_id)
-
     def _advertise_others(self, source: Source) -> None:
-        if not self.config.other_topics:
-            return
         classes, self._left_out = playable(other_topics(source), self.get_namespace())
         for topic, message in classes.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
@@ -428,16 +383,14 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 
     def _report_outcome(self, outcome: str, reason: str = "") -> None:
-        self.outcome, self.reason = outcome, reason
-        level = DiagnosticStatus.ERROR if outcome == "failed" else DiagnosticStatus.OK
+        self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
         values = {**self.notes(), "unreadable": str(self.unreadable)}
-        self._status.publish(
-            DiagnosticStatus(
-                level=level,
-                name=self.get_fully_qualified_name(),
-                message=f"{outcome}: {reason}" if reason else outcome,
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if self.has_failed else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name(),
+            message=f"{outcome}: {reason}" if reason else outcome,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
+        self._status.publish(status)
         if reason:
             self.get_logger().error(reason)

@@ -16,7 +16,6 @@ from foretouch.ros.messages.clouds import TargetCloud, object_to_msg
 from foretouch.ros.messages.conversions import plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
-from foretouch.ros.runtime.direct import DirectPublisher
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Float64
@@ -35,37 +34,30 @@ class SegmentationNodeConfig(ProcessingConfig):
 class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     """Finds the table and the objects (`Pipeline.segment`)."""
 
-    _objects: DirectPublisher
-    _table: DirectPublisher
-    _object_cloud: DirectPublisher
-    _markers: DirectPublisher
+    exclusive_topics = ("objects",)
 
     def __init__(self, **options: Any) -> None:
         super().__init__("segmentation", SegmentationNodeConfig, [(PointCloud2, "points")], **options)
-        self._pipeline = _pipeline(self.config)
-        self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
+        self._config_changed(self.config)
 
-    def setup(self) -> None:
-        """Advertise before subscribing, so that no answer is lost."""
-        self._objects = self.advertise(ObjectArray, "objects")
+    def _setup(self) -> None:
+        self._objects = self.advertise(ObjectArray, "objects")  # before subscribing, so that no answer is lost
         self._table = self.advertise(TablePlane, "table")
         self._object_cloud = self.advertise(PointCloud2, CLOUD_TOPIC)
         self._markers = self.advertise(MarkerArray, "markers")
         self._pipeline.segment(warm_up_cloud())
-        super().setup()
+        super()._setup()
 
-    def config_changed(self, config: SegmentationNodeConfig) -> None:
-        """Apply the new settings from the next cloud on."""
-        self._pipeline = _pipeline(config)
-        self._previous = None
+    def _config_changed(self, config: SegmentationNodeConfig) -> None:
+        self._pipeline = Pipeline(PipelineConfig(segmentation=config.segmentation, target=config.target))
+        self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
 
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """The answers of this node."""
-        return ("objects",)
-
-    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
-        """Segment one cloud."""
-        self._check_frame(header.frame_id)
+    def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
+        frame, allowed = header.frame_id, self.config.frames
+        if not frame:
+            raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
+        if allowed and frame not in allowed:
+            raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is none of {', '.join(allowed)}")
         cloud = read_cloud(messages["points"])
         scene = self._pipeline.segment(cloud, self._previous)
         ids = [target.id for target in scene.targets]
@@ -75,8 +67,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._publish(header, scene, cloud.xyz.shape, status)
         return status, scene.reason
 
-    def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish that nothing was found."""
+    def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._objects.publish(ObjectArray(header=header, status=status, reason=reason))
         self._table.publish(TablePlane(header=header, plane=plane_to_msg(None), status=status, reason=reason))
         self._object_cloud.publish(TargetCloud(header, ()))
@@ -98,19 +89,6 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
             reason=scene.reason,
         )
         self._objects.publish(objects)
-        if self._markers.wanted:
-            self.internal_errors.guarded("markers", self._draw)(objects)  # the answer is published
-
-    def _draw(self, objects: ObjectArray) -> None:
-        self._markers.publish(object_markers(objects))
-
-    def _check_frame(self, frame_id: str) -> None:
-        allowed = self.config.frames
-        if not frame_id:
-            raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
-        if allowed and frame_id not in allowed:
-            raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame_id!r} is none of {', '.join(allowed)}")
-
-
-def _pipeline(config: SegmentationNodeConfig) -> Pipeline:
-    return Pipeline(PipelineConfig(segmentation=config.segmentation, target=config.target))
+        if self._markers.wanted:  # the answer is published: an error must not refuse the cloud
+            draw = self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects)))
+            draw()

@@ -17,41 +17,32 @@ and everything that is published is brought back (see `output_frame` and `framed
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from copy import copy
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
-from shape_msgs.msg import Plane
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
-from foretouch.pipeline import FoundObject, PipelineConfig
+from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import (
-    RefusalError,
-    check_frames,
-    check_optical,
-    passed_on,
-    read_plane,
-    read_targets,
-)
+from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
-from foretouch.ros.runtime.direct import DirectPublisher
 from foretouch.ros.runtime.output_frame import OutputFrame
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.framed_request import FramedRequest, in_cloud_frame
-from foretouch.ros.touch.grasp_sampler import GraspSampler, Latest, failed
+from foretouch.ros.touch.framed_request import Latest, in_cloud_frame
+from foretouch.ros.touch.grasp_sampler import refused_goal, sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.planner_action import PLANNER_ACTION, planner_action_class, planner_feedback, planner_result
@@ -85,19 +76,17 @@ _EXECUTED_DEPTH = 10
 class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     """Predicts touch (`TouchModel.predict`)."""
 
-    _touch: DirectPublisher
-    _markers: DirectPublisher
+    exclusive_topics = ("touch",)
 
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)]
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
+        self._closing = ExitStack()  # of what `_setup` made
         self._predictor: Predictor | None = None
         self._adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
         self._used_tare = self.config.use_tare
         self._threads: ThreadPool | None = None
-        self._answering: list[Service[Any, Any]] = []
-        self._actions: list[ActionServer[Any, Any, Any]] = []
         self._planner_action: Any = None  # class of the action of MoveIt Task Constructor
         self._frame: OutputFrame | None = None
         self._tables: dict[int, TablePlane] = {}
@@ -105,33 +94,35 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._latest_lock = threading.Lock()
         self._warned = False  # that no level meets the budget
 
-    # Hooks of the base class.
-
-    def setup(self) -> None:
-        """Load the model, then offer topics, services and actions."""
-        self._frame = OutputFrame(self, self.config)
-        self._planner_action = planner_action_class(self.config.planner_action_type)
-        self._predictor = Predictor(self.config.model, self.config.fallback_model)
+    def _setup(self) -> None:
+        config, closing = self.config, self._closing
+        self._frame = OutputFrame(self, config)
+        closing.callback(self._frame.close)
+        self._planner_action = planner_action_class(config.planner_action_type)
+        self._predictor = Predictor(config.model, config.fallback_model)
+        closing.callback(self._predictor.close)
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
         self._predictor.warm_up()
-        if self.config.latency_budget_ms > 0.0:
-            self._predictor.keep_to(self.config.latency_budget_ms, self.config, self._say)
+        if config.latency_budget_ms > 0.0:
+            self._predictor.keep_to(config.latency_budget_ms, config, self._info)
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = self.advertise(MarkerArray, "markers")
         self._threads = ThreadPool(self, _PARALLEL_REQUESTS)
+        closing.callback(self._threads.close)
         group = ReentrantCallbackGroup()
-        self._answering = [
-            self.create_service(PredictTouch, "predict_touch", self._predict_touch, callback_group=group),
-            self.create_service(Trigger, "forget_touches", self._forget_touches, callback_group=group),
-            self.create_service(Trigger, "forget_history", self._forget_history, callback_group=group),
-        ]
-        self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, failed)
+        for kind, name, callback in (
+            (PredictTouch, "predict_touch", self._predict_touch),
+            (Trigger, "forget_touches", self._forget_touches),
+            (Trigger, "forget_history", self._forget_history),
+        ):
+            closing.callback(self.destroy_service, self.create_service(kind, name, callback, callback_group=group))
+        self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, refused_goal)
         if self._planner_action is not None:
             self._offer(self._planner_action, PLANNER_ACTION, self._sample_grasp_poses, self._planner_failure)
         self.subscribe(TablePlane, "table", self._remember_table)
-        super().setup()
+        super()._setup()
 
     def _offer(
         self, kind: Any, name: str, execute: Callable[[Any], Any], failure: Callable[[RefusalError], Any]
@@ -144,36 +135,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 goal_handle.abort()
             return failure(RefusalError(Status.FAILED, reason))
 
-        self._actions.append(
-            ActionServer(
-                self,
-                kind,
-                name,
-                self.internal_errors.guarded(name, execute, aborted),
-                cancel_callback=lambda _: CancelResponse.ACCEPT,
-                callback_group=ReentrantCallbackGroup(),
-            )
-        )
+        guarded, accept = self.internal_errors.guarded(name, execute, aborted), lambda _: CancelResponse.ACCEPT
+        group = ReentrantCallbackGroup()
+        action = ActionServer(self, kind, name, guarded, cancel_callback=accept, callback_group=group)
+        self._closing.callback(action.destroy)
 
-    def teardown(self) -> None:
-        """Remove services and actions, model and touches."""
-        for service in self._answering:
-            self.destroy_service(service)
-        self._answering.clear()
-        for action in self._actions:
-            action.destroy()
-        self._actions.clear()
-        if self._frame is not None:
-            self._frame.close()
-            self._frame = None
-        if self._threads is not None:
-            self._threads.close()
-        if self._predictor is not None:
-            self._predictor.close()
-        if self._keeper is not None:
-            self._keeper.close()
-            self._keeper = None
-        self._threads = self._predictor = self._adapter = self._latest = None
+    def _teardown(self) -> None:
+        self._closing.close()
+        self._frame = self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
@@ -181,65 +150,55 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
 
     def notes(self) -> dict[str, str]:
-        """The model's name and hash, and the state of online adaptation, for /diagnostics."""
-        model = self._predictor.model if self._predictor else None
-        known = {"model": model.name, "model_sha256": model.sha256} if model else {}
-        if model is not None and self._adapter is None:
-            known["regime"] = "none: the model's card holds no calibration"
-        adapted = self._adapter.notes() if self._adapter else {}
-        budget = self._predictor.budget.notes() if self._predictor and self._predictor.budget else {}
-        offered = {PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {}
-        frame = self._frame.notes() if self._frame else {}
-        kept = self._keeper.notes() if self._keeper else {}
-        return {**super().notes(), **known, **budget, **adapted, **kept, **frame, **offered}
+        """The model's name and hash, and the state of online adaptation too."""
+        predictor, found = self._predictor, super().notes()
+        if predictor is not None and predictor.model is not None:
+            found |= {"model": predictor.model.name, "model_sha256": predictor.model.sha256}
+            if self._adapter is None:
+                found["regime"] = "none: the model's card holds no calibration"
+        parts = (predictor.budget if predictor else None, self._adapter, self._keeper, self._frame)
+        for part in parts:
+            found |= part.notes() if part is not None else {}
+        return found | ({PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {})
 
-    def config_changed(self, config: TouchPredictorConfig) -> None:
+    def _config_changed(self, config: TouchPredictorConfig) -> None:
         """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
         if config.use_tare != self._used_tare:
             self._used_tare = config.use_tare
             if self._adapter is not None:
                 self._adapter.forget()
 
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """The answers of this node."""
-        return ("touch",)
-
     # The topic.
 
-    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
-        """Predict the touch of all grasps on one cloud."""
-        grasps = messages[GRASPS_TOPIC]
-        self._remember_cloud(messages[CLOUD_TOPIC])
+    def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
+        cloud, grasps = messages[CLOUD_TOPIC], messages[GRASPS_TOPIC]
+        self._remember_cloud(cloud)
         if not grasps.grasps:
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
-        transform = self._output().transform(header)
+        transform = _configured(self._frame).transform(header)
         planned = _in_frame_of(header, grasps, transform)
-        targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
-        if isinstance(messages[CLOUD_TOPIC], PointCloud2):  # not of our segmentation in this process
-            check_optical(targets, self.config.limits)
-        message, answer = self._predict(targets, planned, header, None, self.arrived)
+        targets = read_targets(cloud, ASSUMED_TABLE, self.config.limits)  # predictions do not use the table
+        message, answer = self._predict(targets, planned, header, None, self._arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
             message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
-            self._adapter.add_grasps(messages[CLOUD_TOPIC], planned)
+            self._adapter.add_grasps(cloud, planned)
         published = message
         if transform is not None:
             published = transform.answer(message, None if planned is grasps.grasps else grasps.grasps)
-        self._touch.publish(self._loaded().end(published, answer, encoded=True))
-        if self._markers.wanted:
+        self._touch.publish(_configured(self._predictor).end(published, answer, encoded=True))
+        if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
-            self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)  # the answer is out
+            self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)
         return message.status, message.reason
 
     def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
         """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
-        touches = self._adapter.touches() if self._adapter else 0
         config = self.config
-        markers = touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1, touches=touches)
+        markers = touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
 
-    def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish why this cloud gets no predictions."""
+    def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
@@ -251,56 +210,44 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         arrived: float,
     ) -> "tuple[TouchAnswer, Answer | None]":
         """The predictions of a request that arrived at a time [s], to be published by `Predictor.end`."""
-        predictor = self._loaded()
-        answer = predictor.begin(len(grasps), arrived)
+        predictor, config = _configured(self._predictor), self.config
+        answer = None if predictor.budget is None else predictor.budget.begin(len(grasps), arrived)
         if answer is not None and not (answer.affordable or self._warned):  # rclpy's own `once` takes 0.5 ms each time
             self._warned = True
-            self._warn(f"budget: {self.config.latency_budget_ms:g} ms: no level of the model meets it for "
+            self._warn(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
                        f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
-        message = predictor.array(
-            targets, grasps, header, self.config, posing, None if answer is None else answer.level.model
-        )
-        reduced = answer is not None and answer.reduced
-        age_s, late_after_s = self.age_s(stamp_ns(header.stamp)), self.config.late_after_s
-        return predictor.finish(message, age_s, late_after_s, reduced=reduced), answer
+        model, reduced = (None, False) if answer is None else (answer.level.model, answer.reduced)
+        message = predictor.array(targets, grasps, header, config, posing, model)
+        age_s = self.age_s(stamp_ns(header.stamp))
+        return predictor.finish(message, age_s, config.late_after_s, reduced=reduced), answer
 
-    def _loaded(self) -> Predictor:
-        if self._predictor is None:
-            raise RefusalError(Status.NO_MODEL, "the node is not configured")
-        return self._predictor
+    def _remember_table(self, message: TablePlane) -> None:
+        with self._latest_lock:
+            self._tables[stamp_ns(message.header.stamp)] = message
+            while len(self._tables) > _TABLES_KEPT:
+                del self._tables[next(iter(self._tables))]
 
-    def _output(self) -> OutputFrame:
-        if self._frame is None:
-            raise RefusalError(Status.NO_MODEL, "the node is not configured")
-        return self._frame
-
-    async def _in_thread(self, work: Callable[[], _T]) -> _T:
-        if self._threads is None:
-            raise RefusalError(Status.NO_MODEL, "the node is not configured")
-        return await self._threads.run(work)
+    def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
+        with self._latest_lock:
+            table = self._tables.get(stamp_ns(message.header.stamp))
+            if table is not None:
+                self._latest = Latest(message, table)
 
     # Online adaptation.
 
     def _adapt(self, predictor: Predictor) -> None:
         """Subscribe to the topics of the hand, if the model has a calibration."""
-        reader = make_reader(self.config.tactile)  # wrong settings are reported in any case
-        message = tactile_class(self.config.tactile.type)
-        if predictor.model is None or predictor.model.calibration is None:
+        config, model = self.config, predictor.model
+        reader = make_reader(config.tactile)  # wrong settings are reported in any case
+        message = tactile_class(config.tactile.type)
+        if model is None or model.calibration is None:
             return
-        self._keeper = HistoryKeeper(
-            predictor.model, self.config.hand, self.config.history_folder, say=self._say, warn=self._warn
-        )
-        self._adapter = predictor.adapter = OnlineAdapter(
-            predictor.model,
-            reader,
-            self._keeper.history,
-            config=lambda: self.config,
-            now_ns=self._now_ns,
-            warn=self._warn,
-            on_reading=self._keeper.changed,
-        )
-        self._keeper.start(self._adapter.locked)
-        self.subscribe(message, self.config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
+        self._keeper = HistoryKeeper(model, config.hand, config.history_folder, info=self._info, warn=self._warn)
+        self._closing.callback(self._keeper.close)
+        now_ns: Callable[[], int] = lambda: int(self.get_clock().now().nanoseconds)  # noqa: E731
+        self._adapter = OnlineAdapter(model, reader, self._keeper, lambda: self.config, now_ns, self._warn)
+        predictor.adapter = self._adapter
+        self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
 
     def _add_requested(self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[Grasp]) -> None:
@@ -308,10 +255,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, grasps, requested=True)
 
-    def _now_ns(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
-
-    def _say(self, text: str) -> None:
+    def _info(self, text: str) -> None:
         self.get_logger().info(text)
 
     def _warn(self, text: str) -> None:
@@ -327,47 +271,42 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         response.success, response.message = True, f"{count} readings forgotten"
         return response
 
-    # The services.
+    # The service.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        arrived = time.monotonic()
-        response.touch = await self._in_thread(lambda: self._response_or_refusal(request, arrived))
+        arrived, header = time.monotonic(), request.cloud.header
+
+        def work() -> TouchPredictionArray:
+            try:
+                return self._answer_request(request, arrived)
+            except RefusalError as refusal:
+                status, reason = refusal.status, refusal.reason
+            except Exception as err:  # noqa: BLE001  the answer names the request's cloud
+                status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
+            return TouchPredictionArray(header=header, status=status, reason=reason)
+
+        response.touch = await _configured(self._threads).run(work)
         return response
 
-    def _response_or_refusal(self, request: Any, arrived: float) -> TouchPredictionArray:
-        header = request.cloud.header
-        try:
-            return self._answer_request(request, arrived)
-        except RefusalError as refusal:
-            return TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
-        except Exception as err:  # noqa: BLE001  the answer names the request's cloud
-            reason = self.internal_errors.report("predict_touch", err)
-            return TouchPredictionArray(header=header, status=Status.FAILED, reason=reason)
-
     def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
-        if len(request.grasps) > self.config.max_grasps:
-            raise RefusalError(
-                Status.BAD_REQUEST, f"grasps: {len(request.grasps)} is above max_grasps, {self.config.max_grasps}"
-            )
-        asked = self._framed(request.cloud, request.table, request.grasps)
+        config = self.config
+        if len(request.grasps) > config.max_grasps:
+            text = f"grasps: {len(request.grasps)} is above max_grasps, {config.max_grasps}"
+            raise RefusalError(Status.BAD_REQUEST, text)
+        frame = _configured(self._frame)
+        asked = in_cloud_frame(frame, request.cloud, request.table, request.grasps, self._latest)
         table = read_plane(asked.table[0]) if asked.table else None
-        targets = read_targets(asked.cloud, table or ASSUMED_TABLE)
-        check_optical(targets, self.config.limits)
+        targets = read_targets(asked.cloud, table or ASSUMED_TABLE, config.limits)
         if not asked.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
-        posing = self.config.grasp if table else None
+        posing = config.grasp if table else None
         message, answer = self._predict(targets, asked.grasps, asked.cloud.header, posing, arrived)
         self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
             moved = asked.grasps is not request.grasps
             message = asked.transform.answer(message, request.grasps if moved else None)
-        made: TouchPredictionArray = self._loaded().end(message, answer)
+        made: TouchPredictionArray = _configured(self._predictor).end(message, answer)
         return made
-
-    def _framed(self, cloud: PointCloud2, table: Sequence[Plane], grasps: Sequence[Grasp]) -> FramedRequest:
-        with self._latest_lock:
-            latest = self._latest
-        return in_cloud_frame(self._output(), cloud, table, grasps, latest)
 
     # The actions.
 
@@ -375,7 +314,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         def work() -> Any:
             return self._sample(goal_handle, goal_handle.request, goal_handle.publish_feedback)
 
-        return await self._finished(goal_handle, work, failed)
+        return await self._finished(goal_handle, work, refused_goal)
 
     async def _sample_grasp_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
@@ -395,7 +334,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     async def _finished(self, goal_handle: Any, work: Callable[[], Any], failure: Callable[[RefusalError], Any]) -> Any:
         """The result of work on a goal, which then has succeeded, or was aborted or cancelled."""
         try:
-            result = await self._in_thread(work)
+            result = await _configured(self._threads).run(work)
             end = goal_handle.succeed
         except RefusalError as refusal:
             result, end = failure(refusal), goal_handle.abort
@@ -406,53 +345,42 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _sample(self, goal_handle: Any, goal: Any, feedback: Callable[[Any], None]) -> Any:
         """Sample grasps for a `SampleGrasps.Goal`; result and feedback are in the frame of the answers."""
-        with self._latest_lock:
-            latest = self._latest
-        transform = None
+        latest, frame, transform = self._latest, _configured(self._frame), None
+        sampled: PointCloud2 | TargetCloud = goal.cloud
         if goal.cloud.width * goal.cloud.height:
-            asked = self._framed(goal.cloud, goal.table, ())
-            goal, transform = copy(goal), asked.transform
+            asked = in_cloud_frame(frame, goal.cloud, goal.table, (), latest)
+            goal, sampled, transform = copy(goal), asked.cloud, asked.transform
             goal.cloud, goal.table = asked.cloud, list(asked.table)
         elif latest is not None:
-            transform = self._output().transform(latest.cloud.header)
-        config = self.config
-        settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
-        sampler = GraspSampler(self._predict_candidates, settings, config.ranges, config.max_grasps, config.sample_cost)
-        result = sampler.sample(
+            sampled, transform = latest.cloud, frame.transform(latest.cloud.header)
+        moved: Callable[[Any], Any] = (lambda message: message) if transform is None else transform.sampled
+        result = sample_grasps(
             goal,
             latest,
-            feedback if transform is None else lambda message: feedback(transform.sampled(message)),
+            self.config,
+            self._predict_candidates,
+            lambda message: feedback(moved(message)),
             lambda: goal_handle.is_cancel_requested,
         )
-        own = goal.cloud.width * goal.cloud.height > 0
-        self._add_requested(goal.cloud if own or latest is None else latest.cloud, result.grasps)
-        return result if transform is None else transform.sampled(result)
+        self._add_requested(sampled, result.grasps)
+        return moved(result)
 
     def _predict_candidates(
         self, target: FoundObject, grasps: Sequence[Grasp], header: Header
     ) -> Sequence[TouchPrediction]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
-        return list(self._loaded().end(message, answer).predictions)
+        return list(_configured(self._predictor).end(message, answer).predictions)
 
-    def _remember_table(self, message: TablePlane) -> None:
-        with self._latest_lock:
-            self._tables[stamp_ns(message.header.stamp)] = message
-            while len(self._tables) > _TABLES_KEPT:
-                del self._tables[next(iter(self._tables))]
 
-    def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
-        with self._latest_lock:
-            table = self._tables.get(stamp_ns(message.header.stamp))
-            if table is not None:
-                self._latest = Latest(message, table)
+def _configured(part: _T | None) -> _T:
+    """A part of the node that exists while it is configured."""
+    if part is None:
+        raise RefusalError(Status.NO_MODEL, "the node is not configured")
+    return part
 
 
 def _in_frame_of(cloud: Header, message: GraspArray, transform: FrameTransform | None) -> Sequence[Grasp]:
-    """The grasps of a message in the frame of their cloud, or in that of the answers.
-
-    Raises:
-        RefusalError: UNKNOWN_FRAME, if they are in another.
-    """
+    """The grasps of a message in the frame of their cloud, which they are in, or that of the answers; or a refusal."""
     if transform is not None and message.header.frame_id == transform.target:
         back = transform.inverse()
         return [back.grasp(grasp) for grasp in message.grasps]

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing import PairingConfig
 from foretouch.dataset.recording import Identity, RecordingConfig
+from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.runtime.lifecycle_node import NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import TactileConfig
-from foretouch.topics import TACTILE_TOPIC
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +22,7 @@ class IdentityConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecorderConfig(NodeConfig):
+class RecorderConfig(NodeConfig, TactileInput):
     """Settings of the recorder."""
 
     folder: str = setting(".", "Folder of datasets with a relative path, or without a path", read_only=True)
@@ -33,8 +32,6 @@ class RecorderConfig(NodeConfig):
     )  # fmt: skip
     record: str = setting("", "Dataset to record from the start; empty waits for start_recording", read_only=True)
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
-    note: str = setting("", "Note of the operator, for `record`", read_only=True)
-    tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
     unlabelled_s: float = setting(
@@ -46,7 +43,6 @@ class RecorderConfig(NodeConfig):
     queue_mb: int = setting(
         500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
     )
-    tactile: TactileConfig = field(default_factory=TactileConfig)
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)

@@ -17,7 +17,8 @@ from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssemble
 from foretouch.dataset.recording import RecordingWriter, TopicCounts
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.requests import read_serialized
-from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
+from foretouch.ros.recorder.subscriptions import MessageQueue
+from foretouch.ros.runtime.serialized_input import SerializedMessage
 
 _POLL_S = 0.1
 _RATE_WINDOW_S = 10.0
@@ -26,35 +27,20 @@ _KEPT_ERRORS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class SessionStatus:
-    """State of a session; immutable.
+    """State of a session; immutable."""
 
-    Attributes:
-        accounts: Message counts by topic, without messages in the queue and those after the session has ended.
-        samples: Number of samples with a touch.
-        unlabelled: Number of samples without.
-        results: Executed grasps by result: `recorded`, or why they were rejected.
-        anomalies: Counts of anomalies in tactile stamps, and of messages that could not be decoded.
-        last_sample: Id of the latest sample with a touch.
-        pairing_errors_ns: Pairing errors of the latest 1000 samples with a touch [ns].
-        sensors: State by finger, and of the camera.
-        bytes_written: Size of the file.
-        bytes_per_s: Current rate.
-        free_bytes: Space left until the session ends by itself.
-        error: Why it ended by itself, else "".
-    """
-
-    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)
-    samples: int = 0
-    unlabelled: int = 0
-    results: Counter[str] = field(default_factory=Counter)
-    anomalies: Counter[str] = field(default_factory=Counter)
-    last_sample: str = ""
-    pairing_errors_ns: tuple[int, ...] = ()
-    sensors: Mapping[str, str] = field(default_factory=dict)
-    bytes_written: int = 0
-    bytes_per_s: float = 0.0
-    free_bytes: int = 0
-    error: str = ""
+    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits or comes too late
+    samples: int = 0  # with a touch
+    unlabelled: int = 0  # samples without
+    results: Counter[str] = field(default_factory=Counter)  # executed grasps: `recorded`, or why they were rejected
+    anomalies: Counter[str] = field(default_factory=Counter)  # of tactile stamps, and messages that were not decoded
+    last_sample: str = ""  # id of the latest sample with a touch
+    pairing_errors_ns: tuple[int, ...] = ()  # of the latest 1000 samples with a touch [ns]
+    sensors: Mapping[str, str] = field(default_factory=dict)  # state by finger, and of the camera
+    bytes_written: int = 0  # size of the file
+    bytes_per_s: float = 0.0  # current rate
+    free_bytes: int = 0  # space left until the session ends by itself
+    error: str = ""  # why it ended by itself, else ""
 
 
 class RecordingSession:
@@ -80,7 +66,7 @@ class RecordingSession:
         assembler: SampleAssembler,
         inputs: Mapping[str, tuple[Role, type]],
         losses: Callable[[], Mapping[str, int]],
-        warn: Callable[[str], None],
+        warn: Callable[[str], object],
     ) -> None:
         self.writer = writer
         self.began_s = time.monotonic()
@@ -139,7 +125,7 @@ class RecordingSession:
         """Close the queue and count its messages as dropped; the writer calls this before it writes the last counts."""
         self._queue.close()
         left, refused = self._queue.take(0.0)
-        for topic, count in (Counter(arrival.topic for arrival in left) + refused).items():
+        for topic, count in (Counter(one.topic for one in left) + refused).items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "session ended", count)
         self._account_for_losses()
@@ -148,23 +134,19 @@ class RecordingSession:
         for topic, count in self._losses().items():
             self.writer.lose(topic, count)
 
-    def _process(self, arrivals: list[Arrival], refused: Counter[str], *, ending: bool = False) -> None:
+    def _process(self, messages: list[SerializedMessage], refused: Counter[str], *, ending: bool = False) -> None:
         for topic, count in refused.items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "queue full", count)
         self._account_for_losses()
-        for arrival in arrivals:  # counted before anything can fail
-            self.writer.receive(arrival.topic)
-        for arrival in arrivals:
-            self.writer.write(
-                arrival.topic,
-                arrival.data,
-                arrival.received_ns,
-                publish_time_ns=max(0, arrival.sent_ns),
-                sequence=None if arrival.sequence is None else arrival.sequence % 2**32,
-            )
-            self._assemble(arrival)
-        if not arrivals:
+        for one in messages:  # counted before anything can fail
+            self.writer.receive(one.topic)
+        for one in messages:
+            sequence = None if one.sequence is None else one.sequence % 2**32
+            sent_ns = max(0, one.sent_ns)
+            self.writer.write(one.topic, one.data, one.received_ns, publish_time_ns=sent_ns, sequence=sequence)
+            self._assemble(one)
+        if not messages:
             self.writer.flush()  # it checks its own timer only when something is written
         with self._assembler_lock:
             results = self._assembler.poll(time.monotonic(), ending=ending)
@@ -178,23 +160,23 @@ class RecordingSession:
                 self._errors_ns.append(result.cut.error_ns)
         self._update_status()
 
-    def _assemble(self, arrival: Arrival) -> None:
+    def _assemble(self, one: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
-        role, message_class = self._inputs.get(arrival.topic, (None, object))
+        role, message_class = self._inputs.get(one.topic, (None, object))
         if role is None:
             return
-        decode = partial(read_serialized, arrival.data, message_class)
+        decode = partial(read_serialized, one.data, message_class)
         try:
-            message = SerializedCloud(arrival.data, decode) if role == "cloud" else decode()
+            message = SerializedCloud(one.data, decode) if role == "cloud" else decode()
             with self._assembler_lock:
-                self._assembler.add(role, message, received_ns=arrival.received_ns, now_s=time.monotonic())
+                self._assembler.add(role, message, received_ns=one.received_ns, now_s=time.monotonic())
         except FileError:
             raise
         except ForetouchError as err:
-            name = f"unreadable {arrival.topic}"
+            name = f"unreadable {one.topic}"
             self._unreadable[name] += 1
             if self._unreadable[name] == 1:
-                self._warn(f"{arrival.topic}: {err}")
+                self._warn(f"{one.topic}: {err}")
 
     def _update_status(self) -> None:
         now, size = time.monotonic(), self.writer.bytes_written

@@ -4,26 +4,15 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from foretouch.dataset.recording import SAMPLE_TOPIC, TopicCounts
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.recorder.session import SessionStatus
+from foretouch.ros.recorder.subscriptions import TopicStatistics
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
-AFTER_CLOSE = "after close"
-"""Why messages are dropped that come when the disk is full: the only reason that is in no file."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TopicStatistics:
-    """Statistics of a topic beside the session's message counts."""
-
-    waiting: int = 0  # messages in the queue
-    late: int = 0  # messages that came after the session had ended by itself and its file was closed
-    reliable: bool = True  # whether lost messages are sent again
-    rate_hz: float = 0.0  # rate of arrival [Hz]
+_AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
 
 
 def status_to_msg(
@@ -36,22 +25,15 @@ def status_to_msg(
     reason: str,
     now_ns: int,
 ) -> RecorderStatus:
-    """The recorder's state as a message.
+    """The recorder's state as a message with a stamp [ns]: of the current session, or of the last one.
 
-    Args:
-        session: State of the current session, or of the last one.
-        statistics: By topic.
-        path: Path of the dataset, "" before the first session.
-        recording: Whether the session is running.
-        duration_s: Duration of the session [s].
-        reason: What went wrong, or "".
-        now_ns: Stamp of the message [ns].
+    `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
     """
     received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}  # made here
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
-    drops[AFTER_CLOSE] += sum(one.late for one in statistics.values())
+    drops[_AFTER_CLOSE] += sum(one.late for one in statistics.values())
     errors = [error * 1e-9 for error in session.pairing_errors_ns]
     flowing = recording and session.bytes_per_s > 0.0
     return RecorderStatus(
@@ -85,7 +67,7 @@ def _topic(name: str, account: TopicCounts, topic: TopicStatistics) -> TopicAcco
         received=account.received + topic.waiting + topic.late,
         written=account.written,
         waiting=account.pending + topic.waiting,
-        **_counts("drop_reasons", "drop_counts", account.dropped + Counter({AFTER_CLOSE: topic.late})),
+        **_counts("drop_reasons", "drop_counts", account.dropped + Counter({_AFTER_CLOSE: topic.late})),
         lost=account.lost,
         reliable=topic.reliable,
         rate=topic.rate_hz,

@@ -1,152 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of the recorder: serialised messages into the queue of the session, and statistics of each topic.
+"""What the recorder receives: serialised messages into the queue of the session, and statistics of each topic."""
 
-A reliable subscriber receives nothing from a best-effort publisher. Therefore every subscription starts reliable, is
-replaced by one with best effort as soon as a publisher on its topic offers no more, and by a reliable one when all
-publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.reliability` overrides that: the
-subscription is then as the parameter demands, and a publisher that offers less is reported.
-"""
-
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import PointCloud2
 
-from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
-from foretouch.ros.recorder.status import TopicStatistics
-from foretouch.ros.runtime.losses import SequenceNumbers
-
-_ADAPTED = QoSPolicyKind.RELIABILITY
-_OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
-
-
-@dataclass(frozen=True)
-class InputTopic:
-    """A topic to record."""
-
-    name: str  # name before remapping, which may be relative to the namespace
-    message: type  # class of its messages
-    depth: int  # queue size of the middleware
-
-    @property
-    def type_name(self) -> str:
-        """Name of the type, such as `sensor_msgs/msg/PointCloud2`."""
-        module = self.message.__module__.split(".")
-        return f"{module[0]}/{module[1]}/{self.message.__name__}"
-
-
-class RecorderInput:
-    """The subscription to one topic.
-
-    Args:
-        node: The recorder.
-        topic: The topic.
-        receive: Called with every message, in a thread of the executor; must return at once.
-        mismatch: Called with topic, `publisher` and event where a publisher offers less than a parameter demands.
-        reliable: What it begins with, before it has adapted.
-
-    Attributes:
-        name: Full name of the topic.
-        reliable: Whether lost messages are sent again.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        topic: InputTopic,
-        receive: Callable[[Arrival], None],
-        mismatch: Callable[[str, str, Any], None],
-        *,
-        reliable: bool = True,
-    ) -> None:
-        self.topic = topic
-        self.name: str = node.resolve_topic_name(topic.name)
-        self.reliable = reliable
-        self._node = node
-        self._forward = receive
-        self._mismatch = mismatch
-        override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
-        self._overridden = override in getattr(node, "_parameter_overrides", {})
-        self._lock = threading.Lock()
-        self._numbers = SequenceNumbers()
-        self._gaps = 0
-        self._events = 0
-        self._group = MutuallyExclusiveCallbackGroup()
-        self._subscription = self._subscribe()
-
-    @property
-    def lost(self) -> int:
-        """Messages that the middleware has lost since `reset`, by gaps in sequence numbers or by its own events."""
-        with self._lock:
-            return max(self._gaps, self._events)
-
-    def reset(self) -> None:
-        """Restart the count of lost messages."""
-        with self._lock:
-            self._gaps = self._events = 0
-
-    def adapt(self) -> bool:
-        """Adapt to what the publishers offer; whether the subscription was replaced."""
-        if self._overridden:
-            return False
-        offered = {info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(self.name)}
-        reliable = ReliabilityPolicy.BEST_EFFORT not in offered
-        if not offered or reliable == self.reliable:
-            return False
-        old, self.reliable = self._subscription, reliable
-        self._subscription = self._subscribe()
-        self._node.destroy_subscription(old)
-        return True
-
-    def destroy(self) -> None:
-        """End the subscription."""
-        self._node.destroy_subscription(self._subscription)
-
-    def _subscribe(self) -> Any:
-        reliability = ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
-        profile = QoSProfile(depth=self.topic.depth, reliability=reliability)
-        subscription = self._node.create_subscription(
-            self.topic.message,
-            self.topic.name,
-            self._receive,
-            profile,
-            callback_group=self._group,
-            qos_overriding_options=QoSOverridingOptions((*_OVERRIDDEN, *[_ADAPTED] * self._overridden)),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=self._report_mismatch, message_lost=self._count_lost, use_default_callbacks=False
-            ),
-            raw=True,
-        )
-        self.reliable = profile.reliability == ReliabilityPolicy.RELIABLE  # overrides were written into it
-        return subscription
-
-    def _report_mismatch(self, event: Any) -> None:
-        if self._overridden:  # otherwise `adapt` handles it
-            self._mismatch(self.topic.name, "publisher", event)
-
-    def _receive(self, data: bytes, info: Any) -> None:
-        with self._lock:
-            missing = self._numbers.missing(info)
-            self._gaps += missing or 0
-        if missing is None:  # it was received before the subscription was replaced
-            return
-        sequence = info.get("publication_sequence_number")
-        self._forward(Arrival(self.name, data, info["received_timestamp"], info["source_timestamp"], sequence))
-
-    def _count_lost(self, event: Any) -> None:
-        with self._lock:
-            self._events += event.total_count_change
-
+from foretouch.bounded_queue import BoundedQueue
+from foretouch.ros.messages.tactile import TactileInput, tactile_class
+from foretouch.ros.runtime.serialized_input import InputTopic, SerializedInput, SerializedMessage
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
 _RATE_TICKS = 11
+
+
+def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
+    """The topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
+    topics = [
+        InputTopic(config.tactile_topic, tactile_class(config.tactile.type), depth),
+        InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
+        InputTopic("table", TablePlane, depth),
+        InputTopic(GRASPS_TOPIC, GraspArray, depth),
+        InputTopic("touch", TouchPredictionArray, depth),
+        InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
+    ]
+    return topics + [InputTopic("points", PointCloud2, points_depth)] * bool(points_depth)
+
+
+class MessageQueue(BoundedQueue[SerializedMessage]):
+    """Serialised messages between the executor's callbacks and the thread that writes them, with counts by topic.
+
+    It never blocks a callback. Its memory is bounded, to so many bytes: the oldest messages are kept, so that the file has
+    one gap only.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        super().__init__(most_bytes, when_full="reject", size_of=lambda one: len(one.data), on_drop=self._count)
+        self._refused: Counter[str] = Counter()
+        self._late: Counter[str] = Counter()
+
+    def take(self, timeout_s: float) -> tuple[list[SerializedMessage], Counter[str]]:
+        """All messages that wait (see `get_all`), and how many were rejected since the last call, by topic."""
+        with self._changed:
+            messages, refused = self.get_all(timeout_s), self._refused
+            self._refused = Counter()
+            return messages, refused
+
+    def late(self) -> Counter[str]:
+        """Messages that came after `close`, by topic."""
+        with self._changed:
+            return Counter(self._late)
+
+    def waiting(self) -> Counter[str]:
+        """Messages that wait, and those rejected since the last `take`, by topic."""
+        with self._changed:
+            return Counter(one.topic for one in self._items) + self._refused
+
+    def _count(self, message: SerializedMessage, _reason: str) -> None:
+        (self._late if self.closed else self._refused)[message.topic] += 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicStatistics:
+    """Statistics of a topic beside the session's message counts."""
+
+    waiting: int = 0  # messages in the queue
+    late: int = 0  # messages that came after the session had ended by itself and its file was closed
+    reliable: bool = True  # whether lost messages are sent again
+    rate_hz: float = 0.0  # rate of arrival [Hz]
 
 
 class RecorderSubscriptions:
@@ -155,21 +81,21 @@ class RecorderSubscriptions:
     Args:
         node: The recorder.
         topics: The topics.
-        mismatch: See `RecorderInput`.
+        mismatch: See `SerializedInput`.
 
     Attributes:
         inputs: Subscriptions by full name of the topic.
     """
 
     def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
-        self.inputs: dict[str, RecorderInput] = {}
+        self.inputs: dict[str, SerializedInput] = {}
         self._queue: MessageQueue | None = None
         self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
         self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=_RATE_TICKS)
         try:
             for topic in topics:
-                one = RecorderInput(node, topic, self._receive, mismatch)
+                one = SerializedInput(node, topic, self._receive, mismatch)
                 self.inputs[one.name] = one
         except BaseException:  # such as an override that names no policy
             self.destroy()
@@ -178,7 +104,7 @@ class RecorderSubscriptions:
     def open(self, queue: MessageQueue) -> None:
         """Begin a session: restart the counts, and put messages into its queue."""
         for one in self.inputs.values():
-            one.reset()
+            one.losses.reset()
         self._late.clear()
         self._queue = queue
 
@@ -190,7 +116,7 @@ class RecorderSubscriptions:
 
     def lost(self) -> dict[str, int]:
         """Messages that the middleware has lost since `open`, by topic."""
-        return {name: one.lost for name, one in self.inputs.items()}
+        return {name: one.losses.count for name, one in self.inputs.items()}
 
     def tick(self) -> list[str]:
         """Update the rates and adapt to the publishers; gives a line for each subscription that was replaced."""
@@ -203,29 +129,26 @@ class RecorderSubscriptions:
 
     def statistics(self) -> dict[str, TopicStatistics]:
         """Current statistics of each topic."""
-        queue, rates = self._queue, self._rates()
+        queue, found = self._queue, {}
         waiting: Counter[str] = Counter() if queue is None else queue.waiting()
         late = self._late if queue is None else queue.late()
-        return {
-            name: TopicStatistics(
-                waiting=waiting[name], late=late[name], reliable=one.reliable, rate_hz=rates.get(name, 0.0)
+        (first_s, first), (last_s, last) = (
+            (self._ticks[0], self._ticks[-1]) if self._ticks else ((0.0, late), (0.0, late))
+        )
+        for name, one in self.inputs.items():
+            rate_hz = (last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0
+            found[name] = TopicStatistics(
+                waiting=waiting[name], late=late[name], reliable=one.reliable, rate_hz=rate_hz
             )
-            for name, one in self.inputs.items()
-        }
+        return found
 
     def destroy(self) -> None:
         """End all subscriptions."""
         for one in self.inputs.values():
             one.destroy()
 
-    def _receive(self, arrival: Arrival) -> None:
-        self._arrived[arrival.topic] += 1
+    def _receive(self, message: SerializedMessage) -> None:
+        self._arrived[message.topic] += 1
         queue = self._queue
         if queue is not None:
-            queue.put(arrival)
-
-    def _rates(self) -> dict[str, float]:
-        if len(self._ticks) < 2:
-            return {}
-        (first_s, first), (last_s, last) = self._ticks[0], self._ticks[-1]
-        return {name: (last[name] - first[name]) / (last_s - first_s) for name in last}
+            queue.put(message)

@@ -4,8 +4,8 @@
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -15,29 +15,17 @@ _WINDOW = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
 
 @dataclass(frozen=True, kw_only=True)
 class InputSummary:
-    """Counts since the start, received = used + sum(dropped) + waiting, and quantiles over the latest inputs.
+    """Counts since the start, received = used + sum(dropped) + waiting, and quantiles over the latest inputs."""
 
-    Attributes:
-        received: Inputs that arrived; messages of several topics that belong to one cloud are one input.
-        used: Inputs that were answered.
-        dropped: Inputs that will not be answered, by reason.
-        waiting: Inputs not yet answered.
-        lost: Messages that the middleware lost before they arrived; not part of `received`.
-        rate_hz: Answers per second over the latest inputs [Hz].
-        input_age_ms: p50 and p95 from the stamp of an input to the start of the work [ms]; None before the first.
-        latency_ms: p50 and p95 from arrival to publication [ms]; None before the first.
-        idle_s: Time since the last arrival [s]; None before the first.
-    """
-
-    received: int
-    used: int
-    dropped: Mapping[str, int] = field(default_factory=dict)
-    waiting: int
-    lost: int
-    rate_hz: float
-    input_age_ms: tuple[float, float] | None
-    latency_ms: tuple[float, float] | None
-    idle_s: float | None
+    received: int  # inputs that arrived; messages of several topics that belong to one cloud are one input
+    used: int  # inputs that were answered
+    dropped: Mapping[str, int]  # inputs that will not be answered, by reason
+    waiting: int  # inputs not yet answered
+    lost: int  # messages that the middleware lost before they arrived; not part of `received`
+    rate_hz: float  # answers per second over the latest inputs
+    input_age_ms: tuple[float, float] | None  # p50 and p95 from the stamp of an input to the start of the work
+    latency_ms: tuple[float, float] | None  # p50 and p95 from arrival to publication; None before the first
+    idle_s: float | None  # time since the last arrival; None before the first
 
 
 class InputStatistics:
@@ -45,10 +33,8 @@ class InputStatistics:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._received = 0
-        self._used = 0
+        self._received = self._used = self._lost = 0
         self._dropped: Counter[str] = Counter()
-        self._lost = 0
         self._ages: deque[float] = deque(maxlen=_WINDOW)
         self._latencies: deque[float] = deque(maxlen=_WINDOW)
         self._answers: deque[float] = deque(maxlen=_WINDOW)
@@ -63,12 +49,7 @@ class InputStatistics:
         return now
 
     def use(self, arrived: float, input_age_s: float) -> None:
-        """Count an answer.
-
-        Args:
-            arrived: What `receive` returned [s].
-            input_age_s: From the stamp of the input to the start of the work [s].
-        """
+        """Count an answer to an input that arrived at a time [s], so long after its stamp [s]."""
         now = time.monotonic()
         with self._lock:
             self._used += 1
@@ -112,51 +93,47 @@ def _quantiles(values: deque[float]) -> tuple[float, float] | None:
     return float(middle), float(high)
 
 
-@dataclass(frozen=True, kw_only=True)
-class NodeStatus:
-    """What a node reports beyond its counts.
+def diagnostic_status(
+    name: str,
+    state: str,
+    now: InputSummary,
+    before: InputSummary | None = None,
+    *,
+    errors: Sequence[str] = (),
+    warnings: Sequence[str] = (),
+    notes: Mapping[str, str] | None = None,
+    silence_s: float | None = None,
+) -> DiagnosticStatus:
+    """Make the report of one node: a level, one line of text, and all numbers.
 
-    Attributes:
-        state: Lifecycle state.
+    Args:
+        name: Of the node, in full.
+        state: Of its lifecycle.
+        now: Counts of its inputs.
+        before: Those of the report before; what was dropped since is a warning.
         errors: What keeps it from working, such as a damaged model.
         warnings: Problems around it, such as incompatible QoS.
         notes: Further values by key, such as the model's name.
-        expects_input_every_s: A longer time without an input is a warning [s]; None for a node without inputs.
+        silence_s: Longest time without an input before a warning [s]; None for a node without inputs.
     """
-
-    state: str
-    errors: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    notes: Mapping[str, str] | None = None
-    expects_input_every_s: float | None = None
-
-
-def diagnostic_status(name: str, now: InputSummary, before: InputSummary | None, node: NodeStatus) -> DiagnosticStatus:
-    """Make the report of one node: a level, one line of text, and all numbers; drops since `before` are a warning."""
-    warnings = [*node.warnings, *_silence(now, node), *_drops(now, before)]
-    if node.errors:
-        level, message = DiagnosticStatus.ERROR, "; ".join(node.errors)
+    warnings = [*warnings, *(_silence(now, silence_s) if state == "active" else []), *_drops(now, before)]
+    if errors:
+        level, message = DiagnosticStatus.ERROR, "; ".join(errors)
     elif warnings:
         level, message = DiagnosticStatus.WARN, "; ".join(warnings)
     else:
-        level, message = DiagnosticStatus.OK, f"{node.state}, {now.rate_hz:.1f} Hz"
-    values = {"state": node.state, **_numbers(now), **(node.notes or {})}
-    return DiagnosticStatus(
-        level=level,
-        name=name,
-        message=message,
-        hardware_id="none",
-        values=[KeyValue(key=key, value=value) for key, value in values.items()],
-    )
+        level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
+    pairs = {"state": state, **_numbers(now), **(notes or {})}
+    values = [KeyValue(key=key, value=value) for key, value in pairs.items()]
+    return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=values)
 
 
-def _silence(now: InputSummary, node: NodeStatus) -> list[str]:
-    limit = node.expects_input_every_s
-    if limit is None or node.state != "active":
+def _silence(now: InputSummary, limit_s: float | None) -> list[str]:
+    if limit_s is None:
         return []
     if now.idle_s is None:
         return ["no input yet"]
-    return [f"no input for {now.idle_s:.1f} s"] if now.idle_s > limit else []
+    return [f"no input for {now.idle_s:.1f} s"] if now.idle_s > limit_s else []
 
 
 def _drops(now: InputSummary, before: InputSummary | None) -> list[str]:

@@ -10,7 +10,8 @@ Jazzy nothing is handed over.
 
 import threading
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 from rclpy import subscription as rclpy_subscription
@@ -67,35 +68,25 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
             receive(message)
 
 
+@dataclass(eq=False)
 class DirectInput:
-    """A subscription that publishers of its process may call.
+    """A subscription that publishers of its process may call."""
 
-    Args:
-        subscription: The subscription.
-        receive: Called with each message, in the thread of the publisher.
-
-    Attributes:
-        name: Of the topic, in full.
-    """
-
-    def __init__(self, subscription: "Subscription[Any]", receive: Callable[[Any], None]) -> None:
-        self.subscription = subscription
-        self.receive = receive
-        self.name = subscription.topic_name
-        self._ids: frozenset[bytes] = frozenset()
-
-    def connect(self, ids: Iterable[bytes]) -> None:
-        """Set the ids of the publishers that call it; what others have sent so far is still on the way."""
-        self._ids |= frozenset(ids)
+    subscription: "Subscription[Any]"
+    receive: Callable[[Any], None]  # called with each message, in the thread of the publisher
+    ids: frozenset[bytes] = frozenset()  # of the publishers that call it or did: what they have sent may be on its way
 
     def has_received(self, info: Any) -> bool:
-        """Whether a message from the middleware was handed over by its publisher.
-
-        Args:
-            info: What rclpy passes to a callback beside the message.
-        """
+        """Whether a message from the middleware was handed over; `info` is what rclpy passes beside the message."""
         publisher = info.get("publisher_gid")
-        return publisher is not None and publisher["data"][:ID_BYTES] in self._ids
+        return publisher is not None and publisher["data"][:ID_BYTES] in self.ids
+
+    def matches(self, publisher: DirectPublisher) -> bool:
+        """Whether the middleware would deliver the messages."""
+        one = self.subscription
+        if not publisher.id or publisher.name != one.topic_name or publisher.msg_type is not one.msg_type:
+            return False
+        return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
 
 
 class DirectTopics:
@@ -115,10 +106,8 @@ class DirectTopics:
     def add(self, one: DirectPublisher | DirectInput) -> None:
         """Connect a publisher or a subscription."""
         with self._lock:
-            if isinstance(one, DirectPublisher):
-                self._publishers.append(one)
-            else:
-                self._inputs.append(one)
+            ends: list[Any] = self._publishers if isinstance(one, DirectPublisher) else self._inputs
+            ends.append(one)
             self._connect()
 
     def remove(self, one: DirectPublisher | DirectInput) -> None:
@@ -130,9 +119,9 @@ class DirectTopics:
 
     def _connect(self) -> None:
         for publisher in self._publishers:
-            publisher.receivers = tuple(one.receive for one in self._inputs if _match(publisher, one))
+            publisher.receivers = tuple(one.receive for one in self._inputs if one.matches(publisher))
         for one in self._inputs:
-            one.connect(p.id for p in self._publishers if _match(p, one))
+            one.ids |= {publisher.id for publisher in self._publishers if one.matches(publisher)}
 
 
 _of_context: weakref.WeakKeyDictionary[Context, DirectTopics] = weakref.WeakKeyDictionary()
@@ -143,11 +132,3 @@ def direct_topics(context: Context) -> DirectTopics:
     """The connections of a context of rclpy, of which a process usually has one."""
     with _lock:
         return _of_context.setdefault(context, DirectTopics())
-
-
-def _match(publisher: DirectPublisher, one: DirectInput) -> bool:
-    """Whether the middleware would deliver the messages."""
-    if publisher.name != one.name or publisher.msg_type is not one.subscription.msg_type:
-        return False
-    compatible, _ = qos_check_compatible(publisher.qos_profile, one.subscription.qos_profile)
-    return bool(publisher.id) and compatible != QoSCompatibility.ERROR

@@ -6,7 +6,7 @@ inputs alone are a few entries, in a wait set that is kept. Their events are loo
 to be woken by each message.
 
 What a message gives a worker to do is done right here, without waking another thread: a prediction may take less time
-than that. If it takes longer than `RELIEF_S`, a third thread takes the inputs until it is done.
+than that. If it takes longer than `_RELIEF_S`, a third thread takes the inputs until it is done.
 """
 
 from __future__ import annotations
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.subscription import Subscription
 
-RELIEF_S: Final = 0.05
-"""Time after which another thread takes the inputs of a thread that works [s]."""
-
+_RELIEF_S: Final = 0.05  # after which another thread takes the inputs of a thread that works
 _POLL_S: Final = 1.0  # between looks at the events of inputs, and checks whether the executor is shut down
 
 
@@ -51,11 +49,10 @@ class GraphExecutor(SingleThreadedExecutor):
         self._inputs: _Inputs | None = None  # `wake` may be called as soon as the base class is made
         super().__init__()
         self._inputs = _Inputs(self.context, errors)
-        self._inputs.start()
 
     def can_execute(self, entity: Any) -> bool:
         """See rclpy's `Executor`."""
-        return not isinstance(entity.callback_group, InputGroup) and super().can_execute(entity)
+        return not _is_input(entity) and super().can_execute(entity)
 
     def add_node(self, node: Node) -> bool:
         """See rclpy's `Executor`."""
@@ -87,6 +84,7 @@ class _Inputs:
     def __init__(self, context: Context, errors: InternalErrors) -> None:
         self._errors = errors
         self._set = _InputSet(context)
+        self.look_at = self._set.change
         self._taking = threading.Lock()  # of the one thread that takes
         self._ending = threading.Event()
         self._works_since = 0.0  # `time.monotonic` [s]; 0 while it takes
@@ -95,14 +93,8 @@ class _Inputs:
             threading.Thread(target=target, name=name, daemon=True)
             for target, name in ((self._serve, "inputs"), (self._relieve, "relief"))
         ]
-
-    def start(self) -> None:
         for thread in self._threads:
             thread.start()
-
-    def look_at(self, nodes: list[Node]) -> None:
-        """Take the inputs of these nodes, which may have changed."""
-        self._set.change(nodes)
 
     def stop(self, timeout_s: float | None) -> None:
         self._ending.set()
@@ -132,9 +124,9 @@ class _Inputs:
             thread.wake()
 
     def _relieve(self) -> None:
-        while not self._ending.wait(RELIEF_S):
+        while not self._ending.wait(_RELIEF_S):
             since = self._works_since
-            while since and self._works_since == since and time.monotonic() - since > RELIEF_S and self._goes_on():
+            while since and self._works_since == since and time.monotonic() - since > _RELIEF_S and self._goes_on():
                 self._relieved = True
                 if self._works_since == since:  # or it has ended before it could see that
                     self._take(_POLL_S)

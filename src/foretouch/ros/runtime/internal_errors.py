@@ -34,7 +34,7 @@ class InternalErrors:
         log: Called with a line for the first error of a callback, and then at most every five seconds.
     """
 
-    def __init__(self, log: Callable[[str], None]) -> None:
+    def __init__(self, log: Callable[[str], object]) -> None:
         self._log = log
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
@@ -46,15 +46,7 @@ class InternalErrors:
             return Counter(self._counts)
 
     def report(self, name: str, err: Exception) -> str:
-        """Count and log an error.
-
-        Args:
-            name: Of the callback, such as that of its service.
-            err: The error.
-
-        Returns:
-            Its type and text in one line: the reason for an answer with the status FAILED.
-        """
+        """Count and log an error of a callback; its type and text in one line, the reason for an answer with FAILED."""
         reason = f"{type(err).__name__}: {' '.join(str(err).split())}"[:_MAX_TEXT]
         now = time.monotonic()
         with self._lock:
@@ -64,7 +56,9 @@ class InternalErrors:
             if due:
                 self._logged_s[name] = now
         if due:
-            self._log(f"{name}: internal error {count}: {reason} ({_position(err)})")
+            frames = traceback.extract_tb(err.__traceback__)
+            position = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "no traceback"
+            self._log(f"{name}: internal error {count}: {reason} ({position})")
         return reason
 
     def guarded(
@@ -73,12 +67,9 @@ class InternalErrors:
         callback: Callable[..., Any],
         answer: Callable[[tuple[Any, ...], str], Any] = lambda _arguments, _reason: None,
     ) -> Callable[..., Any]:
-        """A callback that reports its errors instead of raising them.
+        """A function or coroutine function that reports its errors instead of raising them.
 
-        Args:
-            name: For `report`.
-            callback: A function or a coroutine function.
-            answer: Gives what is returned after an error, from the arguments of the call and the reason.
+        After an error it returns what `answer` gives, from the arguments of the call and the reason.
         """
         if inspect.iscoroutinefunction(callback):
 
@@ -114,7 +105,8 @@ class GuardedCallbacks:
     internal_errors: InternalErrors
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        self.internal_errors = InternalErrors(self._log_internal_error)  # rclpy's own constructor makes services
+        # Before rclpy's own constructor, which makes services.
+        self.internal_errors = InternalErrors(lambda text: self.get_logger().error(text))  # type: ignore[attr-defined]
         super().__init__(*arguments, **options)
         services = self.services  # type: ignore[attr-defined]
         for service in services:  # those of the lifecycle are not made by `create_service`
@@ -149,20 +141,11 @@ class GuardedCallbacks:
         guarded = self.internal_errors.guarded("set_parameters", callback)
         super().add_post_set_parameters_callback(guarded)  # type: ignore[misc]
 
-    def _log_internal_error(self, text: str) -> None:
-        self.get_logger().error(text)  # type: ignore[attr-defined]
-
 
 def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
-    """Spin until a condition holds, or until shutdown, through errors in the executor itself.
+    """Spin until a condition holds, which is checked every `poll_s`, through errors in the executor itself.
 
-    Such errors are rare: a message that cannot be decoded, or an answer that cannot be encoded.
-
-    Args:
-        executor: The executor.
-        errors: Where its errors are reported.
-        until: The condition.
-        poll_s: Longest time between two checks of the condition [s].
+    Such errors are rare: a message that cannot be decoded, or an answer that cannot be encoded. They are reported.
 
     Raises:
         ExternalShutdownException: If the context is shut down.
@@ -213,8 +196,3 @@ def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:
 
 def _refused(reason: str) -> SetParametersResult:
     return SetParametersResult(successful=False, reason=reason)
-
-
-def _position(err: Exception) -> str:
-    frames = traceback.extract_tb(err.__traceback__)
-    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "no traceback"

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base class of all nodes: lifecycle, parameters, QoS and diagnostics.
 
-A node implements four hooks, `setup` and `teardown` (configure, clean up) and `start` and `stop` (activate,
-deactivate). An error in `setup` or `start` refuses the transition and is logged in one line.
+A node implements four hooks, `_setup` and `_teardown` (configure, clean up) and `_start` and `_stop` (activate,
+deactivate). An error in `_setup` or `_start` refuses the transition and is logged in one line.
 
 Inputs are subscribed to with sensor-data QoS, outputs are published reliably: this pair is compatible with every
-publisher and subscriber. Outputs that are kept for late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). Incompatible QoS
-is reported in the log and in /diagnostics.
+publisher and subscriber. Outputs that are kept for late subscribers are transient local. All can be overridden
+(`qos_overrides.<topic>...` parameters). Incompatible QoS is reported in the log and in /diagnostics.
 """
 
 import gc
@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -27,14 +27,13 @@ from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
 from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, DirectPublisher, direct_topics
+from foretouch.ros.runtime.discovery import UPTIME, find_conflicts, matched_ends
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.losses import Losses
-from foretouch.ros.runtime.matching import UPTIME, matched_ends
 from foretouch.ros.runtime.parameters import NodeSettings
-from foretouch.ros.runtime.second_graph import find_conflicts
 from foretouch.topics import NAMESPACE
 
 _OUTPUT_DEPTH = 10  # also what a late subscriber of answers gets
@@ -68,6 +67,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         options: For rclpy's `Node`; the namespace is `/foretouch` by default.
 
     Attributes:
+        exclusive_topics: Topics that only one node of a graph publishes; another publisher is reported as a second graph.
+        has_failed: Whether the process ends with exit status 1.
         conflicts: Signs of a second graph in the namespace, a line each.
         past_conflicts: All that there have been.
 
@@ -75,16 +76,20 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         ConfigError: If a parameter given at the start breaks a rule.
     """
 
+    exclusive_topics: ClassVar[tuple[str, ...]] = ()
+
     def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
         super().__init__(name, **{"namespace": NAMESPACE, **options})
         try:
-            self.settings = NodeSettings(self, config_class, self.config_changed)
+            self._settings = NodeSettings(self, config_class, self._config_changed)
         except ForetouchError:
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
         self.statistics = InputStatistics()
         self._began_s = time.monotonic()
         self.state_name = "unconfigured"
+        self.has_failed = False
+        self.is_direct = self.config.direct and SUPPORTED  # whether messages are handed over within the process
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
         self._inputs: list[Subscription[Any]] = []
@@ -98,6 +103,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
         self._input_group = InputGroup()
+        self._report_now = self.internal_errors.guarded("report", self._report)  # since a source may wait for it
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_now)
@@ -108,36 +114,28 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     @property
     def config(self) -> _C:
         """The current settings; a change replaces the whole object."""
-        return self.settings.value
+        return self._settings.value
 
     # Hooks that a node implements.
 
-    def setup(self) -> None:
+    def _setup(self) -> None:
         """Configure: make publishers and subscriptions, and load what takes long."""
 
-    def start(self) -> None:
+    def _start(self) -> None:
         """Activate: start the work."""
 
-    def stop(self) -> None:
-        """Deactivate: end what `start` started; also called where nothing was started."""
+    def _stop(self) -> None:
+        """Deactivate: end what `_start` started; also called where nothing was started."""
 
-    def teardown(self) -> None:
-        """Clean up: release what `setup` made, publishers and subscriptions excepted."""
+    def _teardown(self) -> None:
+        """Clean up: release what `_setup` made, publishers and subscriptions excepted."""
 
-    def config_changed(self, config: _C) -> None:
+    def _config_changed(self, config: _C) -> None:
         """React to a parameter that was changed at run time."""
 
     def has_ended(self) -> bool:
         """Whether the node has nothing more to do; its process may then end."""
         return False
-
-    def has_failed(self) -> bool:
-        """Whether the process ends with exit status 1."""
-        return False
-
-    def expects_input_every_s(self) -> float | None:
-        """Longest time without an input before a warning [s]; None for a node without inputs."""
-        return None
 
     def errors(self) -> tuple[str, ...]:
         """What keeps the node from working, for /diagnostics."""
@@ -151,16 +149,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Further values for /diagnostics."""
         return {}
 
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """Topics that only one node of a graph publishes; another publisher is reported as a second graph."""
-        return ()
-
     # What a node uses.
-
-    @property
-    def is_direct(self) -> bool:
-        """Whether messages are handed over within the process."""
-        return self.config.direct and SUPPORTED
 
     def advertise(
         self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True, keep: bool = False
@@ -201,10 +190,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def subscribe(
         self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
     ) -> None:
-        """Subscribe with sensor-data QoS.
-
-        At most `depth` messages wait. Callbacks of a node never run at the same time.
-        """
+        """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
         losses = self._losses[topic] = Losses(self.statistics.lose)
 
         def receive(content: Any) -> None:
@@ -244,7 +230,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
-        found = find_conflicts(self, self.exclusive_topics())
+        found = find_conflicts(self, self.exclusive_topics)
         fresh = [text for text in found if text not in self.conflicts]
         self.conflicts = found
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
@@ -269,6 +255,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Age of a stamp on the node's clock [s]."""
         return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
 
+    # Transitions.
+
     def autostart(self) -> bool:
         """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
         if not self.config.autostart:
@@ -276,19 +264,21 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         success = TransitionCallbackReturn.SUCCESS
         return bool(self.trigger_configure() == success and self.trigger_activate() == success)
 
-    # Transitions.
+    def stop(self) -> None:
+        """End the work, whatever the state."""
+        self._attempt(self._stop)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Call `setup`."""
-        if not self._attempt(self.setup):
+        """Set up."""
+        if not self._attempt(self._setup):
             self._release()
             return TransitionCallbackReturn.FAILURE
         self.state_name = "inactive"
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Call `start`."""
-        if not self._attempt(self.start):
+        """Start."""
+        if not self._attempt(self._start):
             return TransitionCallbackReturn.FAILURE
         result = super().on_activate(state)
         gc.freeze()  # else all that was loaded is searched for garbage from time to time, for 0.1 s
@@ -297,13 +287,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Call `stop`."""
+        """Stop."""
         self.state_name = "inactive"
-        self._attempt(self.stop)
+        self.stop()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Call `teardown` and destroy publishers and subscriptions."""
+        """Tear down, and destroy publishers and subscriptions."""
         result = super().on_cleanup(state)
         self._release()
         gc.collect()  # scenes and models refer to themselves, and would stay for minutes beside the next ones
@@ -312,7 +302,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop and clean up."""
-        self._attempt(self.stop)
+        self.stop()
         result = super().on_shutdown(state)
         self._release()
         self.state_name = "finalized"
@@ -320,7 +310,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def destroy_node(self) -> None:
         """Stop and clean up, whatever the state."""
-        self._attempt(self.stop)
+        self.stop()
         self._release()
         self._destroy()
 
@@ -335,13 +325,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             self.get_logger().error(str(err))
             return False
         except Exception as err:  # noqa: BLE001  rclpy would not report it
-            self.internal_errors.report(hook.__name__, err)
+            self.internal_errors.report(hook.__name__.strip("_"), err)
             return False
         return True
 
     def _release(self) -> None:
         gc.unfreeze()
-        self._attempt(self.teardown)
+        self._attempt(self._teardown)
         for direct in self._direct_inputs:
             self.direct_topics.remove(direct)
         for publisher in self._outputs:
@@ -359,33 +349,27 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._mismatches[f"{topic} {other}"] = text
         self.get_logger().warning(text)
 
-    def _report_now(self, _event: Any = None) -> None:
-        """Report that the node is active or a match has changed, since a source may wait for it."""
-        self.internal_errors.guarded("report", self._report)()
-
-    def _report(self) -> None:
+    def _report(self, _event: Any = None) -> None:
         with self._report_lock:
-            self._publish_report()
-
-    def _publish_report(self) -> None:
-        now, errors = self.statistics.summary(), self.internal_errors.counts()
-        recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
-        self._last_errors = errors
-        node = NodeStatus(
-            state=self.state_name,
-            errors=self.errors(),
-            warnings=(*self.conflicts, *self._mismatches.values(), *self.warnings(), *recent),
-            notes={
-                **self.notes(),
-                UPTIME: f"{self.uptime_s():.2f}",
-                **{key: str(count) for key, count in self.matched_ends().items()},
-                **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
-                **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
-            },
-            expects_input_every_s=self.expects_input_every_s(),
-        )
-        status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, node)
-        self._last = now
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(report)
+            now, errors = self.statistics.summary(), self.internal_errors.counts()
+            recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
+            status = diagnostic_status(
+                self.get_fully_qualified_name(),
+                self.state_name,
+                now,
+                self._last,
+                errors=self.errors(),
+                warnings=(*self.conflicts, *self._mismatches.values(), *self.warnings(), *recent),
+                notes={
+                    **self.notes(),
+                    UPTIME: f"{self.uptime_s():.2f}",
+                    **{key: str(count) for key, count in self.matched_ends().items()},
+                    **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
+                    **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
+                },
+                silence_s=getattr(self.config, "silence_s", None),
+            )
+            self._last, self._last_errors = now, errors
+            report = DiagnosticArray(status=[status])
+            report.header.stamp = self.get_clock().now().to_msg()
+            self._diagnostics.publish(report)

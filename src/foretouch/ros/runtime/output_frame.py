@@ -6,7 +6,8 @@ no tf2. An answer whose transform is missing is refused with a reason that begin
 """
 
 import importlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,69 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, GraspError, MissingDependencyError
+from foretouch.config import Settings, load_yaml, setting
+from foretouch.errors import ConfigError, GraspError, MissingDependencyError, shown
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.runtime.hand_eye import read_hand_eye
 from foretouch_msgs.msg import Status
 
-NO_TRANSFORM = "no_transform"
-"""First word of the reason where a transform is missing; the status is UNKNOWN_FRAME."""
+_ROBOT_FRAMES = {"eye_on_base": "robot_base_frame", "eye_in_hand": "robot_effector_frame"}  # by calibration_type
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandEye(Settings):
+    """The keys of a file with a static hand-eye calibration, the pose of the camera's frame in a frame of the robot."""
+
+    translation: tuple[float, ...] = setting(
+        (), "x, y, z of the camera's frame in the robot's", unit="m", minimum=-100.0, maximum=100.0
+    )
+    rotation: tuple[float, ...] = setting((), "Its orientation, a quaternion x, y, z, w of unit length")
+    frame_id: str = setting("", "The robot's frame, which must be that of the answers; any if empty")
+    child_frame_id: str = setting("", "The camera's frame, which must be that of the clouds; any if empty")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, count in (("translation", 3), ("rotation", 4)):
+            if len(getattr(self, name)) != count:
+                raise ConfigError(f"HandEye.{name}: {list(getattr(self, name))} is not {count} numbers")
+        try:
+            self.transform()
+        except GraspError as err:
+            raise ConfigError(f"HandEye.rotation: {str(err).removeprefix('orientation: ')}") from err
+
+    def transform(self) -> FrameTransform:
+        """From the camera's frame to the robot's."""
+        pose = np.array(self.translation), np.array(self.rotation)
+        return FrameTransform.from_quaternion(self.frame_id, self.child_frame_id, *pose)
+
+
+def read_hand_eye(path: str) -> FrameTransform:
+    """The transform from the camera's frame to the robot's; a frame that the file does not name is "".
+
+    The file is of the form of `HandEye`, or one that easy_handeye2 has written::
+
+        translation: [0.45, 0.0, 0.80]                # m
+        rotation: [0.7071068, 0.7071068, 0.0, 0.0]    # x, y, z, w
+        frame_id: base_link
+        child_frame_id: camera_depth_optical_frame
+
+    Raises:
+        ConfigError: Names the file, the field, its value and the rule.
+    """
+    document: Mapping[str, Any] = load_yaml(path)
+    if "transform" in document:
+        try:
+            parameters, transform = document["parameters"], document["transform"]
+            document = {
+                "translation": [transform["translation"][axis] for axis in "xyz"],
+                "rotation": [transform["rotation"][axis] for axis in "xyzw"],
+                "frame_id": parameters[_ROBOT_FRAMES[parameters["calibration_type"]]],
+                "child_frame_id": parameters["tracking_base_frame"],
+            }
+        except (KeyError, TypeError) as err:
+            fault = f"there is no {err}" if isinstance(err, KeyError) else str(err)
+            raise ConfigError(f"{shown(path)}: is not a calibration of easy_handeye2: {fault}") from err
+    return HandEye.from_mapping(document, path).transform()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,11 +125,16 @@ class OutputFrame:
         self._calibration = read_hand_eye(config.hand_eye) if config.hand_eye else None
         self._tf2: Any = None
         if self._calibration is not None and self._calibration.target not in {"", self.name}:
-            raise ConfigError(
-                f"{config.hand_eye}: frame_id: {self._calibration.target!r} is not output_frame, {self.name!r}"
-            )
+            frame = self._calibration.target
+            raise ConfigError(f"{config.hand_eye}: frame_id: {frame!r} is not output_frame, {self.name!r}")
         if self.name and self._calibration is None:
-            self._tf2 = _import_tf2(self.name)
+            try:
+                self._tf2 = importlib.import_module("tf2_ros")
+            except ImportError as err:
+                raise MissingDependencyError(
+                    f"output_frame: {self.name!r} needs tf2_ros, which is not installed; install it with ROS 2, or give "
+                    "a calibration as hand_eye"
+                ) from err
             self._buffer = self._tf2.Buffer()
             self._listener = self._tf2.TransformListener(self._buffer, node)
 
@@ -85,9 +145,8 @@ class OutputFrame:
 
     def notes(self) -> dict[str, str]:
         """The frame and the source of its transform, for /diagnostics; nothing for the frame of the cloud."""
-        return (
-            {"output_frame": f"{self.name} ({'tf2' if self._calibration is None else 'hand_eye'})"} if self.name else {}
-        )
+        source = "tf2" if self._calibration is None else "hand_eye"
+        return {"output_frame": f"{self.name} ({source})"} if self.name else {}
 
     def camera_frame(self, latest: str) -> str:
         """The frame of the clouds: that of the latest one, else as the calibration names it, if it does.
@@ -114,33 +173,18 @@ class OutputFrame:
         source = self._calibration.source
         if source not in {"", cloud.frame_id}:
             raise _refusal(f"hand_eye is for clouds in {source!r}, not in {cloud.frame_id!r}")
-        return FrameTransform(self.name, cloud.frame_id, self._calibration.rotation, self._calibration.translation)
+        return replace(self._calibration, target=self.name, source=cloud.frame_id)
 
     def _looked_up(self, cloud: Header) -> FrameTransform:
+        stamp = Time.from_msg(cloud.stamp)
         try:
-            found = self._buffer.lookup_transform(
-                self.name, cloud.frame_id, Time.from_msg(cloud.stamp), timeout=self._timeout
-            ).transform
-        except self._tf2.TransformException as err:
+            found = self._buffer.lookup_transform(self.name, cloud.frame_id, stamp, timeout=self._timeout).transform
+            t, q = found.translation, found.rotation
+            pose = np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
+            return FrameTransform.from_quaternion(self.name, cloud.frame_id, *pose)
+        except (self._tf2.TransformException, GraspError) as err:
             raise _refusal(f"from {cloud.frame_id!r} to {self.name!r}: {' '.join(str(err).split())}") from err
-        t, q = found.translation, found.rotation
-        try:
-            return FrameTransform.from_quaternion(
-                self.name, cloud.frame_id, np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
-            )
-        except GraspError as err:
-            raise _refusal(f"from {cloud.frame_id!r} to {self.name!r}: {err}") from err
 
 
 def _refusal(reason: str) -> RefusalError:
-    return RefusalError(Status.UNKNOWN_FRAME, f"{NO_TRANSFORM}: {reason}")
-
-
-def _import_tf2(frame: str) -> Any:
-    try:
-        return importlib.import_module("tf2_ros")
-    except ImportError as err:
-        raise MissingDependencyError(
-            f"output_frame: {frame!r} needs tf2_ros, which is not installed; install it with ROS 2, or give a calibration as "
-            "hand_eye"
-        ) from err
+    return RefusalError(Status.UNKNOWN_FRAME, f"no_transform: {reason}")

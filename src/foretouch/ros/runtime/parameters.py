@@ -5,6 +5,7 @@ A change is checked against all rules of the settings, those across fields inclu
 as a whole, with the reason.
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -17,12 +18,11 @@ from foretouch.config import SettingInfo, Settings, setting_infos
 from foretouch.errors import ConfigError
 
 _S = TypeVar("_S", bound=Settings)
-_FLOAT_LIMIT = 1.7976931348623157e308
-_INT_LIMIT = 2**63 - 1
+_LIMITS: dict[type, Any] = {int: 2**63 - 1, float: sys.float_info.max}
 
 
 class NodeSettings(Generic[_S]):
-    """The parameters of a node as one frozen `Settings`.
+    """The parameters of a node as one frozen `Settings`, `value`.
 
     Args:
         node: Gets a parameter for every setting of `cls`, nested ones with dotted names.
@@ -33,7 +33,7 @@ class NodeSettings(Generic[_S]):
         ConfigError: If a value given at the start (file or command line) breaks a rule.
     """
 
-    def __init__(self, node: Node, cls: type[_S], on_change: Callable[[_S], None] | None = None) -> None:
+    def __init__(self, node: Node, cls: type[_S], on_change: Callable[[_S], None] = lambda _: None) -> None:
         self._cls = cls
         self._on_change = on_change
         self._names = {info.name for info in setting_infos(cls)}
@@ -56,15 +56,14 @@ class NodeSettings(Generic[_S]):
         changed = self._changed(parameters)
         if changed is not None:
             self.value = changed
-            if self._on_change is not None:
-                self._on_change(changed)
+            self._on_change(changed)
 
 
-def describe(info: SettingInfo) -> ParameterDescriptor:
-    """A setting's description, bounds and read-only flag as a ROS descriptor.
+def _declare(node: Node, info: SettingInfo) -> Any:
+    """Declare one parameter and return its value.
 
-    ROS has no unset value of a type and infers none from an empty list: such settings are declared
-    with dynamic typing and checked by `Settings` alone.
+    ROS has no unset value of a type and infers none from an empty list: such settings are declared with dynamic typing
+    and checked by `Settings` alone.
     """
     descriptor = ParameterDescriptor(
         name=info.name,
@@ -73,23 +72,17 @@ def describe(info: SettingInfo) -> ParameterDescriptor:
         read_only=info.read_only,
         dynamic_typing=info.optional or info.is_list,
     )
-    if descriptor.dynamic_typing or (info.minimum is None and info.maximum is None):
-        return descriptor
-    low, high = info.minimum, info.maximum
-    if info.type is int:
-        bounds = (-_INT_LIMIT if low is None else int(low), _INT_LIMIT if high is None else int(high))
-        descriptor.integer_range = [IntegerRange(from_value=bounds[0], to_value=bounds[1])]
-    elif info.type is float:
-        limits = (-_FLOAT_LIMIT if low is None else float(low), _FLOAT_LIMIT if high is None else float(high))
-        descriptor.floating_point_range = [FloatingPointRange(from_value=limits[0], to_value=limits[1])]
-    return descriptor
-
-
-def _declare(node: Node, info: SettingInfo) -> Any:
-    """Declare one parameter and return its value."""
+    limit, bounded = _LIMITS.get(info.type), info.minimum is not None or info.maximum is not None
+    if limit is not None and bounded and not descriptor.dynamic_typing:
+        low = -limit if info.minimum is None else info.type(info.minimum)
+        high = limit if info.maximum is None else info.type(info.maximum)
+        if info.type is int:
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     default = list(info.default) if isinstance(info.default, tuple) else info.default
     try:
-        return _plain(node.declare_parameter(info.name, default, describe(info)).value)
+        return _plain(node.declare_parameter(info.name, default, descriptor).value)
     except ParameterException as err:
         raise ConfigError(f"{info.name}: {' '.join(str(err).split())}") from err
 

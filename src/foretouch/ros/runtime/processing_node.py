@@ -30,6 +30,10 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Float32
 from foretouch_msgs.msg import Status
 
+_INCOMPLETE_SETS = 64  # more than all queues upstream hold together
+_WARN_EVERY_S = 5.0  # of refused clouds
+_P = TypeVar("_P", bound="ProcessingConfig")
+
 
 class StampedSet(NamedTuple):
     """Messages by topic, all of one stamp, and the time of arrival of the first [s]."""
@@ -86,23 +90,12 @@ class StampSynchronizer:
             self._on_drop(reason)
 
 
-_WARN_EVERY_S = 5.0  # of refused clouds
-_P = TypeVar("_P", bound="ProcessingConfig")
-
-
 @dataclass(frozen=True, kw_only=True)
 class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
     queue_depth: int = setting(
         8, "Number of inputs that may wait; the oldest is dropped", minimum=1, maximum=10_000, read_only=True
-    )
-    pairing_depth: int = setting(
-        64,
-        "Number of clouds that may wait for their other messages; must exceed all queues upstream together",
-        minimum=1,
-        maximum=10_000,
-        read_only=True,
     )
     silence_s: float = setting(
         5.0, "Longest time without an input before a warning", unit="s", minimum=0.1, maximum=1e6
@@ -117,9 +110,6 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         config_class: Class of its settings.
         inputs: Message type and name of each topic of a set; the answer gets the header of the first.
         options: For rclpy's `Node`.
-
-    Attributes:
-        arrived: Time of arrival of the set that is being answered, `time.monotonic` [s].
     """
 
     def __init__(self, name: str, config_class: type[_P], inputs: Sequence[tuple[type, str]], **options: Any) -> None:
@@ -127,9 +117,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._topics = tuple(inputs)
         self._lock = threading.Lock()
         names = [topic for _, topic in inputs]
-        self._synchronizer = StampSynchronizer(
-            names, self.config.pairing_depth, self.statistics.receive, self.statistics.drop
-        )
+        self._synchronizer = StampSynchronizer(names, _INCOMPLETE_SETS, self.statistics.receive, self.statistics.drop)
         self._worker: Worker[StampedSet] = Worker(
             name,
             self.config.queue_depth,
@@ -137,52 +125,35 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             lambda _, reason: self.statistics.drop(reason),
             self.direct_topics.thread(self.get_namespace()) if self.is_direct else None,
         )
-        self.arrived = 0.0
+        self._arrived = 0.0  # of the set that is being answered, `time.monotonic` [s]
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""
         self._silent_until = 0.0  # `time.monotonic` before which no refusal is logged [s]
 
-    # What a node implements.
-
     @abstractmethod
-    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
+    def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Convert the messages to arrays, compute, convert the result to messages and publish them.
 
-        Args:
-            messages: By topic, all of one stamp.
-            header: Of the first topic.
-
-        Returns:
-            The published status and its reason.
-
-        Raises:
-            RefusalError: If there is no answer; `refuse` is then called.
+        The messages, by topic, are of one stamp, and the header is that of the first topic. Returns the published status
+        and its reason, or raises a `RefusalError` if there is no answer; `_refuse` is then called.
         """
 
     @abstractmethod
-    def refuse(self, header: Header, status: int, reason: str) -> None:
+    def _refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish empty outputs with a status and a reason."""
 
-    # Hooks of the base class.
-
-    def setup(self) -> None:
-        """Subscribe to the inputs."""
+    def _setup(self) -> None:
         for message, topic in self._topics:
             self.subscribe(message, topic, partial(self._receive, topic))
 
-    def start(self) -> None:
-        """Start to answer."""
+    def _start(self) -> None:
         self._worker.start()
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         """Finish the current cloud and drop what waits."""
         self._worker.stop()
         with self._lock:
             self._synchronizer.clear("stopped")
-
-    def expects_input_every_s(self) -> float | None:
-        """Longest time without an input before a warning [s]."""
-        return self.config.silence_s
 
     def notes(self) -> dict[str, str]:
         """Numbers of answers by status, and why the last was empty."""
@@ -200,7 +171,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.statistics.drop("inactive")
 
     def _work(self, job: StampedSet) -> None:
-        self.arrived = job.arrived
+        self._arrived = job.arrived
         header = job.messages[self._topics[0][1]].header
         age_s = self.age_s(stamp_ns(header.stamp))
         status, reason = self._answer_or_refuse(job.messages, header)
@@ -213,12 +184,12 @@ class ProcessingNode(ForetouchNode[_P], ABC):
 
     def _answer_or_refuse(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         try:
-            return self.answer(messages, header)
+            return self._answer(messages, header)
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
         except Exception as err:  # noqa: BLE001  a bug must not end the node, and must be reported
             status, reason = Status.FAILED, self.internal_errors.report(self.get_name(), err)
-        self.refuse(header, status, reason)
+        self._refuse(header, status, reason)
         return status, reason
 
 

@@ -140,12 +140,12 @@ class WorkerThread:
 
 
 class Worker(Generic[_T]):
-    """Calls `work` with each item, in order, in one thread.
+    """Calls `work`, which must not raise, with each item, in order, in one thread.
 
     Args:
         name: Of the thread, where none is given.
         depth: Items that may wait.
-        work: Called with each item; must not raise.
+        work: Called with each item.
         on_drop: Called with each dropped item and the reason, `superseded` or `stopped` (see `BoundedQueue`).
         thread: To be shared with other workers; None for one of its own.
     """
@@ -185,12 +185,7 @@ class Worker(Generic[_T]):
 
 
 class ThreadPool:
-    """A pool of threads for one node.
-
-    Args:
-        node: Its executor is woken when work is done.
-        threads: Number of requests that are worked on at a time.
-    """
+    """So many threads for the requests of one node, whose executor is woken when work is done."""
 
     def __init__(self, node: Node, threads: int) -> None:
         self._node = node
@@ -201,8 +196,13 @@ class ThreadPool:
 
         Only for callbacks in a callback group that they do not share: a group is busy while its callback waits.
         """
+
+        def wake(_: Future[_T]) -> None:
+            if self._node.executor is not None:
+                self._node.executor.wake()
+
         future = self._pool.submit(work)
-        future.add_done_callback(self._wake)
+        future.add_done_callback(wake)
         while not future.done():
             await _Pause()
         return future.result()
@@ -210,11 +210,6 @@ class ThreadPool:
     def close(self) -> None:
         """Wait for running work and cancel the rest."""
         self._pool.shutdown(wait=True, cancel_futures=True)
-
-    def _wake(self, _: Future[_T]) -> None:
-        executor = self._node.executor
-        if executor is not None:
-            executor.wake()
 
 
 class _Pause:

@@ -8,18 +8,17 @@ from foretouch.config import setting
 from foretouch.dataset.pairing import PairingConfig
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.reach import ReachConfig
+from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.runtime.output_frame import OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
 from foretouch.ros.touch.costs import COSTS, PRESSURE
 from foretouch.tactile import TactileRanges
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import TactileConfig
-from foretouch.topics import TACTILE_TOPIC
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig):
-    """Settings of the touch predictor, with the frame of its answers and the hand's reach. Tactile settings have the names of the recorder's."""
+class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, TactileInput):
+    """Settings of the touch predictor, with the frame of its answers, the hand's reach and its tactile messages."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
     fallback_model: str = setting(
@@ -74,8 +73,6 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig):
     planner_action_count: int = setting(
         20, "Maximum number of grasps in an answer of sample_grasp_poses", minimum=1, maximum=10_000
     )
-    tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
-    tactile: TactileConfig = field(default_factory=TactileConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     limits: ObjectLimits = ObjectLimits()

@@ -18,27 +18,17 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 
 
 def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> float:
-    """The cost of a grasp by a rule.
+    """The cost of a grasp by a rule; infinity for what is not finite, or needs a prediction that there is not.
 
-    Args:
-        rule: `pressure`, the mean of both fingers' predicted static pressure, each relative to its range, 0 lowest,
-            1 highest; `harder_finger`, the larger of the two; `score`, the negative score of GeoGrasp.
-        prediction: Of the grasp, with it.
-        ranges: Ranges of the tactile values.
-
-    Returns:
-        Infinity for what is not finite, and for a grasp whose cost needs a prediction that there is not.
+    Rules: `pressure`, the mean of both fingers' predicted static pressure, each relative to its range, 0 lowest, 1 highest;
+    `harder_finger`, the larger of the two; `score`, the negative score of GeoGrasp.
     """
+    cost = math.inf
     if rule == SCORE:
-        return _finite(-prediction.grasp.score)
-    if prediction.status != Status.OK:
-        return math.inf
-    shares = []
-    for name, interval in (("PDC_TH", prediction.pdc_th), ("PDC_MF", prediction.pdc_mf)):
-        low, high = ranges.of(name)
-        shares.append((interval.value - low) / (high - low))
-    return _finite(max(shares) if rule == HARDER_FINGER else float(np.mean(shares)))
-
-
-def _finite(cost: float) -> float:
+        cost = -prediction.grasp.score
+    elif prediction.status == Status.OK:
+        values = {"PDC_TH": prediction.pdc_th.value, "PDC_MF": prediction.pdc_mf.value}
+        limits = [ranges.of(name) for name in values]
+        shares = [(value - low) / (high - low) for value, (low, high) in zip(values.values(), limits, strict=True)]
+        cost = max(shares) if rule == HARDER_FINGER else float(np.mean(shares))
     return cost if math.isfinite(cost) else math.inf

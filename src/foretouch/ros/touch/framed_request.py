@@ -12,24 +12,23 @@ from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.output_frame import OutputFrame
-from foretouch.ros.touch.grasp_sampler import Latest
-from foretouch_msgs.msg import Grasp, Status
+from foretouch_msgs.msg import Grasp, Status, TablePlane
+
+
+class Latest(NamedTuple):
+    """The newest object_cloud and the table of the same stamp."""
+
+    cloud: PointCloud2 | TargetCloud
+    table: TablePlane
 
 
 class FramedRequest(NamedTuple):
-    """A request in the frame of its cloud.
+    """A request in the frame of its cloud."""
 
-    Attributes:
-        cloud: Of the object.
-        table: None, or one.
-        grasps: On the object.
-        transform: Of the answer; None if it stays in the frame of the cloud.
-    """
-
-    cloud: PointCloud2 | TargetCloud
-    table: Sequence[PlaneMsg]
-    grasps: Sequence[Grasp]
-    transform: FrameTransform | None
+    cloud: PointCloud2 | TargetCloud  # of the object
+    table: Sequence[PlaneMsg]  # none, or one
+    grasps: Sequence[Grasp]  # on the object
+    transform: FrameTransform | None  # of the answer; None if it stays in the frame of the cloud
 
 
 def in_cloud_frame(
@@ -37,15 +36,8 @@ def in_cloud_frame(
 ) -> FramedRequest:
     """Bring a request to the frame of the camera.
 
-    The header of the cloud gives the frame of cloud, table and grasps: the camera's, or that of the answers. A cloud
-    that is only a header stands for the latest one, with its table.
-
-    Args:
-        frame: Of the answers.
-        cloud: The cloud of the request.
-        table: Its table, if there is one.
-        grasps: Its grasps.
-        latest: The latest cloud of the graph.
+    The header of the cloud gives the frame of cloud, table and grasps: the camera's, or `frame`, that of the answers. A
+    cloud that is only a header stands for the latest one, with its table.
 
     Raises:
         RefusalError: UNKNOWN_FRAME, or EMPTY_CLOUD if there is no latest cloud.
@@ -60,25 +52,26 @@ def in_cloud_frame(
     if transform is None:  # the frame of the answers is the camera's
         return FramedRequest(cloud, table, grasps, None)
     back = transform.inverse()
-    return FramedRequest(back.cloud(cloud), _moved(back, table), [back.grasp(one) for one in grasps], transform)
+    return FramedRequest(back.cloud(cloud), [*map(back.plane, table)], [*map(back.grasp, grasps)], transform)
 
 
 def _on_latest(
     frame: OutputFrame, header: Header, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
 ) -> FramedRequest:
     if latest is None:
-        raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
+        raise no_latest_cloud()
     camera = latest.cloud.header
     transform = frame.transform(camera)
+    if header.frame_id != camera.frame_id:
+        if transform is None or header.frame_id != transform.target:
+            known = repr(camera.frame_id) + ("" if transform is None else f" or {transform.target!r}")
+            raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {header.frame_id!r} of the request is not {known}")
+        back = transform.inverse()
+        table, grasps = [*map(back.plane, table)], [*map(back.grasp, grasps)]
     own = [latest.table.plane] if latest.table.status == Status.OK else []
-    if header.frame_id == camera.frame_id:
-        return FramedRequest(latest.cloud, table or own, grasps, transform)
-    if transform is None or header.frame_id != transform.target:
-        known = repr(camera.frame_id) + ("" if transform is None else f" or {transform.target!r}")
-        raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {header.frame_id!r} of the request is not {known}")
-    back = transform.inverse()
-    return FramedRequest(latest.cloud, _moved(back, table) or own, [back.grasp(one) for one in grasps], transform)
+    return FramedRequest(latest.cloud, table or own, grasps, transform)
 
 
-def _moved(back: FrameTransform, table: Sequence[PlaneMsg]) -> list[PlaneMsg]:
-    return [back.plane(one) for one in table]
+def no_latest_cloud() -> RefusalError:
+    """The refusal of a request that is about the latest cloud before there is one."""
+    return RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")

@@ -8,9 +8,8 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from foretouch.errors import ConfigError, FileError
 from foretouch.models.hand_history import HandHistory, HistoryFile
@@ -18,20 +17,6 @@ from foretouch.models.touch_model import TouchModel
 
 _PERIOD_S: Final = 0.5  # between two writes; a crash loses at most a second
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-
-
-def history_path(folder: str, hand: str) -> Path:
-    """The file of a hand.
-
-    Raises:
-        ConfigError: If the name of the hand cannot be that of a file.
-    """
-    if not _NAME.fullmatch(hand):
-        raise ConfigError(
-            f"hand: {hand!r} must be 1 to 64 letters, digits, '_', '-' or '.', and begin with a letter or digit"
-        )
-    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    return (Path(folder).expanduser() if folder else state / "foretouch") / f"{hand}.safetensors"
 
 
 class HistoryKeeper:
@@ -43,43 +28,43 @@ class HistoryKeeper:
         model: Whose predictions readings are compared with.
         hand: Name of the hand; "" keeps nothing.
         folder: Of the files; "" for the default.
-        say: Called with a line on what was read.
+        info: Called with a line on what was read.
         warn: Called with a line on each fault.
 
     Attributes:
         history: What was read so far.
+        lock: Of the history.
         fault: Why the file is not written; "" if it is, or if the hand has no name.
+
+    Raises:
+        ConfigError: If the name of the hand cannot be that of a file.
     """
 
     def __init__(
-        self, model: TouchModel, hand: str, folder: str = "", *, say: Callable[[str], None], warn: Callable[[str], None]
+        self,
+        model: TouchModel,
+        hand: str = "",
+        folder: str = "",
+        *,
+        info: Callable[[str], None] = print,
+        warn: Callable[[str], None] = print,
     ) -> None:
-        self._model = model
-        self._warn = warn
-        self._file: HistoryFile | None = None
+        self.lock = threading.Lock()
         self.fault = ""
+        self._warn = warn
+        self._changed, self._closed = threading.Event(), threading.Event()
+        self._file: HistoryFile | None = None
+        self._thread: threading.Thread | None = None
         history = None
         if hand:
             try:
-                self._file = HistoryFile(history_path(folder, hand), hand)
-                history = self._read(say)
+                self._file = HistoryFile(_path(folder, hand), hand)
+                history = self._read(self._file, model, info)
             except FileError as err:
                 self._fail(f"{err}; readings are not kept")
         self.history = history or HandHistory(model)
-        self._changed = threading.Event()
-        self._closed = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    @property
-    def path(self) -> str:
-        """The file; "" without."""
-        return str(self._file.path) if self._file is not None else ""
-
-    def start(self, locked: Callable[[], AbstractContextManager[Any]]) -> None:
-        """Begin to write; `locked` gives a context within which no reading is added."""
-        self._locked = locked
         if self._file is not None:
-            self._thread = threading.Thread(target=self._run, name="history", daemon=True)
+            self._thread = threading.Thread(target=self._run, args=(self._file,), name="history", daemon=True)
             self._thread.start()
 
     def changed(self) -> None:
@@ -92,8 +77,8 @@ class HistoryKeeper:
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
         found = {"history.readings": str(read.readings), "history.age_s": age}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
-        named = {"history.file": self.path, "history.fault": self.fault}
-        return found | {name: text for name, text in named.items() if text}
+        path = "" if self._file is None else str(self._file.path)
+        return found | {name: text for name, text in (("history.file", path), ("history.fault", self.fault)) if text}
 
     def close(self) -> None:
         """Write what is not written yet, and let other processes use the file."""
@@ -105,40 +90,37 @@ class HistoryKeeper:
         if self._file is not None:
             self._file.close()
 
-    def _read(self, say: Callable[[str], None]) -> HandHistory | None:
-        assert self._file is not None  # noqa: S101  opened by the caller
+    def _read(self, file: HistoryFile, model: TouchModel, info: Callable[[str], None]) -> HandHistory | None:
         try:
-            history = self._file.read(self._model)
+            history = file.read(model)
         except FileError as err:
-            kept = self._file.set_aside()
-            self._warn(f"history: {err}; renamed to {kept.name}, the hand starts anew")
+            self._warn(f"history: {err}; renamed to {file.set_aside().name}, the hand starts anew")
             return None
         if history is None:
-            say(f"history: {self._file.path}: does not exist yet")
+            info(f"history: {file.path}: does not exist yet")
         else:
             read = history.tracker.evidence(time.time_ns())
             age = "none" if read.reading_age_s is None else f"{read.reading_age_s / 3600.0:.1f} h ago"
-            say(f"history: {self._file.path}: {read.readings} readings, the last one {age}")
+            info(f"history: {file.path}: {read.readings} readings, the last one {age}")
         return history
 
-    def _run(self) -> None:
+    def _run(self, file: HistoryFile) -> None:
         written = (-1, -1)
         while not self._closed.is_set():
             self._changed.wait()
             self._changed.clear()
-            written = self._write(written)
+            written = self._write(file, written)
             self._closed.wait(_PERIOD_S)
-        self._write(written)
+        self._write(file, written)
 
-    def _write(self, written: tuple[int, int]) -> tuple[int, int]:
+    def _write(self, file: HistoryFile, written: tuple[int, int]) -> tuple[int, int]:
         """Write if the history is another one than the `written` revision; gives the revision that is written now."""
-        assert self._file is not None  # noqa: S101  the thread runs only with a file
-        with self._locked():
+        with self.lock:
             history = self.history.copy()
         if history.revision == written:
             return written
         try:
-            self._file.write(history)
+            file.write(history)
         except FileError as err:
             self._fail(str(err))
             return written
@@ -149,3 +131,13 @@ class HistoryKeeper:
         if fault != self.fault:
             self._warn(f"history: {fault}")
         self.fault = fault
+
+
+def _path(folder: str, hand: str) -> Path:
+    """The file of a hand."""
+    if not _NAME.fullmatch(hand):
+        raise ConfigError(
+            f"hand: {hand!r} must be 1 to 64 letters, digits, '_', '-' or '.', and begin with a letter or digit"
+        )
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return (Path(folder).expanduser() if folder else state / "foretouch") / f"{hand}.safetensors"

@@ -16,7 +16,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -27,10 +26,10 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
@@ -45,42 +44,39 @@ class OnlineAdapter:
     Args:
         model: The model.
         reader: Decodes tactile messages.
-        history: What the hand has read so far.
+        keeper: Of what the hand has read so far.
         config: Gives the current settings.
         now_ns: Gives the time of the node's clock [ns].
         warn: Called with a line for each touch that is refused.
-        on_reading: Called after tares or touches may have been added to the history.
     """
 
     def __init__(
         self,
         model: TouchModel,
         reader: TactileReader,
-        history: HandHistory,
+        keeper: HistoryKeeper,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
         warn: Callable[[str], None],
-        on_reading: Callable[[], None] = lambda: None,
     ) -> None:
         settings = config()
         self._model = model
+        self._keeper = keeper
+        self._history = keeper.history
         self._config = config
         self._now_ns = now_ns
         self._warn = warn
-        self._input_lock = threading.Lock()  # of what callbacks store; not taken while the model works
+        self._input_lock = (
+            threading.Lock()
+        )  # of what callbacks store; taken after that of the history, and never while the model works
         self._assembler = SampleAssembler(
             AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
         )
         self._tare = LiveTare(settings.contact)
-        self._received = 0
-        self._unreadable = 0
-        self._last_unreadable = ""
-        self._history_lock = threading.Lock()  # taken before the other one
-        self._history = history
-        self._on_reading = on_reading
+        self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
-        self._last_refusal = ""
         self._tare_refused = False
+        self._texts = {"tare.fault": "", "touches.last_refusal": "", "tactile.last_unreadable": ""}  # for /diagnostics
         self._calibration_group = ""
 
     # Input, from callbacks and from the worker.
@@ -95,7 +91,7 @@ class OnlineAdapter:
                 accepted = self._assembler.add_tactile(message, received_ns=received_ns, now_s=time.monotonic())
             except TactileError as err:
                 self._unreadable += 1
-                self._last_unreadable = str(err)
+                self._texts["tactile.last_unreadable"] = str(err)
                 return
             if self._assembler.clock_jumps != jumps:
                 self._tare.reset()
@@ -142,30 +138,22 @@ class OnlineAdapter:
         reach: ReachConfig,
         model: TouchModel | None = None,
     ) -> Sequence[TouchPrediction]:
-        """Predict as `TouchModel.predict`, adapted to the readings so far.
-
-        Args:
-            cloud: The object's points [m].
-            grasps: In the cloud's frame.
-            limits: Range and size of objects.
-            reach: Of the hand.
-            model: The model in a reduced form; by default the model itself.
-
-        Raises:
-            CloudError: See `TouchModel.predict`.
-            ModelError: See `TouchModel.predict`.
-        """
+        """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
         config, model = self._config(), model or self._model
         self.process_touches()
         tare = self._recent_tare(config)
         history = self._history_for(cloud, tare, config) if config.use_touches else None
         alone = tare if history is None else None
-        return self._noted(model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach))
+        predictions = model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach)
+        if predictions:
+            first = predictions[0]
+            self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
+        return predictions
 
     def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchPredictorConfig) -> History | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns = self._now_ns()
-        with self._history_lock:
+        with self._keeper.lock:
             try:
                 if tare is not None:
                     self._history.add_tare(now_ns, tare)
@@ -176,18 +164,14 @@ class OnlineAdapter:
                 return None
             self._tare_refused = False
             same = self._history.is_current(cloud, config.same_object_m)
-            found = self._history.at(now_ns, same_object=same, tare=tare is not None)
-        self._on_reading()
+            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None)
+        self._keeper.changed()
         return found
-
-    def locked(self) -> AbstractContextManager[Any]:
-        """Within, no reading is added to the history."""
-        return self._history_lock
 
     def process_touches(self) -> None:
         """Add the touches that are complete by now to the history, and forget an object that was touched too long ago."""
         config, now_s = self._config(), time.monotonic()
-        with self._history_lock:
+        with self._keeper.lock:
             age_s = self._history.tracker.evidence(self._now_ns()).touch_age_s
             if age_s is not None and age_s > config.forget_after_s:
                 self._history.start_object()
@@ -199,11 +183,11 @@ class OnlineAdapter:
                 else:
                     self._add_touch(result, config)
         if results:
-            self._on_reading()
+            self._keeper.changed()
 
     def forget(self) -> int:
         """Forget the object and all grasps so far, since the object was changed; gives the number of its touches."""
-        with self._history_lock, self._input_lock:
+        with self._keeper.lock, self._input_lock:
             count = self._history.touches
             self._history.start_object()
             self._assembler.reset_grasps()
@@ -211,34 +195,25 @@ class OnlineAdapter:
 
     def forget_history(self) -> int:
         """Forget all readings of the hand, such as after a sensor was exchanged; gives their number."""
-        with self._history_lock, self._input_lock:
+        with self._keeper.lock, self._input_lock:
             count = self._history.forget()
             self._assembler.reset_grasps()
-        self._on_reading()
+        self._keeper.changed()
         return count
-
-    def touches(self) -> int:
-        """Number of touches of the current object."""
-        return self._history.touches
 
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
         with self._input_lock:
-            age_s, fault = self._tare.age_s(time.monotonic()), self._tare.fault
+            age_s, self._texts["tare.fault"] = self._tare.age_s(time.monotonic()), self._tare.fault
             counts = {"waiting": self._assembler.pending, **self._touch_counts}
-            texts = {
-                "tare.fault": fault,
-                "touches.last_refusal": self._last_refusal,
-                "tactile.last_unreadable": self._last_unreadable,
-            }
         return {
             "regime": self._calibration_group,
-            "touches": str(self.touches()),
+            "touches": str(self._history.touches),
             **{f"touches.{name}": str(count) for name, count in sorted(counts.items())},
             "tare_age_s": "none" if age_s == float("inf") else f"{age_s:.1f}",
             "tactile.received": str(self._received),
             "tactile.unreadable": str(self._unreadable),
-            **{name: text for name, text in texts.items() if text},
+            **{name: text for name, text in self._texts.items() if text},
         }
 
     def _recent_tare(self, config: TouchPredictorConfig) -> Touch | None:
@@ -261,20 +236,11 @@ class OnlineAdapter:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
             self._refuse(sample.grasp.id, reasons.get(type(err), "refused"), str(err))
         else:
-            self._count("taken_in")
+            with self._input_lock:
+                self._touch_counts["taken_in"] += 1
 
     def _refuse(self, grasp_id: str, reason: str, message: str) -> None:
-        self._count(f"refused.{reason}")
-        self._last_refusal = f"grasp {grasp_id}: {message}"
-        self._warn(f"touch of grasp {grasp_id}: refused: {reason}: {message}")
-
-    def _count(self, name: str) -> None:
         with self._input_lock:
-            self._touch_counts[name] += 1
-
-    def _noted(self, predictions: Sequence[TouchPrediction]) -> Sequence[TouchPrediction]:
-        """Keep the reference and the calibration group of the first prediction for /diagnostics."""
-        if predictions:
-            first = predictions[0]
-            self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
-        return predictions
+            self._touch_counts[f"refused.{reason}"] += 1
+            self._texts["touches.last_refusal"] = f"grasp {grasp_id}: {message}"
+        self._warn(f"touch of grasp {grasp_id}: refused: {reason}: {message}")

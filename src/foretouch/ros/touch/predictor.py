@@ -16,7 +16,6 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_ta
 from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
-from foretouch.grasp.reach import ReachConfig
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr
@@ -64,8 +63,11 @@ class Predictor:
             self.model = load_model(model)
         except ForetouchError as err:
             self.fault = f"model: {err}"
-            if fallback:
-                self._fall_back(fallback)
+        if self.model is None and fallback:
+            try:
+                self.model, self.flags = load_model(fallback), ("fallback_model",)
+            except ForetouchError as err:
+                self.fault = f"{self.fault}; fallback_model: {err}"
 
     def warm_up(self) -> None:
         """Predict once, so that the first real cloud does not wait for torch."""
@@ -120,20 +122,10 @@ class Predictor:
             around[count] = max(0.0, statistics.median(beyond))
         return around
 
-    def begin(self, count: int, arrived: float) -> Answer | None:
-        """Choose the level of a request of so many grasps that arrived at a `time.monotonic` [s]; None without a budget."""
-        return self.budget.begin(count, arrived) if self.budget is not None else None
-
     def end(self, message: TouchAnswer, answer: Answer | None, *, encoded: bool = False) -> Any:
-        """The message to be published right after this call, whose predictions are flagged if they miss their budget.
+        """The message to be published right after this call, or its bytes if it may be `encoded`.
 
-        Args:
-            message: The predictions; their flags are changed.
-            answer: What `begin` returned.
-            encoded: Whether it may be given as bytes.
-
-        Returns:
-            A `TouchPredictionArray`, or its bytes.
+        Its predictions are flagged if they miss their budget, of which `answer` is what `LatencyBudget.begin` returned.
         """
         if self.budget is None or answer is None:
             return _made(message, encoded=encoded)
@@ -147,13 +139,6 @@ class Predictor:
             for prediction in made.predictions:
                 prediction.flags = [*prediction.flags, LATE]
         return made
-
-    def _fall_back(self, name: str) -> None:
-        try:
-            self.model = load_model(name)
-            self.flags = ("fallback_model",)
-        except ForetouchError as err:
-            self.fault = f"{self.fault}; fallback_model: {err}"
 
     def array(
         self,
@@ -174,6 +159,7 @@ class Predictor:
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
             model: The model in a reduced form; by default the model itself.
         """
+        model = model or self.model
         outcomes: list[Prediction | Refusal] = [Refusal(Status.BAD_GRASP, "")] * len(grasps)
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
@@ -182,96 +168,78 @@ class Predictor:
             except GraspError as err:
                 outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
-            poser = _Poser(targets[k], config.limits, posing)
-            predicted = self._on_target(poser, [grasps[i] for i in members], config, model)
-            for i, outcome in zip(members, predicted, strict=True):
+            wanted = [grasps[i] for i in members]
+            found: Sequence[Prediction | Refusal] = [Refusal(Status.NO_MODEL, self.fault)] * len(wanted)
+            if model is not None:
+                found = self._on_target(model, targets[k].cloud, _posed(wanted, targets[k], config, posing), config)
+            for i, outcome in zip(members, found, strict=True):
                 outcomes[i] = outcome
         return TouchAnswer(header, grasps, outcomes)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
-        """Add the model, the age of its input and the resulting flags to each prediction.
+        """Add the model, the age of its input [s] and the resulting flags to each prediction.
 
-        Args:
-            message: Changed and returned.
-            age_s: Time since the cloud's stamp [s].
-            late_after_s: Age beyond which a prediction is `late`; 0 for never [s].
-            reduced: Whether a cheaper form of the model predicted.
+        Beyond an age of `late_after_s`, 0 for never, it is `late`; `reduced` is that of a cheaper form of the model.
         """
-        cheaper = (REDUCED,) * reduced
         late = (LATE,) if 0.0 < late_after_s < age_s else ()
-        message.flags = (*message.flags, *self.flags, *cheaper, *late)
+        message.flags = (*message.flags, *self.flags, *(REDUCED,) * reduced, *late)
         message.age = duration_to_msg(age_s)
         if self.model is not None:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
         return message
 
     def _on_target(
-        self, poser: _Poser, grasps: Sequence[GraspMsg], config: TouchPredictorConfig, model: TouchModel | None
+        self, model: TouchModel, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchPredictorConfig
     ) -> Sequence[Prediction | Refusal]:
-        model = model or self.model
-        if model is None:
-            return [Refusal(Status.NO_MODEL, self.fault)] * len(grasps)
-        posed = poser.grasps(grasps)
         usable = [one for one in posed if isinstance(one, Grasp)]
-        cloud, limits = poser.target.cloud, config.limits
+        options: dict[str, Any] = {"limits": config.limits, "reach": config}
         try:
-            predicted = iter(self._predicted(model, cloud, usable, limits, config) if usable else [])
+            if not usable:
+                found: Sequence[Prediction] = []
+            elif self.adapter is not None:
+                found = self.adapter.predict(cloud, usable, **options, model=model)
+            else:
+                found = model.predict(cloud, usable, **options)
         except (CloudError, ModelError) as err:
             refusal = _refusal_of(err)
             return [one if isinstance(one, Refusal) else refusal for one in posed]
+        predicted = iter(found)
         return [one if isinstance(one, Refusal) else _outcome(next(predicted)) for one in posed]
 
-    def _predicted(
-        self, model: TouchModel, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits, reach: ReachConfig
-    ) -> Sequence[Prediction]:
-        if self.adapter is not None:
-            return self.adapter.predict(cloud, grasps, limits=limits, reach=reach, model=model)
-        return model.predict(cloud, grasps, limits=limits, reach=reach)
 
-
-class _Poser:
-    """Decodes grasps on one object.
+def _posed(
+    messages: Sequence[GraspMsg], target: FoundObject, config: TouchPredictorConfig, posing: GeoGraspConfig | None
+) -> list[Grasp | Refusal]:
+    """The grasp of each message, or why there is none.
 
     Missing orientations are computed as `Pipeline.grasp_between` does, with one search for the object's axis.
     """
-
-    def __init__(self, target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig | None) -> None:
-        self.target = target
-        self._limits = limits
-        self._config = config
-        self._axis: Float64 | None = None
-
-    def grasps(self, messages: Sequence[GraspMsg]) -> list[Grasp | Refusal]:
-        """The grasp of each message, or why there is none."""
-        return [
-            found or self._grasp_or_refusal(one) for found, one in zip(decode_grasps(messages), messages, strict=True)
-        ]
-
-    def _grasp_or_refusal(self, message: GraspMsg) -> Grasp | Refusal:
+    axis: Float64 | None = None
+    found: list[Grasp | Refusal] = []
+    for decoded, message in zip(decode_grasps(messages), messages, strict=True):
+        grasp = decoded
         try:
-            return self.grasp(message)
+            if grasp is None and has_orientation(message):
+                grasp = decode_grasp(message)
+            elif grasp is None:
+                if posing is None:
+                    raise GraspError("pose: no orientation, and no table to compute it with")
+                unposed = decode_grasp(message, np.eye(3))
+                axis = _axis(target, config.limits, posing) if axis is None else axis
+                grasp = decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, axis))
+            found.append(grasp)
         except (GraspError, CloudError, RefusalError) as err:
-            return _refusal_of(err)
+            found.append(_refusal_of(err))
+    return found
 
-    def grasp(self, message: GraspMsg) -> Grasp:
-        """The grasp of a message, with an orientation computed if the message has none."""
-        if has_orientation(message):
-            return decode_grasp(message)
-        if self._config is None:
-            raise GraspError("pose: no orientation, and no table to compute it with")
-        unposed = decode_grasp(message, np.eye(3))
-        if self._axis is None:
-            self._axis = self._find_axis(self._config)
-        return decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, self._axis))
 
-    def _find_axis(self, config: GeoGraspConfig) -> Float64:
-        try:
-            check_table(self.target.plane, self._limits)
-        except LimitError as err:
-            raise RefusalError(Status.BAD_PLANE, str(err)) from err
-        check_object(self.target.cloud.xyz, self._limits)
-        axis, _ = object_axis(self.target.cloud, self.target.plane, config)
-        return axis
+def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:
+    try:
+        check_table(target.plane, limits)
+    except LimitError as err:
+        raise RefusalError(Status.BAD_PLANE, str(err)) from err
+    check_object(target.cloud.xyz, limits)
+    return object_axis(target.cloud, target.plane, config)[0]
 
 
 def _made(message: TouchAnswer, *, encoded: bool) -> Any:
@@ -285,16 +253,15 @@ def _outcome(prediction: Prediction) -> Prediction | Refusal:
 
 
 def _refusal_of(err: ForetouchError) -> Refusal:
-    return Refusal(_status_of(err), str(err))
-
-
-def _status_of(err: ForetouchError) -> int:
-    """The status of what an error keeps from being predicted."""
+    """What an error keeps from being predicted."""
+    status = Status.REFUSED
     if isinstance(err, RefusalError):
-        return err.status
-    if isinstance(err, CloudError):
-        return Status.BAD_CLOUD if isinstance(err, LimitError) else Status.TOO_FEW_POINTS
-    return Status.BAD_GRASP if isinstance(err, GraspError) else Status.REFUSED
+        status = err.status
+    elif isinstance(err, CloudError):
+        status = Status.BAD_CLOUD if isinstance(err, LimitError) else Status.TOO_FEW_POINTS
+    elif isinstance(err, GraspError):
+        status = Status.BAD_GRASP
+    return Refusal(status, str(err))
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:
