@@ -7,7 +7,6 @@ that is not finite, no node may count an internal error, and the recording must 
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import subprocess
@@ -22,15 +21,38 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import messages as valid
 import numpy as np
-from absurd import change, pick, value_of
-from files import COLUMNS, mutated, write_table
 
 DOMAIN = 92
+os.environ.update(ROS_DOMAIN_ID=str(DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+
+from foretouch.ros.runtime.environment import prepare_environment  # noqa: E402
+
+prepare_environment()
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters  # noqa: E402
+from rclpy.action import ActionClient  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter as PythonParameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from benchmarks.common import ROOT, write_csv  # noqa: E402
+from benchmarks.fuzz import messages as valid  # noqa: E402
+from benchmarks.fuzz.absurd import change, pick, value_of  # noqa: E402
+from benchmarks.fuzz.driver import COLUMNS, parser  # noqa: E402
+from benchmarks.fuzz.files import mutated  # noqa: E402
+from foretouch_msgs.action import SampleGrasps  # noqa: E402
+from foretouch_msgs.msg import GraspArray, RecorderStatus, Status, TouchPredictionArray  # noqa: E402
+from foretouch_msgs.srv import LabelGrasp, PredictTouch, StartRecording, StopRecording  # noqa: E402
+
 NAMESPACE = "/foretouch"
 NODES = ("segmentation", "grasp", "touch_predictor", "recorder", "hand")
-SCENE = Path(__file__).parents[2] / "config" / "scenes" / "clean.yaml"
+SCENE = ROOT / "config" / "scenes" / "clean.yaml"
 START_S = 120.0
 ANSWER_S = 30.0  # that an answer may take on a busy computer
 BATCH = 50  # messages or requests between two checks
@@ -61,18 +83,6 @@ class Graph:
         self.sessions = 0
         self.own = ""  # topic on which absurd messages are being sent from here
         self._known_errors: Counter[str] = Counter()
-        os.environ.update(ROS_DOMAIN_ID=str(DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        from foretouch.ros.runtime.environment import prepare_environment
-
-        prepare_environment()
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.action import ActionClient
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-        from foretouch_msgs.action import SampleGrasps
-        from foretouch_msgs.msg import GraspArray, RecorderStatus, TouchPredictionArray
 
         rclpy.init()
         self.node = rclpy.create_node("fuzzer", namespace=NAMESPACE)
@@ -94,8 +104,6 @@ class Graph:
 
     def start(self) -> None:
         """Start the child, wait until all nodes are active, and begin a recording."""
-        from foretouch_msgs.srv import StartRecording
-
         given: dict[str, Any] = {
             "diagnostics_period_s": 0.2,
             "grasp_hold": 0.0,  # a held grasp would depend on the clouds before
@@ -169,10 +177,6 @@ class Graph:
 
     def set(self, node: str, name: str, value: Any) -> Any:
         """Set a parameter; `value` is a `ParameterValue`, or a value of Python."""
-        from rcl_interfaces.msg import Parameter, ParameterValue
-        from rcl_interfaces.srv import SetParameters
-        from rclpy.parameter import Parameter as PythonParameter
-
         if not isinstance(value, ParameterValue):
             value = PythonParameter(name, value=value).get_parameter_value()
         request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
@@ -268,38 +272,28 @@ def numbers_of(one: Any) -> list[Any]:
 # --- what is sent -----------------------------------------------------------------------------------------------
 
 
-def topics() -> dict[str, tuple[Sequence[Any], Callable[[], Sequence[tuple[str, Any]]], float]]:
-    """By topic: valid messages, valid messages of other topics that complete a set, and a pause [s]."""
-    clouds, grasps = valid.object_messages(), valid.grasps_message()
-    scene = valid.scene_message()
-    predictions = valid.touches().valid
-    cloud = clouds[0]
-
-    def nothing() -> Sequence[tuple[str, Any]]:
-        return ()
-
+def topics() -> dict[str, tuple[Sequence[Any], tuple[str, Any] | None, float]]:
+    """By topic: valid messages, a valid message of another topic that completes a set, and a pause [s]."""
+    clouds, tables = valid.object_messages(), valid.table_message()
     return {
-        "points": ([scene], nothing, 0.05),
-        "object_cloud": (clouds, lambda: [("table", valid.table_message())], 0.03),
-        "table": ([valid.table_message()], lambda: [("object_cloud", cloud)], 0.03),
-        "grasps": ([grasps], lambda: [("object_cloud", cloud)], 0.03),
-        "touch": (predictions, nothing, 0.01),
-        "/rh/tactile": ([valid.tactile_message()], nothing, 0.005),
-        "executed_grasp": ([valid.executed_message()], nothing, 0.01),
+        "points": ([valid.scene_message()], None, 0.05),
+        "object_cloud": (clouds, ("table", tables), 0.03),
+        "table": ([tables], ("object_cloud", clouds[0]), 0.03),
+        "grasps": ([valid.grasps_message()], ("object_cloud", clouds[0]), 0.03),
+        "touch": ([valid.touch_message()], None, 0.01),
+        "/rh/tactile": ([valid.tactile_message()], None, 0.005),
+        "executed_grasp": ([valid.executed_message()], None, 0.01),
     }
 
 
 def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None:
     """A batch of absurd messages and of damaged bytes on one topic."""
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    kept, others, pause = topics()[topic]
+    kept, other, pause = topics()[topic]
     for _ in range(size):
         message = pick(kept, rng)
-        rest = others()
-        stamped(message, *(one for _, one in rest))
-        for name, one in rest:
-            graph.send(name, one)
+        stamped(message, *(other[1:] if other else ()))
+        if other:
+            graph.send(*other)
         data = bytes(serialize_message(message))
         if rng.random() < DAMAGED:
             graph.send(topic, data[:4] + mutated(data[4:], rng), type(message))
@@ -310,8 +304,6 @@ def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None
 
 def judged(status: int, reason: str) -> str:
     """The outcome of an answer by its status."""
-    from foretouch_msgs.msg import Status
-
     if status == Status.FAILED or (status != Status.OK and not reason):
         return "uncaught"
     return "read" if status == Status.OK else "refused"
@@ -319,8 +311,6 @@ def judged(status: int, reason: str) -> str:
 
 def ask_touch(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd `predict_touch`."""
-    from foretouch_msgs.srv import PredictTouch
-
     message = graph.call(PredictTouch, "predict_touch", change(valid.touch_request(), rng)).touch
     valid.check_predictions(message)
     return judged(message.status, message.reason)
@@ -334,8 +324,6 @@ def ask_samples(graph: Graph, rng: np.random.Generator) -> str:
 
 def ask_label(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd `label_grasp`."""
-    from foretouch_msgs.srv import LabelGrasp
-
     answer = graph.call(LabelGrasp, "label_grasp", change(valid.label_request(), rng))
     return "read" if answer.success else judged(2, answer.message)
 
@@ -358,8 +346,6 @@ PATHS = (
 
 def ask_recording(graph: Graph, rng: np.random.Generator) -> str:
     """A recording that is begun twice, at absurd paths, or ended twice; at last, one that goes on."""
-    from foretouch_msgs.srv import StartRecording, StopRecording
-
     if rng.random() < 0.5:
         graph.call(StopRecording, "stop_recording", StopRecording.Request())
     request = StartRecording.Request(
@@ -376,17 +362,12 @@ def ask_recording(graph: Graph, rng: np.random.Generator) -> str:
 
 def ask_trigger(graph: Graph, rng: np.random.Generator) -> str:
     """`forget_touches` or `execute_grasp`."""
-    from std_srvs.srv import Trigger
-
     answer = graph.call(Trigger, pick(("forget_touches", "execute_grasp"), rng), Trigger.Request())
     return "read" if answer.success else judged(2, answer.message)
 
 
 def ask_parameter(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd value of a parameter that can be changed; it is set back afterwards."""
-    from rcl_interfaces.msg import ParameterValue
-    from rcl_interfaces.srv import GetParameters, ListParameters
-
     node = pick(NODES, rng)
     names = graph.call(ListParameters, f"{NAMESPACE}/{node}/list_parameters", ListParameters.Request()).result.names
     name = pick(sorted(n for n in names if not n.startswith(("qos_overrides", "use_sim_time", "start_type"))), rng)
@@ -500,17 +481,13 @@ def run(
 
 def main() -> int:
     """Run all kinds; the exit status is 1 if a rule was broken."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=1300, help="messages and requests in all (default 1300)")
-    parser.add_argument("--batch", type=int, default=BATCH, help=f"messages between two checks (default {BATCH})")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kind", choices=KINDS, action="append", help="only this kind; may be repeated")
-    parser.add_argument("--out", type=Path, help="write the table as CSV")
-    options = parser.parse_args()
+    options = parser(__doc__, KINDS, 1300)
+    options.add_argument("--batch", type=int, default=BATCH, help=f"messages between two checks (default {BATCH})")
+    arguments = options.parse_args()
     print("  ".join(COLUMNS))
-    rows, faults = run(options.cases, options.seed, options.kind or KINDS, options.batch)
-    if options.out:
-        write_table(options.out, rows)
+    rows, faults = run(arguments.cases, arguments.seed, arguments.kind or KINDS, arguments.batch)
+    if arguments.out:
+        write_csv(arguments.out, rows)
     return int(bool(faults))
 
 

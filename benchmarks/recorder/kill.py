@@ -58,11 +58,11 @@ class Round:
     clean: bool
 
 
-def made_sample(number: int) -> GraspSample:
+def made_sample(number: int, points: int = POINTS) -> GraspSample:
     """A sample whose content is determined by its number."""
     rng = np.random.default_rng(number)
-    xyz = rng.normal(size=(POINTS, 3)).astype(np.float32)
-    rgb = rng.integers(0, 256, (POINTS, 3), dtype=np.uint8)
+    xyz = rng.normal(size=(points, 3)).astype(np.float32)
+    rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
     touch = Touch.from_vector(rng.integers(100, 3000, 50).astype(float))
     grasp = Grasp(xyz[0].astype(float), xyz[1].astype(float), np.eye(3), float(number), str(number))
     return GraspSample("", "ball", Cloud(xyz, rgb, "camera", number), grasp, touch, None, number)

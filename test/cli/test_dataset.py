@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from every_case import every_case
 from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
 
 from foretouch.dataset.recording import RecordingWriter
@@ -45,16 +46,12 @@ def test_verify_repair_and_verify_again(call: Call, dataset: Path) -> None:
     assert Path(second["original"]).exists()
     assert call("dataset", "verify", dataset).status == 0
     assert not any(record["changed"] for record in call("dataset", "repair", dataset, "--json").records)
-
-
-def test_a_flipped_byte_is_named_on_one_line(call: Call, dataset: Path) -> None:
-    file = dataset / "session-0001.mcap"
     data = bytearray(file.read_bytes())
     data[len(data) // 3] ^= 4
     file.write_bytes(data)
-    answer = call("dataset", "verify", dataset)
-    assert answer.status == 1
-    assert all(line.startswith(f"foretouch: {file}: byte ") for line in answer.err.splitlines())
+    flipped = call("dataset", "verify", dataset)
+    assert flipped.status == 1
+    assert all(line.startswith(f"foretouch: {file}: byte ") for line in flipped.err.splitlines())
 
 
 def test_build_puts_splits_into_a_store_that_can_be_verified(call: Call, dataset: Path, tmp_path: Path) -> None:
@@ -89,20 +86,25 @@ def test_show_draws_the_samples_that_are_asked_for(call: Call, dataset: Path, tm
     answer = call("dataset", "show", dataset, "-o", tmp_path / "a.png", "--id", "ball/000002", "--json")
     assert answer.records[0]["samples"] == ["ball/000002"]
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    missing = call("dataset", "show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7")
-    assert (missing.status, missing.err) == (1, f"foretouch: {dataset}: holds no sample ball/7\n")
 
 
-@pytest.mark.parametrize("action", ["info", "verify", "repair"])
-def test_what_is_not_there_is_refused_on_one_line(call: Call, tmp_path: Path, action: str) -> None:
-    answer = call("dataset", action, tmp_path / "nothing")
-    assert answer.status == 1
-    assert answer.err == f"foretouch: {tmp_path / 'nothing'}: does not exist\n"
+def test_mistakes_are_one_line(call: Call, dataset: Path, tmp_path: Path) -> None:
+    none, edit = tmp_path / "nothing", ("edit", dataset)
 
+    def check(words: tuple[object, ...], line: str) -> None:
+        answer = call("dataset", *words)
+        assert (answer.status, answer.err) == (1, f"foretouch: {line}\n")
 
-def test_an_identity_must_be_name_and_value(call: Call, dataset: Path, tmp_path: Path) -> None:
-    answer = call("dataset", "import", dataset, "-o", tmp_path / "x", "--hand", "serial")
-    assert (answer.status, answer.err) == (1, "foretouch: serial: is not NAME=VALUE\n")
+    every_case(
+        [
+            *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),
+            (("import", dataset, "-o", tmp_path / "x", "--hand", "serial"), "serial: is not NAME=VALUE"),
+            (("show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7"), f"{dataset}: holds no sample ball/7"),
+            ((*edit, "--drop"), "--relabel and --drop need --id"),
+            ((*edit, "--id", "x"), "--id needs --relabel or --drop"),
+        ],
+        check,
+    )
 
 
 def test_predictions_are_the_same_from_folder_dataset_and_store(call: Call, dataset: Path, tmp_path: Path) -> None:
@@ -123,8 +125,6 @@ def test_edits_are_listed_and_undone(call: Call, dataset: Path) -> None:
     assert (record["objects"], record["discarded"], len(record["edits"])) == ({"cup": 9, "ball": 7}, 1, 3)
     assert call("dataset", "edit", dataset, "--undo", "--json").records[0]["undone"] == 3
     assert "relabel cup (8 samples) (undone)" in call("dataset", "edit", dataset).out
-    assert call("dataset", "edit", dataset, "--drop").err == "foretouch: --relabel and --drop need --id\n"
-    assert call("dataset", "edit", dataset, "--id", "x").err == "foretouch: --id needs --relabel or --drop\n"
     assert call("dataset", "verify", dataset).status == 0
 
 

@@ -32,26 +32,19 @@ def test_a_program_gets_a_line_a_cell_and_the_summary(call, tmp_path, numbers) -
     assert again["reused"] == 3
 
 
-def test_a_person_gets_the_table(call, tmp_path, numbers) -> None:
-    answer = call("experiment", OWN, "cells=2", "-o", tmp_path / "out", "--data", numbers, "--workers", "1")
-    assert answer.status == 0, answer.err
-    assert "How far can one count?" in answer.out
-    assert "counted" in answer.out
-    assert "2 cells (0 reused)" in answer.out
-
-
 def test_a_failed_cell_is_exit_status_1(call, tmp_path, numbers) -> None:
     words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers, "--json", "cells=2", "broken=[1]"]
     answer = call(*words)
-    assert answer.status == 1
-    assert answer.err == "foretouch: cell1: cell 1: is broken\n"
-    assert answer.records[-1]["failed"] == {"cell1": "cell 1: is broken"}
-    assert answer.records[-1]["rows"] == 2
+    assert (answer.status, answer.err) == (1, "foretouch: cell1: cell 1: is broken\n")
+    assert (answer.records[-1]["failed"], answer.records[-1]["rows"]) == ({"cell1": "cell 1: is broken"}, 2)
 
 
 def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> None:
     words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers]
-    assert call(*words, "cells=2", "--workers", "1").status == 0
+    whole = call(*words, "cells=2", "--workers", "1")
+    assert whole.status == 0, whole.err
+    for text in ("How far can one count?", "counted", "2 cells (0 reused)"):
+        assert text in whole.out
     summary = tmp_path / "out/summary.md"
     assert "are finished" not in summary.read_text()
     answer = call(*words, "cells=3", "--finished")

@@ -12,8 +12,7 @@ from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
 from foretouch.experiments.label_ratio import LabelRatioSettings
-from foretouch.experiments.label_ratio.data import load_scene, split_at
-from foretouch.experiments.label_ratio.training import MODELS, TRIALS, configured
+from foretouch.experiments.label_ratio.training import MODELS, TRIALS, configured, load_scene, split_at
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch.experiments.shared.tables import select
 from foretouch.learning.data.splits import RATIOS
@@ -103,7 +102,7 @@ def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps) -> None:
         assert (found["pointnet"].batch_size, found["pointnet"].epochs) == (32, 50)
         assert (found["srgan"].batch_size, found["srgan"].epochs) == (10, 30)
         loss = found["srgan"].loss
-        assert loss.reading == loss_variant
+        assert loss.loss_variant == loss_variant
         weights = (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake, loss.gradient_penalty)
         assert weights == (1.0, 10.0, 0.1, 0.0)
 

@@ -8,8 +8,7 @@ import pytest
 import torch
 from every_case import every_case
 
-from foretouch.experiments.label_ratio.data import PresampledSet
-from foretouch.experiments.label_ratio.training import PointnetTrainer, configured
+from foretouch.experiments.label_ratio.training import PointnetTrainer, PresampledSet, configured
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import GeneratorConfig

@@ -9,7 +9,7 @@ from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_electrodes, _draw_front, save_touch_picture
+from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_front, _Scale, save_touch_picture
 from foretouch.types import Plane, Touch, TouchPrediction
 
 
@@ -110,10 +110,13 @@ def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None
     assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
 
 
-def test_colours_are_the_levels_within_the_limits() -> None:
+def test_colours_are_the_drops_from_rest_within_the_limits_of_the_page(sample) -> None:
+    _, prediction, tare = sample
     axes = Figure().add_subplot()
-    levels = np.linspace(100.0, 600.0, 24)
-    _draw_electrodes(axes, levels, tared=True, colour="red", limits=(0.0, 700.0))
-    dots = axes.collections[0]
-    np.testing.assert_array_equal(dots.get_array(), levels)
-    assert dots.get_clim() == (0.0, 700.0)
+    far = Touch.from_vector(prediction.value.vector() - 500.0)
+    scale = _Scale([(prediction.value, tare), (far, tare)])
+    scale.draw(axes, prediction.value, tare, "TH")
+    np.testing.assert_array_equal(axes.collections[0].get_array(), tare.e_th - prediction.value.e_th)
+    drops = np.concatenate([tare.e_th - touch.e_th for touch in (prediction.value, far)])
+    drops = np.concatenate([drops, *(tare.e_mf - touch.e_mf for touch in (prediction.value, far))])
+    assert axes.collections[0].get_clim() == (drops.min(), drops.max())

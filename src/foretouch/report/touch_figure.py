@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw grasps: the scene, the object with its contacts, and both fingertips with their electrodes.
 
-`save_touch_picture` draws predictions beside what was read, `save_contact_sheet` many labelled samples on one page. All electrodes
-of a page have one scale of colours.
+`save_touch_picture` draws predictions beside what was read, `save_contact_sheet` many labelled samples on one page.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,29 +44,27 @@ class DrawnGrasp:
 
 
 def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
-    """Write one PNG with a row for each grasp: scene, object with its contacts, electrodes predicted and read, and how they agree.
+    """Write one PNG with a row for each grasp: scene, contacts, electrodes predicted and read, and how they agree.
 
     Args:
         path: Path of the file; its folder is created.
         grasps: One or more.
-
-    Returns:
-        The path.
     """
-    rows = [_columns(one) for one in grasps]
-    most = max(map(len, rows))
-    figure = new_figure(7.2 + 2.5 * most, _ROW_INCHES * len(grasps) + 0.2)
-    tared = all(one.rest is not None for one in grasps)
-    limits = _limits(
+    # Finger, `predicted` or `read`, and touch of each panel of electrodes; those of a finger are side by side.
+    rows = [
         [
-            electrode_levels(touch, one.rest if tared else None, name)
-            for one, row in zip(grasps, rows, strict=True)
-            for name, _, touch in row
+            (name, *one)
+            for name in _FINGER_COLOURS
+            for one in (("predicted", grasp.prediction.value), ("read", grasp.read))
         ]
-    )
-    drawn: Any = None
+        for grasp in grasps
+    ]
+    panels = [[(name, what, touch) for name, what, touch in row if touch is not None] for row in rows]
+    most = max(map(len, panels))
+    figure = new_figure(7.2 + 2.5 * most, _ROW_INCHES * len(grasps) + 0.2)
+    scale = _Scale([(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
     parts = np.atleast_1d(np.asarray(figure.subfigures(len(grasps), 1, hspace=0.02)))
-    for part, one, row in zip(parts, grasps, rows, strict=True):
+    for part, one, row in zip(parts, grasps, panels, strict=True):
         part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=11)
         axes = part.subplots(1, 2 + most, squeeze=False, width_ratios=[1.5, 1.3] + [1.0] * most)[0]
         _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
@@ -73,12 +72,21 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
         for panel in axes[2 + len(row) :]:
             panel.set_axis_off()
         for panel, (name, what, touch) in zip(axes[2:], row, strict=False):
-            levels = electrode_levels(touch, one.rest if tared else None, name)
-            drawn = _draw_electrodes(panel, levels, tared=tared, colour=_FINGER_COLOURS[name], limits=limits)
-            panel.set_title(_finger_title(one.prediction, name, what, touch), color=_FINGER_COLOURS[name], fontsize=10)
-        if drawn is not None and row:
-            _add_scale(part, drawn, list(axes[2 : 2 + len(row)]), tared=tared)
+            scale.draw(panel, touch, one.rest, name)
+            half = _half_width(one.prediction, name) if what == "predicted" else ""
+            title = f"{FINGER_NAMES[name]} {what}\nPDC {finger_parts(touch, name)[0]:.0f}{half}"
+            panel.set_title(title, color=_FINGER_COLOURS[name], fontsize=10)
+        if row:
+            scale.add_to(part, list(axes[2 : 2 + len(row)]))
     return save(figure, Path(path))
+
+
+def _half_width(prediction: TouchPrediction, name: str) -> str:
+    """Half width of the interval of one finger's pressure [counts]; "" without a calibration."""
+    if prediction.lower is None or prediction.upper is None:
+        return ""
+    low, high = (finger_parts(touch, name)[0] for touch in (prediction.lower, prediction.upper))
+    return f" ± {(high - low) / 2.0:.0f}"
 
 
 def _agreement(one: DrawnGrasp) -> str:
@@ -89,24 +97,24 @@ def _agreement(one: DrawnGrasp) -> str:
     if read is None:
         return ""
     difference = np.abs(value.vector() - read.vector())
-    text = f"Predicted and read differ by {difference[0]:.0f} (thumb) and {difference[1]:.0f} (middle finger) counts of pressure, "
-    text += f"and by {difference[2:].mean():.0f} counts an electrode"
+    text = (
+        f"Predicted and read differ by {difference[0]:.0f} (thumb) and {difference[1]:.0f} (middle finger) counts of "
+    )
+    text += f"pressure, and by {difference[2:].mean():.0f} counts an electrode"
     if one.prediction.lower is None or one.prediction.upper is None:
         return f"{text}."
     inside = (read.vector() >= one.prediction.lower.vector()) & (read.vector() <= one.prediction.upper.vector())
-    return f"{text}; within their 90 % intervals: {inside[:2].sum()} of 2 pressures, {inside[2:].sum()} of {inside[2:].size} electrodes."
+    of = f"{inside[:2].sum()} of 2 pressures, {inside[2:].sum()} of {inside[2:].size} electrodes"
+    return f"{text}; within their 90 % intervals: {of}."
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
-    """Write one PNG with the clouds, contacts and readings of labelled samples.
+    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers.
 
     Args:
         path: Path of the file; its folder is created.
-        samples: Samples in order; an unlabelled one is drawn without fingers.
-        title: Title of the figure.
-
-    Returns:
-        The path.
+        samples: In order.
+        title: Of the figure.
     """
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
     figure = new_figure(7.6 * _SHEET_COLUMNS, _SHEET_ROW_INCHES * rows + _SHEET_HEAD_INCHES)
@@ -114,62 +122,67 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
     grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
     for axes in grid.flat:
         axes.set_axis_off()
-    touches = [(sample.touch, sample.tare) for sample in samples if sample.touch is not None]
-    tared = all(tare is not None for _, tare in touches)
-    limits = _limits(
-        [electrode_levels(touch, tare if tared else None, name) for touch, tare in touches for name in _FINGER_COLOURS]
-    )
-    drawn: Any = None
-    for k, sample in enumerate(samples):
-        row, column = divmod(k, _SHEET_COLUMNS)
-        panels = list(grid[row, 3 * column : 3 * column + 3])
-        drawn = _draw_sample(panels, sample, limits, tared=tared) or drawn
-    if drawn is not None:
-        _add_scale(figure, drawn, list(grid.flat), tared=tared)
+    scale = _Scale([(one.touch, one.tare) for one in samples if one.touch is not None for _ in _FINGER_COLOURS])
+    for front, sample in zip(grid.reshape(-1, 3), samples, strict=False):
+        _draw_sample(list(front), sample, scale)
+    if scale.drawn is not None:
+        scale.add_to(figure, list(grid.flat))
     return save(figure, Path(path), _SHEET_DPI)
 
 
-def _draw_sample(panels: Sequence[Axes], sample: GraspSample, limits: tuple[float, float], *, tared: bool) -> Any:
-    """Draw object and fingers of a sample; returns what the scale belongs to, None for an unlabelled sample."""
+def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> None:
+    """Draw object and fingers of a sample."""
     front, *fingers = panels
     front.set_axis_on()
     _draw_front(front, sample.cloud, sample.grasp)
     front.set_title(f"{sample.id}, {1e3 * sample.grasp.width_m:.0f} mm", fontsize=9)
     if sample.touch is None:
-        return None
-    drawn: Any = None
+        return
     for axes, (name, colour) in zip(fingers, _FINGER_COLOURS.items(), strict=True):
         axes.set_axis_on()
-        levels = electrode_levels(sample.touch, sample.tare if tared else None, name)
-        drawn = _draw_electrodes(axes, levels, tared=tared, colour=colour, limits=limits, size=110)
+        scale.draw(axes, sample.touch, sample.tare, name, size=110)
         force = sample.extra.get(f"force_{name.lower()}_n")
         suffix = "" if force is None else f", {force:.1f} N"
         pdc, _ = finger_parts(sample.touch, name)
         axes.set_title(f"{FINGER_NAMES[name]}\nPDC {pdc:.0f}{suffix}", fontsize=9, color=colour)
-    return drawn
 
 
-def _columns(one: DrawnGrasp) -> list[tuple[str, str, Touch]]:
-    """Finger, `predicted` or `read`, and the touch of each panel of electrodes; those of a finger are side by side."""
-    rows = (("predicted", one.prediction.value), ("read", one.read))
-    return [(name, what, touch) for name in _FINGER_COLOURS for what, touch in rows if touch is not None]
+class _Scale:
+    """Draws electrodes, all of a page by one scale of colours: their drop from rest where all touches have one.
 
+    Args:
+        touches: Of the page, with their rest.
+    """
 
-def _finger_title(prediction: TouchPrediction, name: str, what: str, touch: Touch) -> str:
-    pdc, _ = finger_parts(touch, name)
-    half = _half_width(prediction, name) if what == "predicted" else None
-    return f"{FINGER_NAMES[name]} {what}\nPDC {pdc:.0f}{'' if half is None else f' ± {half:.0f}'}"
+    def __init__(self, touches: Sequence[tuple[Touch, Touch | None]]) -> None:
+        self._tared = all(rest is not None for _, rest in touches)
+        levels = [self._levels(*one, name) for one in touches for name in _FINGER_COLOURS]
+        self.limits = (float(np.min(levels)), float(np.max(levels))) if levels else (0.0, 1.0)
+        self.drawn: Any = None  # what a bar of colours is made for
 
+    def _levels(self, touch: Touch, rest: Touch | None, name: str) -> Float64:
+        return electrode_levels(touch, rest if self._tared else None, name)
 
-def _half_width(prediction: TouchPrediction, name: str) -> float | None:
-    """Half width of the interval of one finger's pressure [counts]; None without a calibration."""
-    if prediction.lower is None or prediction.upper is None:
-        return None
-    return (finger_parts(prediction.upper, name)[0] - finger_parts(prediction.lower, name)[0]) / 2.0
+    def draw(self, axes: Axes, touch: Touch, rest: Touch | None, name: str, size: float = 150) -> None:
+        """Draw the 24 electrodes of one fingertip, unrolled from the core; size: of a dot [points squared]."""
+        levels, (low, high) = self._levels(touch, rest, name), self.limits
+        x, y, z = 1e3 * electrode_positions().T
+        around = np.degrees(np.arctan2(y, -z))
+        colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
+        style: dict[str, Any] = {"vmin": low, "vmax": high, "edgecolors": _FINGER_COLOURS[name]}
+        self.drawn = axes.scatter(around, x, s=size, c=levels, cmap=colours, **style)
+        for k, (angle, along, value) in enumerate(zip(around, x, levels, strict=True), 1):
+            ink = "white" if value > (low + high) / 2.0 else "black"
+            axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color=ink)
+        axes.set_xlabel("around the core [°]", fontsize=8)
+        axes.set_ylabel("along the finger [mm]", fontsize=8)
+        axes.tick_params(labelsize=8)
+        axes.margins(0.15)
 
-
-def _limits(levels: Sequence[Float64]) -> tuple[float, float]:
-    return (float(np.min(levels)), float(np.max(levels))) if levels else (0.0, 1.0)
+    def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes]) -> None:
+        """Add the bar of colours below some axes."""
+        label = "drop of an electrode from rest [counts]" if self._tared else "electrode [counts]"
+        figure.colorbar(self.drawn, ax=axes, location="bottom", label=label, shrink=0.5, aspect=50)
 
 
 def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
@@ -224,50 +237,8 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 
 
-def _draw_electrodes(
-    axes: Axes,
-    levels: Float64,
-    *,
-    tared: bool,
-    colour: str,
-    limits: tuple[float, float] | None = None,
-    size: float = 150,
-) -> Any:
-    """Draw the 24 electrodes of one fingertip, unrolled from the core.
-
-    Args:
-        axes: The axes.
-        levels: (24,) counts, or their drop from rest.
-        tared: Whether they are drops.
-        colour: Colour of the outlines.
-        limits: Limits of the colour scale [counts]; None for those of the values.
-        size: Area of a dot [points squared].
-
-    Returns:
-        What a scale of colours is made for.
-    """
-    x, y, z = 1e3 * electrode_positions().T
-    around = np.degrees(np.arctan2(y, -z))
-    low, high = limits or (float(levels.min()), float(levels.max()))
-    colours = "magma_r" if tared else "viridis_r"  # both dark at the high end
-    drawn = axes.scatter(around, x, s=size, c=levels, cmap=colours, vmin=low, vmax=high, edgecolors=colour)
-    for k, (angle, along, value) in enumerate(zip(around, x, levels, strict=True), 1):
-        ink = "white" if value > (low + high) / 2.0 else "black"
-        axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color=ink)
-    axes.set_xlabel("around the core [°]", fontsize=8)
-    axes.set_ylabel("along the finger [mm]", fontsize=8)
-    axes.tick_params(labelsize=8)
-    axes.margins(0.15)
-    return drawn
-
-
-def _add_scale(figure: Figure | SubFigure, drawn: Any, axes: Sequence[Axes], *, tared: bool) -> None:
-    label = "drop of an electrode from rest [counts]" if tared else "electrode [counts]"
-    figure.colorbar(drawn, ax=axes, location="bottom", label=label, shrink=0.5, aspect=50)
-
-
 def _around(places: Any, size: int) -> tuple[float, float]:
-    """First and last row or column of what is shown of an image: the target, and as much as it again on each side twice."""
+    """First and last row or column of what is shown of an image: the target, and twice as much on each side."""
     low, high = float(places.min()), float(places.max())
     margin = 2.0 * (high - low)
     return max(low - margin, 0.0), min(high + margin, size - 1.0)

@@ -6,8 +6,7 @@ and with both, all scored on the same grasps. And the model without one of its c
 on those objects, and on the real grasps in random folds, in blocks of time, on objects left out, and after touches of
 these.
 
-A model with other features is fitted separately and only tested before touches, since a new calibration for it would
-take ten to fifteen times as long.
+Variants of the estimator are tested before touches only, and those of the tracker after them.
 """
 
 from __future__ import annotations

@@ -58,17 +58,16 @@ class CellResult:
 def run_cell(job: Job, cell: Cell) -> CellResult:
     """Run one cell; the process keeps the data for the next one."""
     start = time.process_time()
+    rows, error = None, ""
     try:
         experiment, settings, data = _loaded(job)
         start = time.process_time()  # reading the data does not count
         rows = experiment.run(cell, settings, data)
     except ForetouchError as err:
-        return CellResult(cell, None, str(err), time.process_time() - start)
+        error = str(err)
     except Exception as err:  # noqa: BLE001 - a defect in one cell must not end the sweep; it is reported
-        return CellResult(
-            cell, None, f"{type(err).__name__}: {' '.join(str(err).split())}", time.process_time() - start
-        )
-    return CellResult(cell, rows, "", time.process_time() - start)
+        error = f"{type(err).__name__}: {' '.join(str(err).split())}"
+    return CellResult(cell, rows, error, time.process_time() - start)
 
 
 @lru_cache(maxsize=1)

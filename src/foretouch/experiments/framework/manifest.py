@@ -12,7 +12,6 @@ is written again.
 
 import csv
 import datetime as dt
-import importlib.metadata
 import io
 import json
 import os
@@ -21,6 +20,9 @@ import re
 import shlex
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,7 +41,6 @@ SUMMARY_FILE: Final = "summary.md"
 _CELLS: Final = "cells"
 _KEY: Final = re.compile(r"[\w.+-]{1,200}")
 _LIBRARIES: Final = ("numpy", "scipy", "scikit-learn", "torch", "ray")
-_FIXED: Final = ("experiment", "settings", "data")
 
 
 def environment(workers: int, address: str | None) -> dict[str, Any]:
@@ -49,7 +50,7 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
         "foretouch": __version__,
         "git": _git_commit(),
         "python": platform.python_version(),
-        "libraries": {name: version for name in _LIBRARIES if (version := _version(name))},
+        "libraries": {name: version(name) for name in _LIBRARIES if find_spec(name.replace("scikit-learn", "sklearn"))},
         "platform": platform.platform(),
         "cpu": cpu_name(),
         "cores": len(os.sched_getaffinity(0)),
@@ -84,16 +85,9 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable:
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_manifest(file)
-    for name in _FIXED:
-        _require_same(_without(manifest.get(name), resumable), _without(fixed[name], resumable), name, file)
+    _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
     (out / _CELLS).mkdir(exist_ok=True)
     return {**manifest, **fixed}
-
-
-def require_sweep(out: Path) -> None:
-    """Raise a `FileError` for a folder in which no sweep was started."""
-    if not (out / MANIFEST_FILE).exists():
-        raise FileError(out, f"contains no {MANIFEST_FILE}: no sweep was started there")
 
 
 def require_experiment(out: Path, name: str) -> None:
@@ -215,21 +209,18 @@ def _command(manifest: Mapping[str, Any], experiment: Experiment[Any, Any]) -> s
     """Command of a sweep with the settings that differ from those of its preset."""
     preset = manifest.get("preset", "")
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
-    changed = _differences(manifest["settings"], json.loads(json.dumps(base.to_mapping())))
+    usual = _flat(json.loads(json.dumps(base.to_mapping())))
+    changed = {name: value for name, value in _flat(manifest["settings"]).items() if value != usual.get(name)}
     texts = {k: v if isinstance(v, str) else json.dumps(v, separators=(",", ":")) for k, v in changed.items()}
-    quoted = [shlex.quote(f"{name}={text}") for name, text in texts.items()]
-    return " ".join([experiment.command, *([f"--preset {preset}"] if preset else []), *quoted])
+    overrides = [shlex.quote(f"{name}={text}") for name, text in texts.items()]
+    return " ".join([experiment.command, *([f"--preset {preset}"] if preset else []), *overrides])
 
 
-def _differences(values: Any, base: Any, prefix: str = "") -> dict[str, Any]:
-    """Settings that are not those of a base, by dotted name."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict) and isinstance(base.get(name), dict):
-            found |= _differences(value, base[name], f"{prefix}{name}.")
-        elif value != base.get(name):
-            found[prefix + name] = value
-    return found
+def _flat(values: Any, name: str = "") -> dict[str, Any]:
+    """Nested settings by dotted name."""
+    if not isinstance(values, dict):
+        return {name: values}
+    return {key: one for k, v in values.items() for key, one in _flat(v, f"{name}.{k}" if name else k).items()}
 
 
 def _rounded(value: Any) -> Any:
@@ -237,14 +228,12 @@ def _rounded(value: Any) -> Any:
 
 
 def _parsed(text: str | None) -> Any:
-    if not text:
-        return None
+    if text in (None, "", "True", "False"):
+        return text == "True" if text else None
     for kind in (int, float):
-        try:
+        with suppress(ValueError):
             return kind(text)
-        except ValueError:
-            continue
-    return {"True": True, "False": False}.get(text, text)
+    return text
 
 
 def _cell_file(out: Path, cell: Cell) -> Path:
@@ -272,36 +261,23 @@ def _read_manifest(file: Path) -> dict[str, Any]:
     return manifest
 
 
-def _without(value: Any, names: Sequence[str]) -> Any:
-    return {k: v for k, v in value.items() if k not in names} if isinstance(value, dict) else value
-
-
-def _require_same(old: Any, new: Any, name: str, file: Path) -> None:
-    if isinstance(old, dict) and isinstance(new, dict):
-        for key in sorted({*old, *new}):
-            _require_same(old.get(key), new.get(key), f"{name}.{key}", file)
-    elif old != json.loads(json.dumps(new)):
-        raise ConfigError(
-            f"{file}: {name}: {old!r} is not {new!r}; a sweep is resumed with the settings and data that it started with"
-        )
-
-
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+def _require_same(old: Mapping[str, Any], new: Mapping[str, Any], file: Path, resumable: Sequence[str]) -> None:
+    before, now = _flat(old), _flat(json.loads(json.dumps(new)))
+    for name in sorted({*before, *now}):
+        if before.get(name) != now.get(name) and not set(name.split(".")[1:2]) & set(resumable):
+            raise ConfigError(
+                f"{file}: {name}: {before.get(name)!r} is not {now.get(name)!r}; a sweep is resumed with the settings and data "
+                "that it started with"
+            )
 
 
 def _git_commit() -> str | None:
     """Commit of the running source, with `+` if files were changed; None outside of a checkout."""
-    here = Path(__file__).parent
-    try:
-        words = ["git", "-C", str(here), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    with suppress(OSError, subprocess.SubprocessError):
         done = subprocess.run(words, capture_output=True, text=True, timeout=10, check=True)  # noqa: S603 - fixed words
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip() or None
+        return done.stdout.strip() or None
+    return None
 
 
 def _gpus() -> list[str]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the cells of an experiment, store each as it finishes, and build the table of all."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ def run_sweep(
     only_finished: bool = False,
     workers: int = 1,
     address: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda *_: None,
     finishing: Callable[[int, int], None] = lambda *_: None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
@@ -64,7 +64,8 @@ def run_sweep(
         ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
     if only_finished:
-        manifests.require_sweep(out)
+        if not (out / manifests.MANIFEST_FILE).exists():
+            raise FileError(out, f"contains no {manifests.MANIFEST_FILE}: no sweep was started there")
         resume = True
     if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
@@ -87,13 +88,13 @@ def run_sweep(
             manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
             manifests.write_manifest(out, manifest)
         job = Job.make(experiment, plain, path.absolute(), data.sha256)
-        for number, cell_result in enumerate(_run(job, open_cells, workers, address), len(done) + 1):
+        found = in_processes(job, open_cells, workers) if address is None else on_ray(job, open_cells, address, workers)
+        for number, cell_result in enumerate(found if open_cells else (), len(done) + 1):
             if cell_result.rows is None:
                 result.failures[cell_result.cell.key] = cell_result.error
             else:
                 manifests.write_cell(out, cell_result)
-            if progress is not None:
-                progress(cell_result, number, len(cells))
+            progress(cell_result, number, len(cells))
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.finished = len(finished)
         rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
@@ -113,9 +114,3 @@ def _cells(experiment: Experiment[Any, Any], settings: Settings, data: Any) -> l
     if duplicates or not cells:
         raise ConfigError(f"{experiment.name}: cells: " + (f"{min(duplicates)} occurs twice" if duplicates else "none"))
     return cells
-
-
-def _run(job: Job, cells: Sequence[Cell], workers: int, address: str | None) -> Iterator[CellResult]:
-    if not cells:
-        return iter(())
-    return in_processes(job, cells, workers) if address is None else on_ray(job, cells, address, workers)

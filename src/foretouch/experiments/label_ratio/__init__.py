@@ -20,7 +20,6 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.label_ratio import results
-from foretouch.experiments.label_ratio.data import load_scene, prepared, split_at
 from foretouch.experiments.label_ratio.training import (
     AS_PRINTED,
     MODELS,
@@ -28,6 +27,9 @@ from foretouch.experiments.label_ratio.training import (
     configured,
     error_row,
     kind_of,
+    load_scene,
+    prepared,
+    split_at,
     train_and_predict,
 )
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, prepare_simulated

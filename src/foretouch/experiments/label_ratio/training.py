@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training of the two models of `label_ratio`, and the hyperparameters that were tried for each.
+"""Data and training of the two models of `label_ratio`, and the hyperparameters that were tried for each.
 
-One trainer trains both. The PointNet is the SR-GAN with unsupervised weights of zero: the same network from the same
-initial weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same size,
-the same optimiser and number of updates. What remains is the effect of the unlabelled and fake clouds.
+P2's split is `labels`: 200 grasps per object are for testing, and 10 to 90 % of the others lose their labels. To choose
+hyperparameters, some of those that kept their labels are held out: neither test samples nor withheld labels are used.
+
+One trainer trains both models. The PointNet is the SR-GAN with unsupervised weights of zero: the same network from the
+same initial weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same
+size, the same optimiser and number of updates. What remains is the effect of the unlabelled and fake clouds.
 
 Departures from P2, equal for both models, each an option in the settings:
 
@@ -15,35 +18,49 @@ Departures from P2, equal for both models, each an option in the settings:
 - No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
-from foretouch.errors import ConfigError
+from foretouch.cloud.geometry.sampling import UnitSphereFrame
+from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.label_ratio.data import LabelSplit
-from foretouch.learning.data import TrainingSet
+from foretouch.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
+from foretouch.learning.data import Dataset, Indices, TrainingSet
 from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.batch_norm import freeze
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import columns, modality_size
-from foretouch.types import Float64
+from foretouch.types import Float32, Float64, GraspSample
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
 MODELS: Final = (POINTNET, SRGAN)
 
-_SUPERVISED: Final = {"reading": "as_printed", "weight_unlabeled": 0.0, "weight_fake": 0.0, "gradient_penalty": 0.0}
+_SUPERVISED: Final = {
+    "loss_variant": "as_printed",
+    "weight_unlabeled": 0.0,
+    "weight_fake": 0.0,
+    "gradient_penalty": 0.0,
+}
 
 
 def _srgan(matching: float, contrast: float, penalty: float, rate: float = 3e-3, decay: float = 0.0) -> dict[str, Any]:
     loss = {"weight_unlabeled": matching, "weight_fake": contrast, "gradient_penalty": penalty}
-    return {"learning_rate": rate, "weight_decay": decay, "loss": {"reading": "srgan", **loss}}
+    return {"learning_rate": rate, "weight_decay": decay, "loss": {"loss_variant": "srgan", **loss}}
 
 
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
@@ -72,12 +89,104 @@ Their learning rate is 0.003 unless the name contains another one."""
 AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
     SRGAN: {
-        f"P2, {reading}": {"batch_norm": "per_source", "loss": {"reading": reading}}
-        for reading in ("as_printed", "contrast", "srgan")
+        f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
+        for variant in ("as_printed", "contrast", "srgan")
     },
 }
 """P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
 `SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelSplit:
+    """Indices of the samples."""
+
+    train: Indices  # (T,) labelled training samples
+    unlabelled: Indices  # (U,) training samples without labels
+    test: Indices  # (J,) samples to predict: the test samples, or those held out for tuning
+
+
+def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
+    """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
+    data = load_simulated(settings, path)
+    found = data.scene.sha256()
+    if settings.scene_sha256 not in (None, found):
+        raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the frozen scene's")
+    if unlabelled := [sample.id for sample in data.collection.samples if sample.touch is None]:
+        raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
+    return data
+
+
+def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> LabelSplit:
+    """Split the samples at one of P2's ratios, such as 10 for T10.
+
+    With a share `held_out`, this share of the labelled samples is tested on instead of the test samples.
+
+    Raises:
+        DatasetError: If these samples have no such split, or no sample is held out.
+    """
+    (part,) = data.parts(f"labels/T{ratio}")
+    train, test, unlabelled = (data.index(ids) for ids in (part.train, part.test, part.unlabelled))
+    if held_out == 0.0:
+        return LabelSplit(train, unlabelled, test)
+    count = round(held_out * len(train))
+    if count == 0:
+        raise DatasetError(f"held_out: {held_out} of {len(train)} samples is none")
+    shuffled = np.random.default_rng(seed).permutation(train)
+    return LabelSplit(np.sort(shuffled[count:]), unlabelled, np.sort(shuffled[:count]))
+
+
+def prepared(data: SimulatedGrasps, model: ModelConfig, count: int) -> PresampledSet:
+    """All samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
+    return replace(_prepared(data, model.channels, model.metric_inputs, count), config=model)
+
+
+@dataclass(frozen=True, eq=False)
+class PresampledSet(TrainingSet):
+    """A training set whose clouds all have the same number of points, in random order."""
+
+    cached_points: Float32  # (S, P, C) float32
+
+    def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
+        """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
+
+        Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each;
+        two draws may share a run of points.
+        """
+        count = self.config.n_points if n_points is None else n_points
+        size = self.cached_points.shape[1]
+        first = rng.integers(0, size, len(index))
+        chosen: Float32 = self.cached_points[np.asarray(index)[:, None], (first[:, None] + np.arange(count)) % size]
+        return chosen
+
+
+@lru_cache(maxsize=1)
+def _prepared(data: SimulatedGrasps, channels: str, metric_inputs: bool, count: int) -> PresampledSet:
+    config = ModelConfig(channels=channels, metric_inputs=metric_inputs)
+    rng = np.random.default_rng(0)
+    samples = data.collection.samples
+    pairs = [_one(sample, config, count, rng) for sample in samples]
+    clouds = np.stack([points for points, _ in pairs])
+    return PresampledSet(
+        clouds=tuple(clouds),
+        cached_points=clouds,
+        grasps=np.array([grasp for _, grasp in pairs]),
+        labels=np.array([sample.touch.vector() for sample in samples if sample.touch is not None]),
+        lengths=np.zeros((len(samples), 0)),  # only needed in model cards, and no model is kept
+        config=config,
+        ids=tuple(sample.id for sample in samples),
+    )
+
+
+def _one(sample: GraspSample, config: ModelConfig, count: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
+    """Random points of a cloud, with normals and in the unit sphere of the whole cloud; and the grasp."""
+    try:
+        usable = finite_points(sample.cloud, config)
+        frame = UnitSphereFrame.fit(usable.xyz)
+    except CloudError as err:
+        raise DatasetError(f"{sample.id}: {err}") from err
+    index = np.resize(rng.permutation(usable.size), count)  # a smaller cloud repeats some
+    return sample_channels(usable, index, frame, config), prepare_grasps([sample.grasp], frame, config)[0]
 
 
 def kind_of(modality: str) -> str:
@@ -132,17 +241,28 @@ class PointnetTrainer(SrganTrainer):
 def train_and_predict(
     data: TrainingSet, split: LabelSplit, model: str, config: SrganConfig, *, as_printed: bool = False
 ) -> tuple[Float64, int]:
-    """Train a network and predict the test samples; with `as_printed` the PointNet as P2 describes it.
+    """Train a network, with `as_printed` the PointNet as P2 describes it.
 
     Returns:
-        (J, M) predictions [counts], and the number of updates.
+        (J, M) predictions of the test samples [counts], and the number of updates.
 
     Raises:
         DatasetError: If there are fewer samples than a batch takes, or a loss is not finite.
     """
     trainer: SupervisedTrainer | SrganTrainer
     if model == POINTNET and as_printed:
-        trainer = SupervisedTrainer(data, split.train, _supervised(config))
+        shared = (
+            "epochs",
+            "batch_size",
+            "optimiser",
+            "learning_rate",
+            "weight_decay",
+            "schedule",
+            "target_scaling",
+            "seed",
+        )
+        own = TrainConfig(loss="rmse", **{name: getattr(config, name) for name in shared})
+        trainer = SupervisedTrainer(data, split.train, own)
     else:
         kind = PointnetTrainer if model == POINTNET else SrganTrainer
         trainer = kind(data, split.train, split.unlabelled, config)
@@ -151,20 +271,8 @@ def train_and_predict(
     return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
 
 
-def _supervised(config: SrganConfig) -> TrainConfig:
-    """The settings that a supervised training has in common with an SR-GAN's, with P2's RMSE."""
-    names = ("epochs", "batch_size", "optimiser", "learning_rate", "weight_decay", "schedule", "target_scaling", "seed")
-    return TrainConfig(loss="rmse", **{name: getattr(config, name) for name in names})
-
-
 def error_row(data: TrainingSet, split: LabelSplit, predicted: Float64, objects: Sequence[str]) -> Row:
-    """Squared errors of a network and of the training mean for each test sample.
-
-    Args:
-        data: The samples.
-        split: Training and test samples.
-        predicted: (J, M) predictions [counts].
-        objects: (J,) objects of the test samples.
+    """Squared errors of (J, M) predictions and of the training mean, for each test sample of the (J,) objects.
 
     Returns:
         By object, in order of the samples, both means over the modality's values [counts²].
@@ -174,13 +282,9 @@ def error_row(data: TrainingSet, split: LabelSplit, predicted: Float64, objects:
     mean = data.labels[np.ix_(split.train, index)].mean(axis=0)
     squared, reference = (((guess - actual) ** 2).mean(axis=1) for guess in (predicted, mean))
     names = np.array(objects)
-    return {
-        "labelled": len(split.train),
-        "objects": {
-            str(name): {
-                "squared": squared[names == name].round(3).tolist(),
-                "reference": reference[names == name].round(3).tolist(),
-            }
-            for name in np.unique(names)
-        },
+    both = {"squared": squared, "reference": reference}
+    found = {
+        str(name): {what: values[names == name].round(3).tolist() for what, values in both.items()}
+        for name in np.unique(names)
     }
+    return {"labelled": len(split.train), "objects": found}
