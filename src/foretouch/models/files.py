@@ -8,7 +8,7 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -117,11 +117,11 @@ class TensorRecord:
         Raises:
             ModelError: Names the array that is missing, or breaks a rule of `_check`.
         """
-        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
-        for name in names:
-            if name not in tensors:
-                raise ModelError(f"{name}: is missing")
-        record = cls(**{name: tensors[name] for name in names})
+        known = fields(cls)  # type: ignore[arg-type]
+        for one in known:
+            if one.name not in tensors and one.default_factory is MISSING:
+                raise ModelError(f"{one.name}: is missing")
+        record = cls(**{one.name: tensors[one.name] for one in known if one.name in tensors})
         record._check()
         return record
 

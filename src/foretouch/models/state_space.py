@@ -1,32 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear Gaussian model of what a reading differs from its prediction by, and its parameters.
 
-    reading - prediction by sight = slow state of the sensor + fast state + object + noise of the grasp        (1)
+    reading - prediction by sight = slow state of the sensor + fast state + object + slope · x + noise of the grasp   (1)
 
 The two states are Ornstein-Uhlenbeck processes: they drift, and revert to zero over a time constant (days for the slow
 one, an hour for the fast one) [Uhlenbeck and Ornstein 1930]. The object's part is constant while the same object is
 touched. A tare observes the slow state alone: the fast one, which single electrodes have on their own and by much more
 than a resting sensor's noise, is taken for how hand and object lie, as the simulator takes it. (The public recordings have
 no tare to decide this. Where tares were observed that do not read it, a filter whose tares read both states kept nothing
-of it.) In the coordinates of a fixed basis in which all four
-covariances are diagonal, (1) falls apart into 50 independent filters of three numbers each [Kalman 1960], so that a
-reading and a prediction cost the same however many were before.
+of it.) x is the temperature of the finger, its TDC minus the first one of the history, and the slope of each value
+over it is estimated with the rest; without TDC that term is left out, to the bit. In the coordinates of a fixed basis in
+which all covariances are diagonal, (1) falls apart into 50 independent filters of four numbers each [Kalman 1960], so
+that a reading and a prediction cost the same however many were before.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, field
 from typing import Final, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.tactile import MODALITIES
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 FINGERS: Final = ("TH", "MF")
 """Thumb and middle finger."""
+
+FINGER_OF_VALUE: Final = np.array([name.endswith("MF") for name in MODALITIES for _ in columns([name])], np.intp)
+"""(50,) index in `FINGERS` of each value of a reading."""
 
 NEW, KNOWN = 0, 1
 """Rows of the arrays that differ between objects out of the training distribution and in it."""
@@ -47,6 +53,7 @@ _SHAPES: Final = {
     **dict.fromkeys(("object", "noise", "difference_shrinkage"), (2, TOUCH_SIZE)),
     "factor": (len(MODALITIES),),
     "alarm": (len(FINGERS), 2),
+    **dict.fromkeys(("slope", "slope_sd"), (TOUCH_SIZE,)),
 }
 _BOUNDS: Final = {  # inclusive
     "slow": (0.0, 1e6),
@@ -60,10 +67,16 @@ _BOUNDS: Final = {  # inclusive
     "factor": (0.1, 100.0),
     "alarm": (1e-3, 1e6),
     "basis": (-1e6, 1e6),
+    "slope": (-10.0, 10.0),
+    "slope_sd": (0.0, 10.0),
 }
 _TOUCHES: Final = (1, 10, 100, 1000)
 _MAX_GAIN: Final = 10.0  # as of the calibration: counts per count of the largest residual
 _MAX_CONDITION: Final = 1e6  # of the basis, its rows scaled to length 1
+
+
+def _no_slope() -> Float64:
+    return np.zeros(TOUCH_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +101,8 @@ class TrackerParameters(TensorRecord):
         Float64  # (4,) by modality: half width of a 90 % interval over the predicted deviation, before it is adapted
     )
     alarm: Float64  # (2, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
+    slope: Float64 = field(default_factory=_no_slope)  # (50,) expected counts per count of TDC, by value
+    slope_sd: Float64 = field(default_factory=_no_slope)  # (50,) standard deviation of the slopes between sensors
 
     @classmethod
     def from_calibration(
@@ -130,6 +145,25 @@ class TrackerParameters(TensorRecord):
             alarm=np.tile(_ALARM, (len(FINGERS), 1)),
         )
 
+    @property
+    def thermal(self) -> bool:
+        """Whether readings depend on the temperature."""
+        return bool(self.slope.any() or self.slope_sd.any())
+
+    def slopes(self) -> Float64:
+        """(2, 50) mean and variance of the slopes of the coordinates of the basis."""
+        inverse = np.linalg.inv(self.basis)
+        return np.array([inverse @ self.slope, inverse**2 @ self.slope_sd**2])
+
+    def finger_of(self) -> npt.NDArray[np.intp]:
+        """(50,) index in `FINGERS` of the values that each coordinate of the basis changes most."""
+        return np.asarray(FINGER_OF_VALUE[np.argmax(np.abs(self.basis), axis=0)], np.intp)
+
+    def _keeps_fingers_apart(self) -> bool:
+        other = FINGER_OF_VALUE[:, None] != self.finger_of()
+        largest = np.abs(self.basis).max(axis=0)
+        return bool((np.abs(self.basis) * other <= 1e-9 * largest).all())
+
     def _check(self) -> None:
         for name, shape in _SHAPES.items():
             array, (low, high) = getattr(self, name), _BOUNDS[name]
@@ -141,6 +175,8 @@ class TrackerParameters(TensorRecord):
         if not (length > 0.0).all() or not np.linalg.cond(self.basis / length[:, None]) < _MAX_CONDITION:
             raise ModelError(f"basis: is singular, or its condition exceeds {_MAX_CONDITION:g}")
         inverse = np.linalg.inv(self.basis)
+        if self.thermal and not self._keeps_fingers_apart():
+            raise ModelError("slope: the basis mixes values of both fingers, whose temperatures differ")
         for row in (NEW, KNOWN):
             total = self.slow + self.fast + self.object[row]
             for count in _TOUCHES:
@@ -151,29 +187,31 @@ class TrackerParameters(TensorRecord):
 
 
 class StateFilter:
-    """K independent Kalman filters of (1): slow state, fast state and object's part of each coordinate.
+    """K independent Kalman filters of (1): slow state, fast state, object's part and slope of each coordinate.
 
     Args:
-        prior: (3, K) variances of the parts before any reading.
+        prior: (3, K) variances of slow state, fast state and object before any reading.
         times_s: (2, K) time constants of the two states [s].
+        slope: (2, K) mean and variance of the slopes over x before any reading; zeros by default.
 
     Attributes:
-        mean: (3, K) of the parts.
-        covariance: (3, 3, K) of the parts.
+        mean: (4, K) of the parts.
+        covariance: (4, 4, K) of the parts.
     """
 
-    def __init__(self, prior: Float64, times_s: Float64) -> None:
-        self.prior = prior
+    def __init__(self, prior: Float64, times_s: Float64, slope: Float64 | None = None) -> None:
+        slope = np.zeros((2, prior.shape[1])) if slope is None else slope
+        self.prior = np.concatenate([prior, slope[1:]])
         self.times_s = times_s
-        self.mean = np.zeros_like(prior)
-        self.covariance = np.zeros((3, *prior.shape))
+        self._slope = slope[0]
+        self.mean = np.zeros_like(self.prior)
+        self.covariance = np.zeros((4, *self.prior.shape))
         self.restart(np.arange(prior.shape[1]))
 
     def copy(self) -> StateFilter:
         """An independent filter in the same state."""
-        twin = StateFilter.__new__(StateFilter)
-        twin.prior, twin.times_s = self.prior.copy(), self.times_s
-        twin.mean, twin.covariance = self.mean.copy(), self.covariance.copy()
+        twin = copy.copy(self)
+        twin.prior, twin.mean, twin.covariance = self.prior.copy(), self.mean.copy(), self.covariance.copy()
         return twin
 
     def advance(self, seconds: float) -> None:
@@ -198,19 +236,31 @@ class StateFilter:
 
     def restart(self, chosen: np.ndarray) -> None:
         """Forget everything about some coordinates, given by their indices or a (K,) mask."""
-        self.mean[:, chosen] = 0.0
+        self.mean[:3, chosen] = 0.0
+        self.mean[3, chosen] = self._slope[chosen]
         self.covariance[:, :, chosen] = 0.0
-        for part in range(3):
+        for part in range(4):
             self.covariance[part, part, chosen] = self.prior[part, chosen]
 
-    def predicted(self, parts: int = 3) -> tuple[Float64, Float64]:
-        """(K,) mean and variance of the sum of the parts; with `parts` 1, of the slow state alone."""
-        return self.mean[:parts].sum(axis=0), self.covariance[:parts, :parts].sum(axis=(0, 1))
+    def predicted(self, parts: int = 3, x: Float64 | None = None) -> tuple[Float64, Float64]:
+        """(K,) mean and variance of the sum of the parts, with (K,) x also of the slope times x.
 
-    def observe(self, value: Float64, noise: Float64, parts: int = 3) -> None:
-        """Add (K,) observations of the sum of the parts with (K,) variances; infinite ones are of no effect."""
-        mean, variance = self.predicted(parts)
+        Args:
+            parts: 3 of them, or 1: the slow state alone.
+            x: (K,) change of the temperature since the first reading [counts]; None leaves the slope out.
+        """
+        mean, variance = self.mean[:parts].sum(axis=0), self.covariance[:parts, :parts].sum(axis=(0, 1))
+        if x is not None:
+            mean = mean + self.mean[3] * x
+            variance = variance + x * (2.0 * self.covariance[3, :parts].sum(axis=0) + x * self.covariance[3, 3])
+        return mean, variance
+
+    def observe(self, value: Float64, noise: Float64, parts: int = 3, x: Float64 | None = None) -> None:
+        """Add (K,) observations of what `predicted` predicts, with (K,) variances; infinite ones are of no effect."""
+        mean, variance = self.predicted(parts, x)
         cross = self.covariance[:, :parts].sum(axis=1)
+        if x is not None:
+            cross = cross + x * self.covariance[:, 3]
         total = variance + noise
         self.mean += cross * ((value - mean) / total)
         self.covariance -= cross[:, None] * (cross / total)

@@ -19,6 +19,11 @@ learned about it is forgotten. So a finger without fault is restarted at most on
 independent. The first touch of an object has limits four times as high, since there a jump cannot be separated from an
 unusual object. A tare, which is the median of many readings, restarts a finger at once; its limit of the squared mean is
 that of one standard Gaussian variable at least, since what drifts may be common to all values of a finger.
+
+Temperature. Electrodes follow the temperature of their finger, which TDC measures. Where the parameters have slopes, a
+reading with TDC is explained by its difference from the first TDC of the history, too; a prediction takes the latest
+one. TDC that is absent, zero or saturated is left out, finger by finger. A jump that no finger's temperature makes, as
+after a power cycle, moves the reference.
 """
 
 from __future__ import annotations
@@ -52,6 +57,12 @@ _FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first 
 _LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
 _AHEAD_NS: Final = 60 * 10**9
 _LEAP_NS: Final = 10 * 365 * 86400 * 10**9  # no sensor is stored for longer
+_JUMP_COUNTS: Final = (
+    150.0,
+    2.0,
+    800.0,
+)  # TDC at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
+_MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 _MOST_COUNTS: Final = 10.0 * FULL_SCALE  # of a prediction, which may leave the range of readings
 
 
@@ -89,6 +100,10 @@ class SensorTracker:
 
     Args:
         parameters: Of the model that predicts by sight.
+
+    Attributes:
+        tdc_readings: Readings with the temperature of a finger at least.
+        tdc_jumps: How often the temperature of a finger jumped, as after a power cycle.
     """
 
     def __init__(self, parameters: TrackerParameters) -> None:
@@ -99,7 +114,12 @@ class SensorTracker:
         used = np.abs(parameters.basis) > 1e-9 * largest[:, None]
         self._coordinates = {name: used[values].any(axis=0) for name, values in _VALUES_OF.items()}
         prior = np.array([parameters.slow, parameters.fast, parameters.object[NEW]])
-        self._filter = StateFilter(prior, np.array([parameters.slow_time_s, parameters.fast_time_s]))
+        times_s = np.array([parameters.slow_time_s, parameters.fast_time_s])
+        self._filter = StateFilter(prior, times_s, parameters.slopes() if parameters.thermal else None)
+        self._finger = parameters.finger_of()
+        self._tdc = np.full((2, len(FINGERS)), np.nan)  # reference and latest, as far as one was read
+        self._tdc_ns = -1
+        self.tdc_readings = self.tdc_jumps = 0
         self._kind = NEW
         self._suspect = np.zeros(len(FINGERS), np.bool_)
         self._first_log_factor = self._log_factor = np.log(parameters.factor)
@@ -124,13 +144,16 @@ class SensorTracker:
         """Touches of the current object."""
         return self._touches
 
-    def add_tare(self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None) -> tuple[str, ...]:
+    def add_tare(
+        self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None, tdc: Float64 | None = None
+    ) -> tuple[str, ...]:
         """Add a tare.
 
         Args:
             stamp_ns: When it was taken [ns].
             offset: (50,) tare minus rest level of the model [counts].
             now_ns: Wall clock [ns]; a stamp more than 60 s ahead of it is refused. None: not checked.
+            tdc: (2,) TDC of thumb and middle finger [counts]; NaN or None where it was not read.
 
         Returns:
             Names from `FINGERS` that the innovation test restarted.
@@ -141,18 +164,25 @@ class SensorTracker:
         _check_counts("tare", offset)
         stamp = self._checked_stamp(stamp_ns, now_ns)
         self._filter.advance(self._seconds_to(stamp))
-        mean, variance = self._filter.predicted(parts=1)
+        x = self._add_tdc(tdc, stamp)
+        mean, variance = self._filter.predicted(parts=1, x=x)
         variance = variance + self.parameters.tare_noise
         limits = np.maximum(self.parameters.alarm, [0.0, _COMMON_JUMP])
         failed = self._failed(offset - self.parameters.basis @ mean, variance, limits)
         self._restart(failed)
-        self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1)
+        self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1, x=x)
         self._newest_ns, self._readings = stamp, self._readings + 1
         self._revision += 1
         return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
 
     def add_touch(
-        self, stamp_ns: int, reading: Float64, expected: Float64, *, now_ns: int | None = None
+        self,
+        stamp_ns: int,
+        reading: Float64,
+        expected: Float64,
+        *,
+        now_ns: int | None = None,
+        tdc: Float64 | None = None,
     ) -> tuple[str, ...]:
         """Add the reading of a grasp on the current object.
 
@@ -161,6 +191,7 @@ class SensorTracker:
             reading: (50,) [counts].
             expected: (50,) prediction by sight of the same grasp [counts].
             now_ns: As of `add_tare`.
+            tdc: As of `add_tare`.
 
         Returns:
             Names from `FINGERS` that the innovation test restarted.
@@ -173,9 +204,10 @@ class SensorTracker:
         stamp = self._checked_stamp(stamp_ns, now_ns)
         self._filter.advance(self._seconds_to(stamp))
         self._newest_ns = stamp
+        x = self._add_tdc(tdc, stamp)
         counts, half = self.predict(stamp, expected[None])
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
-        mean, variance = self._filter.predicted()
+        mean, variance = self._filter.predicted(x=x)
         noise = self.parameters.noise[self._kind]
         limits = self.parameters.alarm * (1.0 if self._touches else _FIRST_TOUCH)
         failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, limits)
@@ -183,7 +215,7 @@ class SensorTracker:
         self._restart(restarted)
         self._suspect = failed & ~restarted
         noise = np.where(self._coordinates_of(self._suspect), np.inf, noise)
-        self._filter.observe(self._inverse @ (reading - expected), noise)
+        self._filter.observe(self._inverse @ (reading - expected), noise, x=x)
         self._expected = self._expected + expected
         self._object_ns = stamp
         self._readings, self._touches = self._readings + 1, self._touches + 1
@@ -203,20 +235,23 @@ class SensorTracker:
         self._touches, self._object_ns = 0, -1
         self._revision += 1
 
-    def level(self, stamp_ns: int, *, same_object: bool = True, known: bool = False) -> Level:
+    def level(
+        self, stamp_ns: int, *, same_object: bool = True, known: bool = False, tdc: Float64 | None = None
+    ) -> Level:
         """Offset of readings from predictions by sight at a time; a stamp before the newest reading counts as that.
 
         Args:
             stamp_ns: Time of the prediction [ns].
             same_object: Whether it is for the current object, else for one that was not touched.
             known: Of another object, as of `start_object`.
+            tdc: (2,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
         kind = self._kind if same_object else (KNOWN if known else NEW)
         at = self._filter.copy()
         at.advance(self._seconds_to(stamp_ns))
         if not same_object:
             at.start_object(self.parameters.object[kind])
-        mean, variance = at.predicted()
+        mean, variance = at.predicted(x=self._temperature(self._latest(tdc)))
         return Level(
             offset=np.asarray(self.parameters.basis @ mean, np.float64),
             variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
@@ -224,6 +259,32 @@ class SensorTracker:
             kind=kind,
             evidence=self.evidence(stamp_ns, same_object=same_object),
         )
+
+    def _latest(self, tdc: Float64 | None) -> Float64:
+        """(2,) TDC where it was read now, else the latest one; NaN without any."""
+        return self._tdc[1] if tdc is None else np.where((tdc > 0.0) & (tdc < FULL_SCALE), tdc, self._tdc[1])
+
+    def _temperature(self, latest: Float64) -> Float64 | None:
+        """(50,) difference of the temperature of each coordinate's finger from its first one; None without slopes or TDC."""
+        change = latest - self._tdc[0]
+        if not self.parameters.thermal or np.isnan(change).all():
+            return None
+        return np.asarray(np.nan_to_num(change)[self._finger], np.float64)
+
+    def _add_tdc(self, tdc: Float64 | None, stamp_ns: int) -> Float64 | None:
+        """Take note of the temperature of a reading; (50,) as `_temperature`."""
+        if tdc is None or not self.parameters.thermal:
+            return self._temperature(self._tdc[1])
+        latest = self._latest(tdc)
+        at_once, each_second, most = _JUMP_COUNTS
+        limit = min(most, at_once + each_second * max(0, stamp_ns - self._tdc_ns) / 1e9)
+        jumped = np.abs(latest - self._tdc[1]) > limit  # not where there was none before
+        reference = np.where(np.isnan(self._tdc[0]), latest, self._tdc[0])
+        reference = np.where(jumped, reference + latest - self._tdc[1], reference)
+        self.tdc_readings += int(((tdc > 0.0) & (tdc < FULL_SCALE)).any())
+        self.tdc_jumps += int(jumped.sum())
+        self._tdc, self._tdc_ns = np.stack([reference, latest]), stamp_ns
+        return self._temperature(latest)
 
     def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
         """Numbers and ages of the readings behind a level; arguments as of `level`."""
@@ -320,14 +381,23 @@ class SensorTracker:
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """All that is known, for a file; a tracker made from it continues to the bit as this one."""
         flags = [self._touches, self._readings, self._kind, *self._suspect]
-        return {
-            "mean": self._filter.mean.copy(),
-            "covariance": self._filter.covariance.copy(),
+        thermal = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
+        return thermal | {
+            "mean": self._filter.mean[:3].copy(),
+            "covariance": self._filter.covariance[:3, :3].copy(),
             "expected": self._expected,
             "log_factor": self._log_factor,
             "counts": np.array(flags, np.int64),
             "stamps_ns": np.array([self._newest_ns, self._object_ns], np.int64),
             "parameters": _digest(self.parameters),
+        }
+
+    def _thermal_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """What TDC said, which files of histories without it lack."""
+        return {
+            "slope": np.concatenate([self._filter.mean[3:], self._filter.covariance[3]]),
+            "tdc": np.nan_to_num(self._tdc),  # 0 where none was read
+            "tdc_counts": np.array([self._tdc_ns, self.tdc_readings, self.tdc_jumps], np.int64),
         }
 
     @classmethod
@@ -339,7 +409,8 @@ class SensorTracker:
                 is the state of another model.
         """
         tracker = cls(parameters)
-        for name, own in tracker.to_tensors().items():
+        thermal = tracker._thermal_tensors() if "tdc" in tensors else {}
+        for name, own in {**tracker.to_tensors(), **thermal}.items():
             array = tensors.get(name)
             if array is None:
                 raise ModelError(f"{name}: is missing")
@@ -365,13 +436,21 @@ class SensorTracker:
             raise ModelError("mean, expected: hold values that readings cannot give")
         self._kind = kind
         self._filter.start_object(self.parameters.object[kind])
-        covariance = tensors["covariance"]
+        mean, covariance = self._filter.mean.copy(), self._filter.covariance.copy()
+        mean[:3], covariance[:3, :3] = tensors["mean"], tensors["covariance"]
+        if "tdc" in tensors:
+            mean[3], covariance[3], covariance[:, 3] = tensors["slope"][0], tensors["slope"][1:], tensors["slope"][1:]
+            tdc = tensors["tdc"]
+            self._tdc_ns, self.tdc_readings, self.tdc_jumps = (int(value) for value in tensors["tdc_counts"])
+            if ((tdc[1] < 0.0) | (tdc[1] >= FULL_SCALE)).any() or np.abs(mean[3]).max() > _MOST_SLOPE:
+                raise ModelError("slope, tdc: hold values that readings cannot give")
+            self._tdc = np.where(tdc[1] == 0.0, np.nan, tdc)
         variances = np.einsum("iik->ik", covariance)
         limit = self._filter.prior * (1.0 + 1e-6) + 1e-9
         bound = np.sqrt(np.abs(variances[:, None] * variances)) * (1.0 + 1e-6) + 1e-9
         if (variances < -1e-9).any() or (variances > limit).any() or (np.abs(covariance) > bound).any():
             raise ModelError("covariance: is none that the parameters allow")
-        self._filter.mean[:], self._filter.covariance[:] = tensors["mean"], covariance
+        self._filter.mean[:], self._filter.covariance[:] = mean, covariance
         self._expected = tensors["expected"].astype(np.float64)
         self._log_factor = tensors["log_factor"].astype(np.float64)
         self._touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
@@ -393,4 +472,7 @@ def _check_counts(name: str, values: Float64, low: float = -_MOST_COUNTS, high: 
 
 
 def _digest(parameters: TrackerParameters) -> npt.NDArray[np.uint8]:
-    return np.frombuffer(hashlib.sha256(packed(parameters.to_tensors())[0]).digest(), np.uint8)
+    """Of all but the slopes, which a state without TDC does not depend on."""
+    tensors = parameters.to_tensors()
+    del tensors["slope"], tensors["slope_sd"]
+    return np.frombuffer(hashlib.sha256(packed(tensors)[0]).digest(), np.uint8)

@@ -11,7 +11,7 @@ from foretouch.tactile.channels import (
     electrode_positions,
     modality_size,
 )
-from foretouch.tactile.readings import FULL_SCALE, make_tare, offsets, restore, to_kohm, touch_faults
+from foretouch.tactile.readings import FULL_SCALE, make_tare, offsets, restore, tdc_of, to_kohm, touch_faults
 
 __all__ = [
     "FULL_SCALE",
@@ -26,6 +26,7 @@ __all__ = [
     "modality_size",
     "offsets",
     "restore",
+    "tdc_of",
     "to_kohm",
     "touch_faults",
 ]

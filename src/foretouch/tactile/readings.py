@@ -8,7 +8,7 @@ The BioTac SP is not temperature-compensated and drifts with temperature, inflat
 only with those of the same finger at rest shortly before: the tare.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -61,6 +61,17 @@ def make_tare(readings: Sequence[Touch]) -> Touch:
         if faults := touch_faults(reading):
             raise TactileError(f"tare: reading {i}: {faults[0]}")
     return Touch.from_vector(np.median([reading.vector() for reading in readings], axis=0))
+
+
+def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
+    """(2,) TDC of thumb and middle finger [counts] among further channels by name; NaN where it is absent or dead.
+
+    Args:
+        values: As `GraspSample.extra`.
+        prefix: Before the names: `tare_` for those of the tare.
+    """
+    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in ("TH", "MF")], np.float64)
+    return np.where((found > 0.0) & (found < FULL_SCALE), found, np.nan)
 
 
 def offsets(touch: Touch, tare: Touch) -> Float64:

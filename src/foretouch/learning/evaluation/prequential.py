@@ -19,7 +19,7 @@ from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import Calibration
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
-from foretouch.tactile import MODALITIES, columns, touch_faults
+from foretouch.tactile import MODALITIES, columns, tdc_of, touch_faults
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
@@ -47,6 +47,7 @@ class Recording:
     expected: Float64  # (S, 50) predictions by sight, at the rest level of training [counts]
     tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
     known: npt.NDArray[np.bool_] | None = None  # (S,) whether the object is like those of training; None if none is
+    tdc: Float64 | None = None  # (S, 2) TDC of thumb and middle finger, NaN where there is none [counts]
 
     @classmethod
     def of_samples(
@@ -61,7 +62,16 @@ class Recording:
         tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        return cls(stamps, objects, labels, expected, None if np.isnan(tares).all() else tares, known)
+        tdc = np.array([tdc_of(sample.extra) for sample in samples])
+        return cls(
+            stamps,
+            objects,
+            labels,
+            expected,
+            tares=None if np.isnan(tares).all() else tares,
+            known=known,
+            tdc=None if np.isnan(tdc).all() else tdc,
+        )
 
     def ordered(self) -> Self:
         """In order of time; grasps of equal stamps keep theirs.
@@ -139,10 +149,11 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
         names: tuple[str, ...] = ()
         if (tare := recording.tare(k)) is not None:
             names = tracker.add_tare(stamp, tare)
-        levels.append(tracker.level(stamp))
+        tdc = None if recording.tdc is None else recording.tdc[k]
+        levels.append(tracker.level(stamp, tdc=tdc))
         (counts[k],), (half[k],) = tracker.adapt(levels[k], expected[None])
         if np.isfinite(reading).all():
-            names += tracker.add_touch(stamp, reading, expected)
+            names += tracker.add_touch(stamp, reading, expected, tdc=tdc)
         restarted.append(tuple(dict.fromkeys(names)))
     return Replayed(counts, half, levels, restarted)
 

@@ -4,7 +4,9 @@
 The readings are replayed in order of time, and the variances and time constants maximise the likelihood of the
 innovations [Schweppe 1965], for each modality on its own: multiples of the calibration's B as variance of the slow
 state, the fast state and the object, their time constants, the noise of tares where tares were recorded, and a multiple
-of W, which also holds what drifts while an object is touched. The 24 electrodes of a finger are correlated and count as
+of W, which also holds what drifts while an object is touched. Where TDC was recorded, the mean and the deviation of the
+electrodes' slopes over it follow in a second step, with all others as found, so that readings without TDC are predicted as
+without this step. The 24 electrodes of a finger are correlated and count as
 5 values. Since a lab records few objects on few days, weak priors keep values that the recordings cannot determine in a
 plausible range.
 """
@@ -19,7 +21,16 @@ import numpy.typing as npt
 
 from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.models.calibration import CalibrationGroup
-from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
+from foretouch.models.state_space import (
+    FAST_TIME_S,
+    FINGER_OF_VALUE,
+    FINGERS,
+    NEW,
+    SLOW_TIME_S,
+    TARE_NOISE,
+    StateFilter,
+    TrackerParameters,
+)
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
@@ -30,7 +41,12 @@ _ALARM_QUANTILE: Final = 0.99
 _LEAST_ALARM: Final = (2.0, 0.5)  # of mean square and squared mean: below, nothing jumped
 _STEP: Final = 1e-3  # of the finite differences
 _ITERATIONS: Final = 25
+_IS_ELECTRODE: Final = np.arange(TOUCH_SIZE) >= len(FINGERS)
 _MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
+
+# Mean of the electrodes' slopes over TDC, and logarithm of their deviation: mean and deviation of the prior, and limits.
+_SLOPE_PRIOR: Final = np.array([[0.6, np.log(0.3)], [0.5, 1.0]])
+_SLOPE_LIMITS: Final = ((-1.0, 2.0), (np.log(0.01), np.log(2.0)))
 
 # Logarithms of the multiples of B, time constants, noise of tares and multiple of W: mean and deviation of the prior, and limits.
 _PRIOR: Final = np.log(
@@ -81,7 +97,9 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         noise=parameters.noise * noise,
         tare_noise=tare,
     )
-    return _with_intervals(fitted, recording)
+    # Intervals are those of readings without TDC, which keep them to the bit.
+    fitted = _with_intervals(fitted, replace(recording, tdc=None))
+    return fitted if recording.tdc is None else replayed.with_slopes(fitted)
 
 
 class _Replay:
@@ -100,6 +118,7 @@ class _Replay:
         self._tares = None if recording.tares is None else recording.tares @ inverse.T
         self._gaps_s = np.diff(recording.stamps_ns, prepend=recording.stamps_ns[:1]) / 1e9
         self._begins = recording.begins()
+        self._tdc = _temperature(recording.tdc, len(recording.readings))
         sizes = np.bincount(self.owner, minlength=len(MODALITIES))
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
@@ -122,31 +141,83 @@ class _Replay:
         )
         return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
 
+    def with_slopes(self, parameters: TrackerParameters) -> TrackerParameters:
+        """The same parameters with the most likely slopes of the electrodes of each finger."""
+        from scipy.optimize import minimize
+
+        unit = np.where(_IS_ELECTRODE, 1.0, 0.0)
+        inverse = np.linalg.inv(parameters.basis)
+        mean_of, variance_of = inverse @ unit, inverse**2 @ unit
+        finger = parameters.finger_of()
+        steps = _STEP * np.eye(2)[:, None]
+
+        def loss(flat: Float64) -> tuple[float, Float64]:
+            values = flat.reshape(len(FINGERS), 2)
+            tried = np.concatenate([values[None], values + steps])  # (3, 2, 2)
+            mean, deviation = tried[:, finger, 0] * mean_of, np.exp(tried[:, finger, 1])
+            slope = np.array([mean.reshape(-1), (deviation**2 * variance_of).reshape(-1)])
+            prior = np.array([parameters.slow, parameters.fast, parameters.object[NEW]])
+            times = np.array([parameters.slow_time_s, parameters.fast_time_s])
+            filtered = StateFilter(np.tile(prior, len(tried)), np.tile(times, len(tried)), slope)
+            total = self._surprises(filtered, parameters.tare_noise, parameters.noise[NEW], self._tdc[:, finger])
+            losses = total[:, -len(FINGERS) :]  # of the electrodes
+            losses = losses + 0.5 * (((tried - _SLOPE_PRIOR[0]) / _SLOPE_PRIOR[1]) ** 2).sum(axis=2)
+            return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
+
+        found = minimize(
+            loss,
+            np.tile(_SLOPE_PRIOR[0], len(FINGERS)),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=_SLOPE_LIMITS * len(FINGERS),
+            options={"maxiter": _ITERATIONS},
+        )
+        mean, deviation = found.x.reshape(len(FINGERS), 2)[FINGER_OF_VALUE].T
+        return replace(parameters, slope=unit * mean, slope_sd=unit * np.exp(deviation))
+
     def _losses(self, logs: Float64) -> Float64:
         """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 7) candidates at once."""
-        count = len(logs)
         columns_of = np.exp(logs)[:, self.owner].reshape(-1, logs.shape[2]).T
         slow, fast, lasting, slow_s, fast_s, tare, noise = np.ascontiguousarray(columns_of)
-        scale = np.tile(self.lasting, count)
+        scale = np.tile(self.lasting, len(logs))
         filtered = StateFilter(np.array([slow, fast, lasting]) * scale, np.array([slow_s, fast_s]))
-        lasting = lasting * scale
-        total = np.zeros(len(scale))
+        prior = 0.5 * (((logs - _PRIOR[0]) / _PRIOR[1]) ** 2).sum(axis=2)
+        return np.asarray(self._surprises(filtered, tare, noise, None) + prior, np.float64)
+
+    def _surprises(self, filtered: StateFilter, tare: Float64, noise: Float64, tdc: Float64 | None) -> Float64:
+        """(C, 4) negative log likelihood of each modality, for a filter of C candidates for each coordinate.
+
+        `tare` and `noise` are variances, (C * 50,) or (50,); `tdc` is the change of the temperature, (S, 50).
+        """
+        count = filtered.mean.shape[1] // TOUCH_SIZE
+        lasting = filtered.prior[2].copy()
+        total = np.zeros(len(lasting))
+        tare, noise = (np.resize(variance, len(lasting)) for variance in (tare, noise))
         for k, value in enumerate(self._values):
+            x = None if tdc is None else np.tile(tdc[k], count)
             filtered.advance(float(self._gaps_s[k]))
             if self._begins[k]:
                 filtered.start_object(lasting)
             if self._tares is not None and np.isfinite(self._tares[k]).all():
-                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=1)
-            total += _surprise(filtered, np.tile(value, count), noise, parts=3)
-        prior = 0.5 * (((logs - _PRIOR[0]) / _PRIOR[1]) ** 2).sum(axis=2)
-        return np.asarray(total.reshape(count, -1) @ self._weights + prior, np.float64)
+                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=1, x=x)
+            total += _surprise(filtered, np.tile(value, count), noise, parts=3, x=x)
+        return np.asarray(total.reshape(count, -1) @ self._weights, np.float64)
 
 
-def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int) -> Float64:
+def _temperature(tdc: Float64 | None, count: int) -> Float64:
+    """(S, 2) difference of TDC from its first value, as far as it is known."""
+    found = np.full((count, len(FINGERS)), np.nan) if tdc is None else tdc.copy()
+    for k in range(1, count):
+        found[k] = np.where(np.isnan(found[k]), found[k - 1], found[k])
+    first = [column[np.isfinite(column)][:1].sum() for column in found.T]
+    return np.asarray(np.nan_to_num(found - first), np.float64)
+
+
+def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int, x: Float64 | None) -> Float64:
     """(K,) negative log likelihood of an observation, which is then added."""
-    mean, variance = filtered.predicted(parts)
+    mean, variance = filtered.predicted(parts, x)
     variance = variance + noise
-    filtered.observe(value, noise, parts)
+    filtered.observe(value, noise, parts, x)
     return np.asarray(0.5 * ((value - mean) ** 2 / variance + np.log(variance)), np.float64)
 
 
