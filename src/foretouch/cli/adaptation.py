@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
+    from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name
 _FIELDS = ("pdc_th", "pdc_mf", "e_th", "e_mf")
+_TDC_FIELDS = ("tdc_th", "tdc_mf")  # optional
 
 
 def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +33,7 @@ def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="F|sample",
-        help="reading without contact, taken shortly before: JSON with pdc_th, pdc_mf, e_th [24], e_mf [24], a list of such, "
+        help="reading without contact, taken shortly before: JSON with pdc_th, pdc_mf, e_th [24], e_mf [24] and optionally tdc_th, tdc_mf, a list of such, "
         "or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
     )
     parser.add_argument(
@@ -58,7 +59,7 @@ class Adaptation:
     """Readings from the command line, and the predictions adapted to them."""
 
     model: TouchModel
-    tare: Touch | None  # for every prediction; None without
+    tare: tuple[Touch, Float64] | None  # for every prediction, with its (2,) TDC; None without
     touched: Sequence[GraspSample]  # labelled samples of one object
     own: bool  # whether each sample's own tare is used instead
     history: Sequence[GraspSample] = ()  # labelled samples of any object, with stamps
@@ -94,10 +95,12 @@ class Adaptation:
         tare = _own_tare(sample) if self.own else self.tare
         touched = self.touches_for(sample)
         if not (touched or self.history or self.hand is not None):
-            return pipeline.predict(target, grasps, tare=tare, model=model)
+            return pipeline.predict(target, grasps, tare=None if tare is None else tare[0], model=model)
         return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample), model=model)
 
-    def _history_of(self, touched: Sequence[GraspSample], tare: Touch | None, sample: GraspSample | None) -> History:
+    def _history_of(
+        self, touched: Sequence[GraspSample], tare: tuple[Touch, Float64] | None, sample: GraspSample | None
+    ) -> History:
         """The readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
         from foretouch.models.hand_history import HandHistory
 
@@ -112,19 +115,29 @@ class Adaptation:
             self._add(hand, one, one.stamp_ns or now_ns, new_object=number == 0)
             now_ns = max(now_ns, one.stamp_ns)
         if tare is not None:
-            hand.add_tare(now_ns, tare)
+            hand.add_tare(now_ns, tare[0], tdc=tare[1])
         return hand.snapshot(now_ns, same_object=bool(touched), tare=tare is not None)
 
     def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
+        from foretouch.tactile import tdc_of
+
         assert sample.touch is not None  # noqa: S101  only labelled samples are passed
         try:
             if sample.tare is not None:
-                hand.add_tare(stamp_ns, sample.tare)
+                hand.add_tare(stamp_ns, sample.tare, tdc=tdc_of(sample.extra, "tare_"))
             if id(sample) not in self._estimates:
                 self._estimates[id(sample)] = self.model.estimate_executed(sample.cloud, [sample.grasp])
             estimate = self._estimates[id(sample)]
-            hand.add_touch(stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=new_object, estimate=estimate)
+            hand.add_touch(
+                stamp_ns,
+                sample.cloud,
+                sample.grasp,
+                sample.touch,
+                new_object=new_object,
+                estimate=estimate,
+                tdc=tdc_of(sample.extra),
+            )
         except ForetouchError as err:
             raise DatasetError(f"{sample.id}: {err}") from err
 
@@ -158,43 +171,50 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
     return Adaptation(model, tare, touched, own, history, read_history(Path(files[0]), model) if files else None)
 
 
-def _read_tare(paths: Sequence[str]) -> Touch:
-    """The median of all readings in some files, which name the field and the rule that it breaks."""
-    from foretouch.dataset.vision2tactile import read_touch
-    from foretouch.tactile import make_tare
+def _read_tare(paths: Sequence[str]) -> tuple[Touch, Float64]:
+    """The median of all readings in some files with its TDC; errors name the field and the rule that it breaks."""
+    import numpy as np
 
-    readings: list[Touch] = []
+    from foretouch.dataset.vision2tactile import read_touch
+    from foretouch.tactile import make_tare, tdc_of
+
+    readings: list[tuple[Touch, Float64]] = []
     for path in map(Path, paths):
         if path.suffix == ".tac":
-            fresh = [read_touch(path)[0]]
+            touch, extra = read_touch(path)
+            fresh = [(touch, tdc_of(extra))]
         else:
             document = read_json(path)
             fresh = [_reading(path, entry) for entry in (document if isinstance(document, list) else [document])]
         try:
-            make_tare(fresh)
+            make_tare([touch for touch, _ in fresh])
         except TactileError as err:
             raise FileError(path, str(err)) from err
         readings += fresh
-    return make_tare(readings)
+    return make_tare([touch for touch, _ in readings]), np.median([tdc for _, tdc in readings], axis=0)
 
 
-def _reading(path: Path, entry: Any) -> Touch:
-    """One reading; `make_tare` checks later whether a working sensor can give it."""
+def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
+    """One reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
     import numpy as np
 
+    from foretouch.tactile import tdc_of
     from foretouch.types import ELECTRODES, Touch
 
-    if not isinstance(entry, dict) or sorted(entry) != sorted(_FIELDS):
-        raise FileError(path, f"is no reading: it must hold {', '.join(_FIELDS)} and nothing else")
+    if not isinstance(entry, dict) or sorted(entry.keys() - set(_TDC_FIELDS)) != sorted(_FIELDS):
+        allowed = f"{', '.join(_FIELDS)}, optionally {', '.join(_TDC_FIELDS)}"
+        raise FileError(path, f"is no reading: it must hold {allowed} and nothing else")
     values = {}
-    for name, shape in zip(_FIELDS, ((), (), (ELECTRODES,), (ELECTRODES,)), strict=True):
+    for name in entry:
+        shape = (ELECTRODES,) if name.startswith("e_") else ()
         numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
         if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
             raise FileError(path, "is not numbers", field=name)
         values[name] = np.array(entry[name], np.float64)
         if values[name].shape != shape:
             raise FileError(path, f"is not {f'{ELECTRODES} numbers' if shape else 'one number'}", field=name)
-    return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"])
+    tdc = tdc_of({f"TDC_{finger}": float(values.get(f"tdc_{finger.lower()}", np.nan)) for finger in ("TH", "MF")})
+    return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"]), tdc
 
 
 def _same(one: GraspSample, other: GraspSample) -> bool:
@@ -204,10 +224,12 @@ def _same(one: GraspSample, other: GraspSample) -> bool:
     return bool((one.touch.vector() == other.touch.vector()).all())
 
 
-def _own_tare(sample: GraspSample | None) -> Touch:
+def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:
+    from foretouch.tactile import tdc_of
+
     if sample is None or sample.tare is None:
         raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
-    return sample.tare
+    return sample.tare, tdc_of(sample.extra, "tare_")
 
 
 def read_samples(paths: Sequence[str]) -> list[GraspSample]:

@@ -92,13 +92,16 @@ class HandHistory:
         """Touches of the current object."""
         return self.tracker.touches
 
-    def add_tare(self, stamp_ns: int, tare: Touch, *, now_ns: int | None = None) -> tuple[str, ...]:
+    def add_tare(
+        self, stamp_ns: int, tare: Touch, *, now_ns: int | None = None, tdc: Float64 | None = None
+    ) -> tuple[str, ...]:
         """Add a reading without contact; one within a minute of the last is left out, since their errors are the same.
 
         Args:
             stamp_ns: When it was taken [ns].
             tare: [counts].
             now_ns: Wall clock, which the stamp may not be ahead of [ns]; None: not checked.
+            tdc: (2,) TDC of thumb and middle finger [counts]; NaN or None where it was not read.
 
         Returns:
             Fingers that were restarted: a jump or another sensor.
@@ -108,7 +111,7 @@ class HandHistory:
         """
         if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             return ()
-        restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(tare), now_ns=now_ns)
+        restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(tare), now_ns=now_ns, tdc=tdc)
         self._tare_ns = stamp_ns
         return self._counted(restarted)
 
@@ -123,6 +126,7 @@ class HandHistory:
         now_ns: int | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         estimate: Estimate | None = None,
+        tdc: Float64 | None = None,
     ) -> tuple[str, ...]:
         """Add the reading of an executed grasp.
 
@@ -135,6 +139,7 @@ class HandHistory:
             now_ns: As of `add_tare`.
             limits: Range and size of objects.
             estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
+            tdc: As of `add_tare`.
 
         Returns:
             As `add_tare`.
@@ -150,7 +155,7 @@ class HandHistory:
         estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
-        restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns)
+        restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns, tdc=tdc)
         self.signature = ObjectSignature.of(cloud)
         return self._counted(restarted)
 
@@ -211,15 +216,16 @@ class HandHistory:
         history._tare_ns = int(tensors["tare_ns"][0])
         return history
 
-    def snapshot(self, stamp_ns: int, *, same_object: bool, tare: bool = False) -> History:
+    def snapshot(self, stamp_ns: int, *, same_object: bool, tare: bool = False, tdc: Float64 | None = None) -> History:
         """The readings so far, for predictions at a time; later readings do not change it.
 
         Args:
             stamp_ns: Time of the predictions [ns].
             same_object: Whether they are for the current object, else for one that was not touched.
             tare: Whether a tare was taken shortly before.
+            tdc: (2,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
-        return History(self.tracker.copy(), stamp_ns, same_object=same_object, tare=tare)
+        return History(self.tracker.copy(), stamp_ns, same_object=same_object, tare=tare, tdc=tdc)
 
     def _counted(self, restarted: tuple[str, ...]) -> tuple[str, ...]:
         for finger in restarted:

@@ -60,6 +60,7 @@ class History:
     stamp_ns: int  # time of the predictions [ns]
     same_object: bool = True  # whether they are for the object that was touched last
     tare: bool = False  # whether a tare was taken shortly before
+    tdc: Float64 | None = None  # (2,) TDC of thumb and middle finger at that time [counts]; None: the latest one
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
         """(K, 50) predictions adapted to the readings, and the half widths of their intervals [counts]."""
@@ -67,7 +68,7 @@ class History:
         for known in (False, True):
             rows = estimate.in_distribution == known
             if rows.any():
-                level = self.tracker.level(self.stamp_ns, same_object=self._touched, known=known)
+                level = self.tracker.level(self.stamp_ns, same_object=self._touched, known=known, tdc=self.tdc)
                 counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows])
         return counts, half
 

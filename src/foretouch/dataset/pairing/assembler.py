@@ -248,7 +248,7 @@ class SampleAssembler:
             touch=cut.touch,
             tare=cut.tare,
             stamp_ns=executed.interval.contact if executed.interval else 0,
-            extra={"clock_offset_s": cut.clock_ns * 1e-9},
+            extra={"clock_offset_s": cut.clock_ns * 1e-9, **self._temperatures(cut)},
         )
         self._labelled_clouds.add(match.cloud.stamp_ns)
         others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
@@ -264,6 +264,12 @@ class SampleAssembler:
             pairing_error_ns=cut.error_ns,
             flags=(*self._reader.flags, *executed.flags, *cut.flags, *discard),
         )
+
+    def _temperatures(self, cut: TouchCut) -> dict[str, float]:
+        """TAC and TDC in contact and, after `tare_`, before it [counts], such as `tare_TDC_TH`."""
+        both = (("", cut.others), ("tare_", cut.tare_others))
+        named = [(f"{prefix}{name}", value) for prefix, row in both for name, value in zip(self._reader.others, row, strict=True)]
+        return {name: float(value) for name, value in named if name.removeprefix("tare_").startswith(("TAC", "TDC"))}
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates = _grasps(plan, plan.grasps[0].id)

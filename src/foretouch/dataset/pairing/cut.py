@@ -19,7 +19,7 @@ from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
-from foretouch.types import Touch
+from foretouch.types import Float32, Touch
 
 _SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
@@ -90,6 +90,8 @@ class TouchCut:
 
     touch: Touch  # median over the steady contact
     tare: Touch  # median over the time before the grasp
+    others: Float32  # (K,) median of the further channels over the steady contact
+    tare_others: Float32  # (K,) the same over the time before the grasp
     window: TouchWindow  # the readings from the tare to the release
     phases: npt.NDArray[np.uint8]  # (T,) uint8 of REST, APPROACH and HOLD
     contact_ns: int | None  # stamp of first contact [ns], by the contact detector; None where it found none
@@ -147,6 +149,8 @@ def cut_touch(
     return TouchCut(
         touch=touch,
         tare=tare,
+        others=np.median(hold.others, axis=0),
+        tare_others=np.median(rest.others, axis=0),
         window=window,
         phases=phases,
         contact_ns=min((onset for onset in onsets if onset is not None), default=None),

@@ -47,7 +47,10 @@ class Recording:
     expected: Float64  # (S, 50) predictions by sight, at the rest level of training [counts]
     tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
     known: npt.NDArray[np.bool_] | None = None  # (S,) whether the object is like those of training; None if none is
-    tdc: Float64 | None = None  # (S, 2) TDC of thumb and middle finger, NaN where there is none [counts]
+    tdc: Float64 | None = (
+        None  # (S, 2) TDC of thumb and middle finger with the reading, NaN where there is none [counts]
+    )
+    tare_tdc: Float64 | None = None  # (S, 2) the same with the tare
 
     @classmethod
     def of_samples(
@@ -62,7 +65,7 @@ class Recording:
         tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        tdc = np.array([tdc_of(sample.extra) for sample in samples])
+        tdc, tare_tdc = (np.array([tdc_of(one.extra, prefix) for one in samples]) for prefix in ("", "tare_"))
         return cls(
             stamps,
             objects,
@@ -71,6 +74,7 @@ class Recording:
             tares=None if np.isnan(tares).all() else tares,
             known=known,
             tdc=None if np.isnan(tdc).all() else tdc,
+            tare_tdc=None if np.isnan(tare_tdc).all() else tare_tdc,
         )
 
     def ordered(self) -> Self:
@@ -96,6 +100,14 @@ class Recording:
         """Whether the object of a grasp is in the distribution of the training data."""
         return self.known is not None and bool(self.known[k])
 
+    def tdc_before(self, k: int) -> Float64 | None:
+        """(2,) temperature before a grasp: of its tare, else of its reading, since the hand knows it then [counts].
+
+        The public recordings hold readings in contact alone, whose TDC the object may have changed.
+        """
+        tare = _row(self.tare_tdc, k)
+        return _row(self.tdc, k) if tare is None or np.isnan(tare).all() else tare
+
     def begins(self) -> npt.NDArray[np.bool_]:
         """(S,) whether another object than before is touched."""
         return np.concatenate([[True], self.objects[1:] != self.objects[:-1]])
@@ -108,6 +120,10 @@ class Recording:
         """(S,) touches of the object, since it was taken, before each grasp."""
         first = np.flatnonzero(self.begins())
         return np.arange(len(self.stamps_ns)) - first[self.runs()]
+
+
+def _row(rows: Float64 | None, k: int) -> Float64 | None:
+    return None if rows is None else rows[k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +164,11 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
             tracker.start_object(known=recording.is_known(k))
         names: tuple[str, ...] = ()
         if (tare := recording.tare(k)) is not None:
-            names = tracker.add_tare(stamp, tare)
-        tdc = None if recording.tdc is None else recording.tdc[k]
-        levels.append(tracker.level(stamp, tdc=tdc))
+            names = tracker.add_tare(stamp, tare, tdc=_row(recording.tare_tdc, k))
+        levels.append(tracker.level(stamp, tdc=recording.tdc_before(k)))
         (counts[k],), (half[k],) = tracker.adapt(levels[k], expected[None])
         if np.isfinite(reading).all():
-            names += tracker.add_touch(stamp, reading, expected, tdc=tdc)
+            names += tracker.add_touch(stamp, reading, expected, tdc=_row(recording.tdc, k))
         restarted.append(tuple(dict.fromkeys(names)))
     return Replayed(counts, half, levels, restarted)
 
@@ -175,16 +190,17 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
             tracker.start_object(known=touched.is_known(k))
         newest_ns = max(newest_ns, stamp)
         if (tare := touched.tare(k)) is not None:
-            tracker.add_tare(newest_ns, tare)
-        tracker.add_touch(newest_ns, touched.readings[k], touched.expected[k])
+            tracker.add_tare(newest_ns, tare, tdc=_row(touched.tare_tdc, k))
+        tracker.add_touch(newest_ns, touched.readings[k], touched.expected[k], tdc=_row(touched.tdc, k))
     counts, half = asked.expected.copy(), np.empty_like(asked.expected)
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
         own, tare = tracker, asked.tare(k)
         if tare is not None:
             own = tracker.copy()
-            own.add_tare(max(newest_ns, stamp), tare)
+            own.add_tare(max(newest_ns, stamp), tare, tdc=_row(asked.tare_tdc, k))
         if own.evidence(0).readings:
-            level = own.level(max(newest_ns, stamp), same_object=own.touches > 0, known=asked.is_known(k))
+            state = {"same_object": own.touches > 0, "known": asked.is_known(k), "tdc": asked.tdc_before(k)}
+            level = own.level(max(newest_ns, stamp), **state)
             (counts[k],), (half[k],) = own.adapt(level, asked.expected[k : k + 1])
         else:
             half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]

@@ -118,7 +118,10 @@ class _Replay:
         self._tares = None if recording.tares is None else recording.tares @ inverse.T
         self._gaps_s = np.diff(recording.stamps_ns, prepend=recording.stamps_ns[:1]) / 1e9
         self._begins = recording.begins()
-        self._tdc = _temperature(recording.tdc, len(recording.readings))
+        nowhere = np.full((len(recording.readings), len(FINGERS)), np.nan)
+        tdc = [nowhere if rows is None else rows for rows in (recording.tare_tdc, recording.tdc)]
+        changes = _temperature(np.stack(tdc, axis=1).reshape(-1, len(FINGERS)))
+        self._temperatures = changes.reshape(-1, 2, len(FINGERS))  # (S, tare and touch, 2)
         sizes = np.bincount(self.owner, minlength=len(MODALITIES))
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
@@ -159,7 +162,9 @@ class _Replay:
             prior = np.array([parameters.slow, parameters.fast, parameters.object[NEW]])
             times = np.array([parameters.slow_time_s, parameters.fast_time_s])
             filtered = StateFilter(np.tile(prior, len(tried)), np.tile(times, len(tried)), slope)
-            total = self._surprises(filtered, parameters.tare_noise, parameters.noise[NEW], self._tdc[:, finger])
+            total = self._surprises(
+                filtered, parameters.tare_noise, parameters.noise[NEW], self._temperatures[..., finger]
+            )
             losses = total[:, -len(FINGERS) :]  # of the electrodes
             losses = losses + 0.5 * (((tried - _SLOPE_PRIOR[0]) / _SLOPE_PRIOR[1]) ** 2).sum(axis=2)
             return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
@@ -184,30 +189,30 @@ class _Replay:
         prior = 0.5 * (((logs - _PRIOR[0]) / _PRIOR[1]) ** 2).sum(axis=2)
         return np.asarray(self._surprises(filtered, tare, noise, None) + prior, np.float64)
 
-    def _surprises(self, filtered: StateFilter, tare: Float64, noise: Float64, tdc: Float64 | None) -> Float64:
+    def _surprises(self, filtered: StateFilter, tare: Float64, noise: Float64, temperatures: Float64 | None) -> Float64:
         """(C, 4) negative log likelihood of each modality, for a filter of C candidates for each coordinate.
 
-        `tare` and `noise` are variances, (C * 50,) or (50,); `tdc` is the change of the temperature, (S, 50).
+        `tare` and `noise` are variances, (C * 50,) or (50,); `temperatures` are (S, 2, 50) changes, at tare and touch.
         """
         count = filtered.mean.shape[1] // TOUCH_SIZE
         lasting = filtered.prior[2].copy()
         total = np.zeros(len(lasting))
         tare, noise = (np.resize(variance, len(lasting)) for variance in (tare, noise))
         for k, value in enumerate(self._values):
-            x = None if tdc is None else np.tile(tdc[k], count)
+            x_tare, x = (None, None) if temperatures is None else np.tile(temperatures[k], count)
             filtered.advance(float(self._gaps_s[k]))
             if self._begins[k]:
                 filtered.start_object(lasting)
             if self._tares is not None and np.isfinite(self._tares[k]).all():
-                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=1, x=x)
+                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=1, x=x_tare)
             total += _surprise(filtered, np.tile(value, count), noise, parts=3, x=x)
         return np.asarray(total.reshape(count, -1) @ self._weights, np.float64)
 
 
-def _temperature(tdc: Float64 | None, count: int) -> Float64:
-    """(S, 2) difference of TDC from its first value, as far as it is known."""
-    found = np.full((count, len(FINGERS)), np.nan) if tdc is None else tdc.copy()
-    for k in range(1, count):
+def _temperature(tdc: Float64) -> Float64:
+    """(S, 2) difference of TDC from its first value; the one before where none was read, 0 before the first."""
+    found = tdc.copy()
+    for k in range(1, len(found)):
         found[k] = np.where(np.isnan(found[k]), found[k - 1], found[k])
     first = [column[np.isfinite(column)][:1].sum() for column in found.T]
     return np.asarray(np.nan_to_num(found - first), np.float64)

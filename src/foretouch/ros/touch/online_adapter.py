@@ -31,9 +31,10 @@ from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
+from foretouch.tactile import tdc_of
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -73,6 +74,8 @@ class OnlineAdapter:
             AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
         )
         self._tare = LiveTare(settings.contact)
+        self._channels = reader.others
+        self._tdc: Float64 | None = None  # of the newest reading
         self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
         self._tare_refused = False
@@ -97,6 +100,7 @@ class OnlineAdapter:
                 self._tare.reset()
             for reading in accepted:
                 self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
+                self._tdc = tdc_of(dict(zip(self._channels, reading.others.tolist(), strict=True)))
 
     def add_executed(self, message: ExecutedGrasp) -> None:
         """Add the robot's report of an executed grasp; grasps that failed are refused."""
@@ -156,7 +160,7 @@ class OnlineAdapter:
         with self._keeper.lock:
             try:
                 if tare is not None:
-                    self._history.add_tare(now_ns, tare)
+                    self._history.add_tare(now_ns, tare, tdc=self._tdc)
             except TactileError as err:
                 if not self._tare_refused:  # not for every cloud
                     self._warn(f"tare: refused: {err}")
@@ -164,7 +168,7 @@ class OnlineAdapter:
                 return None
             self._tare_refused = False
             same = self._history.is_current(cloud, config.same_object_m)
-            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None)
+            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None, tdc=self._tdc)
         self._keeper.changed()
         return found
 
@@ -209,6 +213,8 @@ class OnlineAdapter:
         return {
             "regime": self._calibration_group,
             "touches": str(self._history.touches),
+            "tdc.readings": str(self._history.tracker.tdc_readings),
+            "tdc.jumps": str(self._history.tracker.tdc_jumps),
             **{f"touches.{name}": str(count) for name, count in sorted(counts.items())},
             "tare_age_s": "none" if age_s == float("inf") else f"{age_s:.1f}",
             "tactile.received": str(self._received),
@@ -228,10 +234,13 @@ class OnlineAdapter:
         tare = cut.tare if config.use_tare else None
         try:
             now_ns = self._now_ns()
+            extra = sample.extra
             if tare is not None:
-                self._history.add_tare(now_ns, tare)
+                self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, "tare_"))
             new = not self._history.is_current(sample.cloud, config.same_object_m)
-            self._history.add_touch(now_ns, sample.cloud, sample.grasp, cut.touch, new_object=new, limits=config.limits)
+            self._history.add_touch(
+                now_ns, sample.cloud, sample.grasp, cut.touch, new_object=new, limits=config.limits, tdc=tdc_of(extra)
+            )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
             self._refuse(sample.grasp.id, reasons.get(type(err), "refused"), str(err))
