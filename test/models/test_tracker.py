@@ -299,7 +299,9 @@ def test_parameters_that_cannot_be_are_refused_by_name() -> None:
         with pytest.raises(ModelError, match=f"^{name}: "):
             TrackerParameters.from_tensors(tensors)
 
-    every_case([(name, harm) for name in again.to_tensors() for harm in (*HARM, "shape", "missing", "integer")], check)
+    optional = ("slope", "slope_sd")  # of models that were fitted without temperatures
+    harms = {name: (*HARM, "shape", "integer", *("missing",) * (name not in optional)) for name in again.to_tensors()}
+    every_case([(name, harm) for name, found in harms.items() for harm in found], check)
 
 
 HARM = {"nan": np.nan, "negative": -1e12, "huge": 1e12}
@@ -365,3 +367,74 @@ def test_a_reading_and_a_prediction_are_fast() -> None:
         predictions.append(time.perf_counter() - between)
     assert min(readings) < 0.4e-3  # 0.2 ms where nothing else runs
     assert min(predictions) < 1e-3
+
+
+def thermal(slope: float = 0.6, deviation: float = 0.2) -> TrackerParameters:
+    """As `drifting`, with electrodes that follow the temperature."""
+    electrodes = np.where(np.arange(SIZE) < 2, 0.0, 1.0)
+    return replace(drifting(), slope=slope * electrodes, slope_sd=deviation * electrodes)
+
+
+def readings_with_tdc(rng: np.random.Generator, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """(S, 50) residuals of sensors with a slope of .6 for the thumb and .4 for the middle finger, and (S, 2) TDC."""
+    tdc = 2400.0 + np.cumsum(rng.normal(0.0, 20.0, (count, 2)), axis=0)
+    slopes = np.concatenate([[0.0, 0.0], np.full(24, 0.6), np.full(24, 0.4)])
+    of_finger = np.concatenate([[0, 1], np.zeros(24, int), np.ones(24, int)])
+    return slopes * (tdc - tdc[0])[:, of_finger] + rng.normal(0.0, 5.0, (count, SIZE)), tdc
+
+
+def played(parameters: TrackerParameters, residuals: np.ndarray, tdc: np.ndarray | None) -> tuple[SensorTracker, list]:
+    """A tracker after all readings, and the offset that it predicted before each, with the temperature known."""
+    tracker, offsets = SensorTracker(parameters), []
+    for k, residual in enumerate(residuals):
+        row = None if tdc is None else tdc[k]
+        offsets.append(tracker.level(START + k * S, tdc=row).offset)
+        tracker.add_touch(START + k * S, REST + residual, REST, tdc=row)
+    return tracker, offsets
+
+
+def test_readings_are_explained_by_the_temperature(rng) -> None:
+    residuals, tdc = readings_with_tdc(rng)
+    errors = {}
+    for name, parameters, row in (("with", thermal(), tdc), ("without", drifting(), None)):
+        _, offsets = played(parameters, residuals, row)
+        errors[name] = np.sqrt(np.mean((residuals - offsets)[5:, 2:] ** 2))
+    assert errors["with"] < 0.7 * errors["without"]
+    again = SensorTracker.from_tensors(thermal(), played(thermal(), residuals, tdc)[0].to_tensors())
+    assert again.tdc_readings == len(tdc)
+    for name, array in played(thermal(), residuals, tdc)[0].to_tensors().items():
+        assert_array_equal(again.to_tensors()[name], array)
+
+
+def test_temperatures_that_say_nothing_change_nothing(rng) -> None:
+    """Absent, zero, saturated and stuck TDC: predictions are equal to the bit to those without, and files hold no more."""
+    residuals, tdc = readings_with_tdc(rng)
+    plain, expected = played(drifting(), residuals, None)
+    nothing = {"none": None, **{str(value): np.full_like(tdc, value) for value in (np.nan, 0.0, 4095.0, -9784.0)}}
+
+    def check(_: str, rows: np.ndarray | None) -> None:
+        tracker, offsets = played(thermal(), residuals, rows)
+        assert_array_equal(offsets, expected)
+        assert tracker.to_tensors().keys() == plain.to_tensors().keys()
+        assert tracker.tdc_readings == 0
+
+    every_case(nothing.items(), check)
+    stuck = played(thermal(), residuals, np.full_like(tdc, 2345.0))
+    assert_allclose(stuck[1], expected, atol=1e-9)
+
+
+def test_a_jump_of_the_temperature_and_a_missing_finger_are_left_out(rng) -> None:
+    residuals, tdc = readings_with_tdc(rng)
+    jumped = tdc + np.where(np.arange(len(tdc)) < 20, 0.0, 700.0)[:, None]  # such as after a power cycle
+    tracker, offsets = played(thermal(), residuals, jumped)
+    assert tracker.tdc_jumps == 2
+    smooth = tdc - np.where(np.arange(len(tdc)) < 20, 0.0, 1.0)[:, None] * (tdc[20] - tdc[19])
+    assert_allclose(offsets, played(thermal(), residuals, smooth)[1], atol=1e-6)
+    lone = np.column_stack([tdc[:, 0], np.full(len(tdc), np.nan)])
+    offsets, both = (np.array(played(thermal(), residuals, rows)[1]) for rows in (lone, tdc))
+    assert_array_equal(offsets[:, 2:26], both[:, 2:26])
+    assert_array_equal(offsets[:, 26:], np.array(played(drifting(), residuals, None)[1])[:, 26:])
+    gaps = np.where(
+        (np.arange(len(tdc)) % 3 == 0)[:, None], tdc, np.nan
+    )  # recordings with and without TDC in one history
+    assert np.isfinite(played(thermal(), residuals, gaps)[1]).all()

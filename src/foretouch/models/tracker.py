@@ -251,7 +251,7 @@ class SensorTracker:
         at.advance(self._seconds_to(stamp_ns))
         if not same_object:
             at.start_object(self.parameters.object[kind])
-        mean, variance = at.predicted(x=self._temperature(self._latest(tdc)))
+        mean, variance = at.predicted(x=self._change(self._followed(tdc, stamp_ns)[0]))
         return Level(
             offset=np.asarray(self.parameters.basis @ mean, np.float64),
             variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
@@ -260,31 +260,32 @@ class SensorTracker:
             evidence=self.evidence(stamp_ns, same_object=same_object),
         )
 
-    def _latest(self, tdc: Float64 | None) -> Float64:
-        """(2,) TDC where it was read now, else the latest one; NaN without any."""
-        return self._tdc[1] if tdc is None else np.where((tdc > 0.0) & (tdc < FULL_SCALE), tdc, self._tdc[1])
-
-    def _temperature(self, latest: Float64) -> Float64 | None:
-        """(50,) difference of the temperature of each coordinate's finger from its first one; None without slopes or TDC."""
-        change = latest - self._tdc[0]
-        if not self.parameters.thermal or np.isnan(change).all():
-            return None
-        return np.asarray(np.nan_to_num(change)[self._finger], np.float64)
-
-    def _add_tdc(self, tdc: Float64 | None, stamp_ns: int) -> Float64 | None:
-        """Take note of the temperature of a reading; (50,) as `_temperature`."""
+    def _followed(self, tdc: Float64 | None, stamp_ns: int) -> tuple[Float64, int]:
+        """(2, 2) reference and latest TDC by finger after a reading of it, NaN without any, and how many jumped."""
+        reference, before = self._tdc
         if tdc is None or not self.parameters.thermal:
-            return self._temperature(self._tdc[1])
-        latest = self._latest(tdc)
+            return self._tdc, 0
+        latest = np.where((tdc > 0.0) & (tdc < FULL_SCALE), tdc, before)
         at_once, each_second, most = _JUMP_COUNTS
         limit = min(most, at_once + each_second * max(0, stamp_ns - self._tdc_ns) / 1e9)
-        jumped = np.abs(latest - self._tdc[1]) > limit  # not where there was none before
-        reference = np.where(np.isnan(self._tdc[0]), latest, self._tdc[0])
-        reference = np.where(jumped, reference + latest - self._tdc[1], reference)
-        self.tdc_readings += int(((tdc > 0.0) & (tdc < FULL_SCALE)).any())
-        self.tdc_jumps += int(jumped.sum())
-        self._tdc, self._tdc_ns = np.stack([reference, latest]), stamp_ns
-        return self._temperature(latest)
+        jumped = np.abs(latest - before) > limit  # not where there was none before
+        reference = np.where(jumped, reference + latest - before, np.where(np.isnan(reference), latest, reference))
+        return np.stack([reference, latest]), int(jumped.sum())
+
+    def _change(self, tdc: Float64) -> Float64 | None:
+        """(50,) latest TDC minus reference, of each coordinate's finger; None where there is none."""
+        if np.isnan(tdc).all():
+            return None
+        return np.asarray(np.nan_to_num(tdc[1] - tdc[0])[self._finger], np.float64)
+
+    def _add_tdc(self, tdc: Float64 | None, stamp_ns: int) -> Float64 | None:
+        """Take note of the temperature of a reading, and give it as `_change`."""
+        if tdc is not None and self.parameters.thermal and ((tdc > 0.0) & (tdc < FULL_SCALE)).any():
+            self._tdc, jumped = self._followed(tdc, stamp_ns)
+            self._tdc_ns = stamp_ns
+            self.tdc_readings += 1
+            self.tdc_jumps += jumped
+        return self._change(self._tdc)
 
     def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
         """Numbers and ages of the readings behind a level; arguments as of `level`."""

@@ -18,7 +18,7 @@ from foretouch.learning.training.calibration import HeldOutPredictions, fit_grou
 from foretouch.learning.training.contact import ContactPredictor
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration
-from foretouch.models.state_space import NEW, TrackerParameters
+from foretouch.models.state_space import FINGER_OF_VALUE, NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
 
 DAY = 86400.0
@@ -68,6 +68,23 @@ def test_without_drift_the_state_is_small(rng) -> None:
     found = deviations(fitted(campaign(rng, 0.0)))
     assert found["slow"] < 10.0
     assert 12.0 < found["object"] < 28.0
+
+
+def test_the_fit_finds_the_slopes_over_the_temperature(rng) -> None:
+    """And leaves everything else as it is, so that readings without TDC are predicted as before."""
+    plain = campaign(rng, 20.0)
+    tdc = 2400.0 + np.cumsum(rng.normal(0.0, 30.0, (len(plain.stamps_ns), 2)), axis=0)
+    slopes = np.concatenate([np.zeros(2), rng.normal(0.7, 0.05, 24), rng.normal(0.4, 0.05, 24)])
+    warmed = plain.readings + slopes * (tdc - tdc[0])[:, FINGER_OF_VALUE]
+    recording = replace(plain, readings=warmed, tdc=tdc)
+    found, without = fitted(recording), fitted(replace(recording, tdc=None))
+    assert_array_equal(found.slope[:2], 0.0)
+    assert np.abs(found.slope[[2, 26]] - [0.7, 0.4]).max() < 0.1
+    for name, array in without.to_tensors().items():
+        if name not in ("slope", "slope_sd"):
+            assert_array_equal(getattr(found, name), array)
+    errors = [np.mean((replay(SensorTracker(one), recording).counts - warmed) ** 2) for one in (found, without)]
+    assert errors[0] < 0.8 * errors[1]
 
 
 def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) -> None:

@@ -268,7 +268,11 @@ class SampleAssembler:
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
         """TAC and TDC in contact and, after `tare_`, before it [counts], such as `tare_TDC_TH`."""
         both = (("", cut.others), ("tare_", cut.tare_others))
-        named = [(f"{prefix}{name}", value) for prefix, row in both for name, value in zip(self._reader.others, row, strict=True)]
+        named = [
+            (f"{prefix}{name}", value)
+            for prefix, row in both
+            for name, value in zip(self._reader.others, row, strict=True)
+        ]
         return {name: float(value) for name, value in named if name.removeprefix("tare_").startswith(("TAC", "TDC"))}
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:

@@ -199,8 +199,9 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
             own = tracker.copy()
             own.add_tare(max(newest_ns, stamp), tare, tdc=_row(asked.tare_tdc, k))
         if own.evidence(0).readings:
-            state = {"same_object": own.touches > 0, "known": asked.is_known(k), "tdc": asked.tdc_before(k)}
-            level = own.level(max(newest_ns, stamp), **state)
+            level = own.level(
+                max(newest_ns, stamp), same_object=own.touches > 0, known=asked.is_known(k), tdc=asked.tdc_before(k)
+            )
             (counts[k],), (half[k],) = own.adapt(level, asked.expected[k : k + 1])
         else:
             half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]
