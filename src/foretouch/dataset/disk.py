@@ -23,13 +23,10 @@ def disk_errors(path: Path, rule: str = "") -> Iterator[None]:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Write a folder beside its final position and move it there at the end; an error leaves nothing behind.
-
-    Args:
-        path: The final position; must not exist.
+    """Write a folder beside its final path, and move it there at the end; an error leaves nothing behind.
 
     Yields:
-        Where to create the folder; nothing exists there. It has its final name, after which formats name their files.
+        Where to create the folder, under its final name: formats name their files after it.
 
     Raises:
         FileError: If `path` exists, or the disk fails.

@@ -142,8 +142,7 @@ class SampleAssembler:
             now_s: Time of a clock that never goes back [s].
 
         Raises:
-            TactileError: If a tactile message holds no reading.
-            DatasetError: If a cloud has no header.
+            TactileError, DatasetError: If a tactile message holds no reading, or a cloud has no header.
         """
         if role == "tactile":
             self.add_tactile(message, received_ns=received_ns, now_s=now_s)

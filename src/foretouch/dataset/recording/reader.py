@@ -88,11 +88,7 @@ class RecordedDataset:
         return len(self._samples)
 
     def __getitem__(self, index: int) -> StoredSample:
-        """One sample with the edits applied, its bytes verified by their SHA-256.
-
-        Raises:
-            FileError: If it is damaged or of another schema version; names file and position.
-        """
+        """One sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
         stored = self.as_recorded(index)
         return stored._replace(record=self.edits.apply(stored.record))
 
@@ -156,8 +152,7 @@ def _holds_samples(path: Path) -> bool:
 def sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
     """The messages with samples in a file, in order, up to its end or to where it is cut off.
 
-    Raises:
-        FileError: At the first invalid record, unless the file merely ends within it.
+    Raises a `FileError` at the first invalid record, unless the file merely ends within it.
     """
     damage = magic_damage(data)
     if damage is not None and len(data) >= len(MAGIC):

@@ -72,8 +72,7 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """Repair every recording of a dataset that needs it, or a single file.
 
     Raises:
-        FileError: If another process records into the dataset, it is no recording or of another version, or the disk has
-            no space for the repaired file.
+        FileError: If another process records into it, it is no recording or of another version, or the disk is full.
     """
     path = Path(path)
     recorded_files(path)  # refuses other folders, before a lock file is created there

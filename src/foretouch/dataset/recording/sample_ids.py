@@ -25,8 +25,7 @@ class SampleIds:
     def with_id(self, record: SampleRecord) -> SampleRecord:
         """The record with its id; an empty one becomes `<object>/<number>`, one above the highest.
 
-        Raises:
-            DatasetError: If the object is no plain name, or the id is taken.
+        Raises a `DatasetError` if the object is no plain name, or the id is taken.
         """
         sample = record.sample
         check_name(sample.object, "object")

@@ -62,8 +62,8 @@ class RecordingConfig(Settings):
     """How often a recording is written to the disk, and when it ends for lack of space."""
 
     fsync_samples: int = setting(
-        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a minute",
-        minimum=0,
+        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a "
+        "minute", minimum=0,
     )  # fmt: skip
     fsync_s: float = setting(
         5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", unit="s", minimum=0.0
@@ -165,9 +165,7 @@ class RecordingWriter:
     def add_topic(self, topic: str, type_name: str) -> None:
         """Declare a topic of messages such as `sensor_msgs/msg/PointCloud2`, before its first message.
 
-        Raises:
-            DatasetError: If the definition of the type is not found, or the topic has another type.
-            FileError: If the session has ended.
+        Raises a `DatasetError` if the type has no definition, or the topic another type.
         """
         with self._guard:
             known = self._file.types.get(topic)
@@ -271,9 +269,8 @@ class RecordingWriter:
     def close(self) -> None:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
 
-        Raises:
-            FileError: If the disk is full or fails; everything that was acknowledged is in the file. If the file was
-                removed; the message names where the session was copied, or what is lost.
+        Raises a `FileError` if the disk is full or fails: everything that was acknowledged is in the file. If the file
+        was removed, the message names where the session was copied, or what is lost.
         """
         with self._guard:
             if self._closed:
@@ -350,7 +347,7 @@ class RecordingWriter:
         self._file.finish()
 
     def _save(self, remains: BinaryIO) -> str:
-        """Copy a file that was removed into the fallback folder, or count its content as lost; says which in one line."""
+        """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""
         if os.fstat(remains.fileno()).st_nlink:
             with_samples = f"with its {self.samples} samples: the session has ended"
             return f"was moved or unmounted during the recording, {with_samples}"
