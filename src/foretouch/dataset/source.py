@@ -60,11 +60,6 @@ class Source:
     entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset
     count: int = 0  # number of entries, or of messages that the recording declares
 
-    @property
-    def segmented(self) -> bool:
-        """Whether the kind guarantees that each cloud holds one object and nothing else."""
-        return self.kind == "samples"
-
     def __len__(self) -> int:
         return self.count
 

@@ -86,6 +86,8 @@ class RecordingWriter:
 
     Attributes:
         path: The dataset; that in `fallback_folder` after the session was copied there.
+        file: The file of the session.
+        closed: Whether the session has ended, by `close` or because the disk is full or failed.
         counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
         samples: Samples appended.
         labelled: Samples appended with a touch.
@@ -114,7 +116,7 @@ class RecordingWriter:
         self.before_end: Callable[[], None] = lambda: None
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
-        self._closed = False
+        self.closed = False
         self._unsynced_samples = 0
         self._guard = threading.RLock()
         self._pending: list[tuple[str, Message]] = []
@@ -122,7 +124,8 @@ class RecordingWriter:
         with ExitStack() as stack:
             stack.enter_context(opened_to_write(self.path, identity))
             self._ids = SampleIds(self.path)
-            self._file = McapFile(new_session_path(self.path))
+            self.file = new_session_path(self.path)
+            self._file = McapFile(self.file)
             stack.callback(self._file.abandon)
             self._file.write_metadata(ABOUT, _about(self.file.stem, identity))
             self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
@@ -136,16 +139,6 @@ class RecordingWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def file(self) -> Path:
-        """The file of the session."""
-        return self._file.path
-
-    @property
-    def closed(self) -> bool:
-        """Whether the session has ended, by `close` or because the disk is full or failed."""
-        return self._closed
 
     @property
     def bytes_written(self) -> int:
@@ -183,7 +176,7 @@ class RecordingWriter:
     def drop(self, topic: str, reason: str, count: int = 1) -> None:
         """Count discarded messages under a short, constant reason such as "queue full"."""
         with self._guard:
-            self.counts.topic(topic).dropped[reason] += count
+            self.counts.topic(topic).drop(reason, count)
 
     def lose(self, topic: str, total: int) -> None:
         """Update the total of messages that the middleware lost before they were received; it never decreases."""
@@ -273,7 +266,7 @@ class RecordingWriter:
         was removed, the message names where the session was copied, or what is lost.
         """
         with self._guard:
-            if self._closed:
+            if self.closed:
                 return
             self._write_pending()
             self._end("not written when the session ended")
@@ -281,7 +274,7 @@ class RecordingWriter:
                 raise FileError(self.file, self._removal)
 
     def _require_open(self) -> None:
-        if self._closed:
+        if self.closed:
             raise FileError(self.file, "the session has ended")
 
     def _write_pending(self) -> None:
@@ -329,9 +322,10 @@ class RecordingWriter:
         raise FileError(self.file, f"{rule}: {rest}") from cause
 
     def _end(self, reason: str) -> None:
-        self._closed = True
+        self.closed = True
         self.before_end()
-        self.counts.drop_pending(reason)
+        for counts in self.counts.topics.values():
+            counts.drop(reason, counts.pending)
         with ExitStack() as stack:
             stack.enter_context(self._release)
             if self._file.removed:
@@ -360,7 +354,9 @@ class RecordingWriter:
                 lost = str(err)
         samples, self.samples, self.labelled = self.samples, 0, 0
         messages = sum(counts.written for counts in self.counts.topics.values()) - samples
-        self.counts.drop_written("file removed")
+        for counts in self.counts.topics.values():
+            counts.drop("file removed", counts.written)
+            counts.written = 0
         return f"{removed} {samples} samples and {messages} messages are lost: {lost}"
 
 
