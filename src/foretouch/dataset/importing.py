@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
-from foretouch.dataset.disk import disk_errors, new_folder
+from foretouch.dataset.files import disk_errors, new_folder
 from foretouch.dataset.pairing import (
     AssembledSample,
     AssemblerConfig,

@@ -12,7 +12,7 @@ import numpy as np
 
 from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
-from foretouch.dataset.disk import new_folder
+from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
 from foretouch.types import GraspSample

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch.checked_files import file_sha256, parse_json
-from foretouch.dataset.manifest import read_manifest
+from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
-from foretouch.dataset.disk import disk_errors, sync_folder
-from foretouch.dataset.manifest import require_version
+from foretouch.dataset.files import disk_errors, require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
 

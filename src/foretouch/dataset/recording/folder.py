@@ -20,8 +20,7 @@ from typing import BinaryIO, Final
 
 from foretouch import __version__
 from foretouch.checked_files import open_regular
-from foretouch.dataset.disk import disk_errors, new_folder, sync_folder
-from foretouch.dataset.manifest import read_manifest, sealed
+from foretouch.dataset.files import disk_errors, new_folder, read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
 from foretouch.errors import FileError

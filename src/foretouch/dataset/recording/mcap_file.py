@@ -18,7 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from foretouch import __version__
-from foretouch.dataset.disk import disk_errors
+from foretouch.dataset.files import disk_errors
 from foretouch.errors import DatasetError, FileError
 
 LIBRARY: Final = f"foretouch {__version__}"

@@ -18,7 +18,7 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.dataset.disk import disk_errors, sync_folder
+from foretouch.dataset.files import disk_errors, sync_folder
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts

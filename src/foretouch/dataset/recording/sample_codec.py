@@ -16,7 +16,7 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.checked_files import parse_json
-from foretouch.dataset.manifest import require_version
+from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions

@@ -36,11 +36,12 @@ from mcap.records import Message
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
-from foretouch.dataset.disk import sync_folder
+from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.reader import SampleIds
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
@@ -50,7 +51,6 @@ from foretouch.dataset.recording.sample_codec import (
     encode_sample,
     sample_types,
 )
-from foretouch.dataset.recording.sample_ids import SampleIds
 from foretouch.errors import DatasetError, FileError, ForetouchError
 
 _MB: Final = 1_000_000
