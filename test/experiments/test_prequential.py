@@ -25,8 +25,7 @@ def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
         for cell in experiment.cells(settings, data)
         for row in experiment.run(Cell(cell.key, cell.values), settings, data)
     ]
-    recordings = _recordings(rows, settings)
-    assert recordings is not None
+    recordings = _recordings(rows)
     assert len(recordings) == 6
     names = np.array([sample.object for sample in data.samples])
     labels = labels_of(data.samples)
@@ -36,10 +35,10 @@ def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
             known = labels[(names != target) & (names != name)]
             own = recording.expected[recording.objects == name]
             np.testing.assert_allclose(own, np.tile(known.mean(axis=0), (len(own), 1)))
-    assert _recordings([row for row in rows if row["without"] != ["campbells", "spam"]], settings) is None
+    assert _recordings([row for row in rows if row["without"] != ["campbells", "spam"]]) == {}
 
 
-def test_tares_are_read_unless_told_not_to() -> None:
+def test_tares_are_read_and_left_out() -> None:
     data, experiment = make_collection(3, 4), find_experiment("prequential")
     tare = Touch.from_vector(labels_of(data.samples).mean(axis=0))
     samples = [replace(one, tare=tare if k % 4 == 0 else None) for k, one in enumerate(data.samples)]
@@ -49,13 +48,15 @@ def test_tares_are_read_unless_told_not_to() -> None:
         for cell in experiment.cells(settings, data)
         for row in experiment.run(cell, settings, data)
     ]
-    for recording in (_recordings(rows, settings) or {}).values():
-        assert recording.tares is not None
+    for recording in _recordings(rows).values():
         assert_array_equal(np.isfinite(recording.tares).all(axis=1), np.arange(12) % 4 == 0)
         assert_allclose(recording.tares[::4], 0.0, atol=1e-9)  # from the mean of the others' tares
-    for recording in (_recordings(rows, settings.replace(tares=False)) or {"": None}).values():
-        assert recording is not None
-        assert recording.tares is None
+    table = experiment.tabulate(settings, rows)
+    assert list(dict.fromkeys(row["vision"] for row in table)) == [
+        "training_mean, with tares",
+        "training_mean",
+        "past_mean",
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -122,12 +122,8 @@ def prequential_rows(
 def _with_past_mean(recording: Recording, run: int) -> Recording:
     """A recording up to the end of a run of grasps, with the mean of all readings before that run as prediction."""
     runs = recording.runs()
-    past, shown = runs < run, recording.take(runs <= run)
-    if shown.tares is not None and recording.tares is not None:
-        known = np.isfinite(recording.tares[past]).all(axis=1)
-        level = recording.tares[past][known].mean(axis=0) if known.any() else np.nan
-        shown = replace(shown, tares=shown.tares - level)
-    mean = recording.readings[past].mean(axis=0)
+    shown = recording.take(runs <= run)
+    mean = recording.readings[runs < run].mean(axis=0)
     return replace(shown, expected=np.tile(mean, (len(shown.readings), 1)))
 
 
