@@ -1,77 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the committed table of invariances calls exact is exact on made clouds (benchmarks/invariances)."""
+"""What the committed table of `benchmarks/invariances` calls exact is exact on made clouds."""
 
-from __future__ import annotations
-
-import csv
-import importlib.util
-import sys
 from collections import defaultdict
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from benchmarks.common import read_csv
+from benchmarks.invariances import bench
 from foretouch.models import load_model
-from foretouch.simulation.depth_scene import random_scene
 
 pytestmark = pytest.mark.committed_numbers
 
-FOLDER = Path(__file__).parents[1] / "benchmarks" / "invariances"
 FAST = ("order of points", "shift 1 mm", "mirror", "one far outlier", "jitter 1 µm")
+CHANGES = [change for change in bench.changes() if change.name in FAST]
+EXACT = {
+    (row["step"], row["change"])
+    for row in read_csv(bench.RESULTS)
+    if row["refused"] == "0" and float(row["largest"]) == 0.0
+}
 
 
-@pytest.fixture(scope="module")
-def bench() -> ModuleType:
-    sys.path.insert(0, str(FOLDER))
-    spec = importlib.util.spec_from_file_location("invariances_bench", FOLDER / "bench.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    sys.path.remove(str(FOLDER))
-    return module
+def not_exact(found: bench.Found) -> list[tuple[str, str]]:
+    """Of what the table calls exact."""
+    assert found.keys() & EXACT
+    return [key for key, values in found.items() if key in EXACT and max(values) > 0.0]
 
 
-@pytest.fixture(scope="module")
-def exact() -> set[tuple[str, str]]:
-    with (FOLDER / "results.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["refused"] == "0"]
-    return {(row["step"], row["change"]) for row in rows if float(row["largest"]) == 0.0}
-
-
-def _check(found: dict[tuple[str, str], list[float]], exact: set[tuple[str, str]]) -> None:
-    checked = {key: values for key, values in found.items() if key in exact}
-    assert checked
-    assert {key: values for key, values in checked.items() if max(values) > 0.0} == {}
-
-
-def test_objects(bench: ModuleType, exact: set[tuple[str, str]]) -> None:
-    xyz = next(bench.made_objects())
+def test_objects_and_scenes() -> None:
+    xyz, image = next(bench.made_objects()), bench.scene_image(0).xyz
     models = {name: load_model(name) for name in bench.MODELS}
-    spread = np.ones(len(bench.ContactScene(xyz).describe([bench.given_grasp(xyz)[0]])[0]))
-    found = defaultdict(list)
-    for change in bench.changes():
-        if change.name in FAST:
-            bench.object_steps(found, xyz, change, models, spread, np.random.default_rng(0))
-    bench.batch(found, xyz, models)
-    assert {("GeoGrasp stable: best grasp", "order of points"), ("contact features", "1 grasp or 100")} <= exact
-    _check(found, exact)
-
-
-def test_scenes(bench: ModuleType, exact: set[tuple[str, str]]) -> None:
-    image = random_scene(np.random.default_rng(0), 424, 240).render(np.random.default_rng(0), 0.001).cloud().xyz
-    found = defaultdict(list)
-    for change in bench.changes():
-        if change.name in FAST and change.name not in bench.LIST_ONLY:
+    spread = np.ones_like(bench.feature_spread([xyz]))
+    found: bench.Found = defaultdict(list)
+    for change in CHANGES:
+        bench.object_steps(found, xyz, change, models, spread, np.random.default_rng(0))
+        if change.name not in bench.LIST_ONLY:
             bench.scene_steps(found, image, change, np.random.default_rng(0))
-    _check(found, exact)
+    bench.batch(found, xyz, models)
+    assert {("GeoGrasp stable: best grasp", "order of points"), ("contact features", "1 grasp or 100")} <= EXACT
+    assert not_exact(found) == []
 
 
 @pytest.mark.ros
-def test_the_messages_of_the_live_graph_change_no_bit(bench: ModuleType, exact: set[tuple[str, str]]) -> None:
+def test_the_messages_of_the_live_graph_change_no_bit() -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    found = defaultdict(list)
+    found: bench.Found = defaultdict(list)
     bench.live(found)
-    assert {key for key in found if key not in exact} == set()
-    _check(found, exact)
+    assert found.keys() <= EXACT
+    assert not_exact(found) == []

@@ -38,7 +38,7 @@ from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler, Serializ
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
-from foretouch.models.hand_history import Extent
+from foretouch.models.hand_history import ObjectSignature
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import (
@@ -168,7 +168,7 @@ Reader = tuple[Sequence[Any], Callable[[Any], object]]
 
 def clouds() -> Reader:
     """Raw clouds: decode, and check what follows."""
-    return [scene_message(), *object_messages()], lambda message: Extent.of(read_cloud(message))
+    return [scene_message(), *object_messages()], lambda message: ObjectSignature.of(read_cloud(message))
 
 
 def segmented() -> Reader:
@@ -193,7 +193,7 @@ def object_clouds() -> Reader:
 
     def read(message: Any) -> None:
         for target in read_targets(message, ASSUMED_TABLE, ObjectLimits()):
-            Extent.of(target.cloud)
+            ObjectSignature.of(target.cloud)
 
     return object_messages(), read
 

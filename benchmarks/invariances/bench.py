@@ -2,61 +2,51 @@
 """What does each step make of a changed cloud? A table of step x change: exact, bounded, or jumps. See README.md."""
 
 import argparse
-import csv
 import os
 import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from table import write_table
 
+from benchmarks.common import ROOT, add_data, markdown, read_csv, replace_marked, write_csv
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
 from foretouch.grasp.reach import DEFAULT_REACH, check_reach
-from foretouch.models import load_model
-from foretouch.models.contact.features import ContactScene
+from foretouch.models import DEFAULT_MODEL, load_model
+from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
 from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
-MODELS = ("contact-v1", "touchnet-v1")
+MODELS = (DEFAULT_MODEL, "touchnet-v1")
 HERE = Path(__file__).parent
-COLUMNS = ("step", "change", "n", "refused", "unit", "median", "largest", "limit", "over")
-
-
-@dataclass(frozen=True)
-class Step:
-    """What is compared, and from where on a difference counts as a jump."""
-
-    unit: str
-    limit: float
-
+RESULTS = HERE / "results.csv"
 
 STEPS = {
-    "segmentation: labels": Step("% of the objects' pixels", 5.0),
-    "segmentation: table plane": Step("mm at 1 m", 5.0),
-    "segmentation: clusters": Step("objects", 0.5),
-    "GeoGrasp original: best grasp": Step("mm", 10.0),
-    "GeoGrasp stable: best grasp": Step("mm", 10.0),
-    "reach and limits": Step("other verdicts", 0.5),
-    "contact features": Step("% of the spread over objects, rms", 25.0),
-    "contact-v1: prediction": Step("counts", 50.0),
-    "touchnet-v1: prediction": Step("counts", 50.0),
-    "novelty flag": Step("other flags", 0.5),
-    "calibration after 3 touches": Step("counts", 50.0),
-    "contact simulator: force per cell": Step("% of the largest", 10.0),
+    "segmentation: labels": ("% of the objects' pixels", 5.0),
+    "segmentation: table plane": ("mm at 1 m", 5.0),
+    "segmentation: clusters": ("objects", 0.5),
+    "GeoGrasp original: best grasp": ("mm", 10.0),
+    "GeoGrasp stable: best grasp": ("mm", 10.0),
+    "reach and limits": ("other verdicts", 0.5),
+    "contact features": ("% of the spread over objects, rms", 25.0),
+    **{f"{name}: prediction": ("counts", 50.0) for name in MODELS},
+    "novelty flag": ("other flags", 0.5),
+    "calibration after 3 touches": ("counts", 50.0),
+    "contact simulator: force per cell": ("% of the largest", 10.0),
 }
+"""What is compared, in which unit, and from where on a difference counts as a jump."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +57,7 @@ class Change:
     linear: Float64  # (3, 3) float64
     shift: Float64  # (3,) float64 [m]
     more: Callable[[Float64, np.random.Generator], Float64] | None = None  # (N, 3) to (M, 3) of a list
-    in_image: Callable[[Float64, np.random.Generator], Float64] | None = (
-        None  # the same for an image; None: not possible
-    )
+    in_image: Callable[[Float64, np.random.Generator], Float64] | None = None  # of an image; None: not possible
 
     def points(self, xyz: Float32, rng: np.random.Generator) -> Float32:
         """The changed list of points (N, 3), or image (H, W, 3)."""
@@ -146,23 +134,43 @@ Found = dict[tuple[str, str], list[float]]  # differences by step and change; Na
 
 
 def main() -> None:
-    """Measure, write the CSV, the table of the README and the picture."""
+    """Measure, and write the CSV and the table of the README."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of the recordings")
+    add_data(parser)
     parser.add_argument("--every", type=int, default=40, help="use each k-th recorded cloud")
-    parser.add_argument("--table", action="store_true", help="only write table and picture again")
+    parser.add_argument("--table", action="store_true", help="only write the table again")
     parser.add_argument("--answers", type=Path, help="only write the answers to unchanged clouds to this file")
     arguments = parser.parse_args()
     if arguments.answers:
         np.savez(arguments.answers, **answers())
         return
     if not arguments.table:
-        found = measure(arguments.data, arguments.every)
-        with (HERE / "results.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows(found))
-    write_table(HERE, list(STEPS), [*(change.name for change in changes()), *OTHERS])
+        write_csv(RESULTS, rows(measure(arguments.data, arguments.every)))
+    found = {(row["step"], row["change"]): row for row in read_csv(RESULTS)}
+    columns = ["change", *(f"{step} [{unit}]" for step, (unit, _) in STEPS.items())]
+    names = [*(change.name for change in changes()), *OTHERS]
+    replace_marked(
+        HERE / "README.md",
+        markdown(columns, [[name, *(text(found.get((step, name))) for step in STEPS)] for name in names]),
+    )
+
+
+def text(row: Mapping[str, str] | None) -> str:
+    """A cell of the table."""
+    if row is None:
+        return "–"
+    answered, over = int(row["n"]) - int(row["refused"]), int(row["over"])
+    if not answered:
+        return "refused"
+    refused = f"; {row['refused']} of {row['n']} refused" if int(row["refused"]) else ""
+    if over:
+        return f"**{100 * over / answered:.0f} %** > {row['limit']}, ≤ {row['largest']}{refused}"
+    return ("exact" if float(row["largest"]) == 0.0 else f"≤ {row['largest']}") + refused
+
+
+def scene_image(seed: int) -> Cloud:
+    """A simulated scene of three objects."""
+    return random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
 
 
 def measure(data: Path | None, every: int) -> Found:
@@ -177,9 +185,7 @@ def measure(data: Path | None, every: int) -> Found:
             object_steps(found, xyz, change, models, spread, np.random.default_rng(seed))
         batch(found, xyz, models)
     for seed in range(6):
-        image = (
-            random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud().xyz
-        )
+        image = scene_image(seed).xyz
         for change in changes():
             scene_steps(found, image.reshape(-1, 3), change, np.random.default_rng(seed))
             if change.name not in LIST_ONLY:
@@ -194,17 +200,17 @@ def rows(found: Found) -> Iterator[dict[str, object]]:
     """The rows of the CSV."""
     for (step, change), values in sorted(found.items()):
         answered = np.array([value for value in values if not np.isnan(value)])
-        largest = f"{answered.max():.3g}" if len(answered) else ""
+        unit, limit = STEPS[step]
         yield {
             "step": step,
             "change": change,
             "n": len(values),
             "refused": len(values) - len(answered),
-            "unit": STEPS[step].unit,
+            "unit": unit,
             "median": f"{np.median(answered):.3g}" if len(answered) else "",
-            "largest": largest,
-            "limit": f"{STEPS[step].limit:g}",
-            "over": int((answered > STEPS[step].limit).sum()),
+            "largest": f"{answered.max():.3g}" if len(answered) else "",
+            "limit": f"{limit:g}",
+            "over": int((answered > limit).sum()),
         }
 
 
@@ -232,7 +238,7 @@ def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
 
 def feature_spread(clouds: list[Float32]) -> Float64:
     """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
-    described = [ContactScene(xyz.astype(np.float64)).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
+    described = [HandFrameFeatures(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
     spread = np.std(described, axis=0)
     return np.where(spread > 0.0, spread, np.inf)
 
@@ -283,7 +289,7 @@ def object_steps(
     compare("reach and limits", _verdict, _largest)
     compare(
         "contact features",
-        lambda points, one: ContactScene(points.astype(np.float64)).describe([one])[0],
+        lambda points, one: HandFrameFeatures(points).describe([one])[0],
         lambda before, after: float(np.sqrt(np.mean(((after - before) / spread) ** 2)) * 100.0),
     )
     for name, model in models.items():
@@ -303,7 +309,7 @@ def object_steps(
         history = HandHistory(contact)
         for _ in range(3):
             history.add_touch(1, Cloud(points), one, _READING)
-        return _vector(contact.predict(Cloud(points), [one], history=history.at(1, same_object=True))[0])
+        return _vector(contact.predict(Cloud(points), [one], history=history.snapshot(1, same_object=True))[0])
 
     compare("calibration after 3 touches", touched, _largest)
 
@@ -369,7 +375,7 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
         g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
         others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
     others[57] = grasp
-    scene = ContactScene(xyz.astype(np.float64))
+    scene = HandFrameFeatures(xyz)
     found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
     for name, model in models.items():
         alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
@@ -415,12 +421,11 @@ def answers() -> dict[str, npt.NDArray[np.floating]]:
         for method in ("original", "stable"):
             plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig.from_mapping({"method": method}))
             result[f"GeoGrasp {method}: best grasp|{number}"] = 1e3 * np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-        result[f"contact features|{number}"] = ContactScene(xyz.astype(np.float64)).describe([grasp])[0]
+        result[f"contact features|{number}"] = HandFrameFeatures(xyz).describe([grasp])[0]
         for name, model in models.items():
             result[f"{name}: prediction|{number}"] = _vector(_answer(model, xyz, grasp))
     for seed in range(3):
-        image = random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
-        seen = segment(image)
+        seen = segment(scene_image(seed))
         assert seen.plane is not None
         result[f"segmentation: labels|{seed}"] = (seen.labels > 0).astype(np.float64)
         result[f"segmentation: table plane|{seed}"] = 1e3 * seen.plane.coefficients
@@ -440,7 +445,8 @@ def threads(found: Found) -> None:
         for count, file in enumerate(files, 1):
             names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
             environment = {**os.environ, **dict.fromkeys(names, str(count))}
-            subprocess.run([sys.executable, __file__, "--answers", str(file)], check=True, env=environment)
+            command = [sys.executable, "-m", "benchmarks.invariances.bench", "--answers", str(file)]
+            subprocess.run(command, check=True, env=environment, cwd=ROOT)
         one, two = (np.load(file) for file in files)
         for key in one.files:
             found[key.split("|")[0], OTHERS[1]].append(_largest(one[key], two[key]))
@@ -460,7 +466,7 @@ def live(found: Found) -> None:
     from foretouch.pipeline import Pipeline, PipelineConfig
 
     for seed in range(3):
-        cloud = random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
+        cloud = scene_image(seed)
         for method in ("original", "stable"):
             pipeline = Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
             offline = pipeline.run(cloud)
@@ -476,7 +482,7 @@ def live(found: Found) -> None:
             found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(difference)
             expected = offline.targets[0].predictions[0]
             predicted = pipeline.predict(targets[0], [sent])[0]
-            found["contact-v1: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
+            found[f"{DEFAULT_MODEL}: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
             found["novelty flag", OTHERS[2]].append(float(expected.flags != predicted.flags))
         assert offline.scene is not None
         assert offline.scene.segmentation.plane is not None

@@ -345,7 +345,6 @@ def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
     error = max(
         gap(found.axial_n, w @ axis),
         gap(found.tangential_n, np.stack([(-across - couple) / 2, (-across + couple) / 2])),
-        gap(found.torsion_nm, moment @ axis) / float(length),
     )
     return 1.0 + float((norm(a) + norm(b) + norm(c)) / length), error / size
 

@@ -86,7 +86,7 @@ def contact_errors(body: Body, world: World, grasp: Grasp, lowered_m: float) -> 
     The slope is the angle between the way in which the finger closes and the inward normal of the surface; NaN where a
     finger closes beside the object.
     """
-    contacts = world.to_world(np.stack([grasp.g1, grasp.g2]))
+    contacts = world.view.to_world(np.stack([grasp.g1, grasp.g2]))
     closing = (contacts[::-1] - contacts) / np.linalg.norm(contacts[1] - contacts[0])
     nearest, normals = _nearest(body, contacts)
     start = contacts - BACK_M * closing - [0.0, 0.0, lowered_m]

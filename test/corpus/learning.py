@@ -89,7 +89,7 @@ def _labeled(residual: Any, dtype: str, kind: str = "rmse", *, gradient: bool = 
 
 def _srgan(variant: str, dtype: str, *features: Any) -> list[Any]:
     """Both losses and the gradients of labelled, unlabelled and fake features."""
-    config = losses.SrganLossConfig(reading=variant)
+    config = losses.SrganLossConfig(loss_variant=variant)
     parts = [torch.from_numpy(one).to(getattr(torch, dtype)).requires_grad_() for one in features]
     discriminator = losses.discriminator_loss(torch.tensor(0.5), losses.Features(*parts), config)
     total = discriminator.total + losses.generator_loss(parts[2], parts[1].detach(), config).total

@@ -13,7 +13,7 @@ from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVar
 from foretouch.learning.data import labels_of
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.estimator import by_modality
-from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
+from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 
 NONE, TOUCHED, ASKED = np.arange(0), np.arange(3), np.arange(3, 10)
 
@@ -46,7 +46,10 @@ def test_combinations(models, released, sides) -> None:
     """The kernel by itself, and half of each as the mean of both."""
     estimator = released.estimator
     inputs = describe_samples(sides[1])[:, len(CONDITIONS) :]
-    kernel = estimator.kernel.predict(inputs) * by_modality(estimator.claim) * estimator.deviation + estimator.mean
+    kernel = (
+        estimator.kernel.predict(inputs) * by_modality(estimator.generalisation_gain) * estimator.deviation
+        + estimator.mean
+    )
     np.testing.assert_allclose(models["kernel alone"].recording.expected, kernel)
     half = (models["forests alone"].recording.expected + models["kernel alone"].recording.expected) / 2.0
     np.testing.assert_allclose(models["no gate, half of each"].recording.expected, half)

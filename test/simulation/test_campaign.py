@@ -14,6 +14,7 @@ from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.simulation.campaign import Campaign, object_index
+from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
 from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import CampaignConfig, SceneConfig, load_scene
 from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S
@@ -167,13 +168,13 @@ def test_terms_add_up_and_one_in_contact_leaves_the_rest_alone() -> None:
 
 
 def test_warm_up_decays_after_each_power_on() -> None:
-    found = campaign(days=[0, 1], objects=2, grasps=20, warm_up={"warming_s": 500, "body_kelvin": 2})
-    times = [found.time_of(slot) for slot in range(80)]
-    rise = np.stack([found.warm_up(time, NOW)[0, :, 1:] for time in times])
-    powered = np.array([time.powered_s for time in times])
-    np.testing.assert_allclose(24.0 - rise, np.broadcast_to(24.0 * np.exp(-powered / 500)[:, None, None], rise.shape))
-    assert rise[39].min() > 23.0
-    assert rise[40].max() < 6.0  # cold again
+    warm_up = {"warming_s": 500, "body_kelvin": 2}
+    config = scene(CAN, campaign={"days": [0, 1], "objects": 1, "grasps": 20, "warm_up": warm_up}, **HELD)
+    for slot in (0, 1, 19, 20, 39):
+        state = run(config, "level", "campaign_time", slot=slot)
+        rise = 2.0 * (1.0 - np.exp(-state.campaign_time.powered_s / 500))
+        np.testing.assert_allclose(state.level[0], np.broadcast_to([8.0 * rise] + [12.0 * rise] * 24, (2, 25)))
+    assert run(config, "campaign_time", slot=20).campaign_time.powered_s == POWER_ON_S  # cold again
 
 
 def test_an_exchange_jumps_once_and_on_one_finger() -> None:
@@ -271,7 +272,8 @@ def test_a_live_hand_passes_through_the_campaign_by_its_clock() -> None:
         now = found.live(elapsed)
         assert now.time_s == pytest.approx(1000.0 * elapsed)
         assert now.session == int(elapsed > 86.4)
-        level = found.drift(now, np.zeros(1), np.zeros(1)) + found.warm_up(now, np.zeros(1))
+        warm = temperature_drift(TemperatureConfig(), np.array([now.powered_s]))[:, None]
+        level = found.drift(now, NOW, NOW) + warm
         rest = np.array([np.append(f.pdc_rest, f.electrode_rest) for f in found.fingers(now.session)])
         np.testing.assert_allclose(hand.rest(1, elapsed_s=elapsed)[0], rest + level[0], atol=0.51)
     grasp = run(config, "grasp", slot=0).grasp

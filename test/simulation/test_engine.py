@@ -14,7 +14,7 @@ from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, s
 from foretouch.errors import CloudError, SimulationError
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS, place, view
-from foretouch.simulation.engine import Engine, explain, plan_chain
+from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import ObjectConfig, SceneConfig, load_scene
 from foretouch.simulation.world import SampleKey
 
@@ -35,7 +35,7 @@ def effect(
 
 
 def names(effects: list[Effect], *outputs: str) -> list[str]:
-    return [e.name for e in plan_chain(effects, SCENE, SCENE.objects[0], outputs)]
+    return [e.name for e in Engine(SCENE, effects, outputs).chains[0]]
 
 
 def test_effects_run_in_the_order_of_their_list_where_their_result_leads_to_an_output() -> None:
@@ -56,7 +56,7 @@ def test_effects_run_in_the_order_of_their_list_where_their_result_leads_to_an_o
         "off",
         "apart",
     ]
-    plans = {p.name: (p.runs, p.reason) for p in explain(SCENE, effects, ["cloud"])}
+    plans = {p.name: (p.runs, p.reason) for p in Engine(SCENE, effects, ("cloud",)).explain()}
     assert plans["make"] == (True, "x")
     assert plans["off"] == (False, "off")
     assert plans["apart"] == (False, "nothing reads it")
@@ -98,9 +98,9 @@ def watched(effect: Effect) -> Effect:
 def made_before_read(effects: tuple[Effect, ...], config: SceneConfig, outputs: tuple[str, ...]) -> set[str]:
     """The names of effects that run; each key has been written before it is read."""
     ran = set()
-    for item in config.objects:
+    for chain in Engine(config, effects, outputs).chains:
         written: set[str] = set()
-        for one in plan_chain(effects, config, item, outputs):
+        for one in chain:
             assert set(one.reads) <= written, f"{one.name} reads {set(one.reads) - written} before it is written"
             written |= set(one.writes)
             ran.add(one.name)
@@ -171,7 +171,7 @@ def test_objects_take_turns_and_have_chains_of_their_own() -> None:
     for slot in range(5):
         engine.run(SampleKey(0, slot))
     assert (engine.timings["rigid"].calls, engine.timings["soft"].calls) == (3, 2)
-    objects = {p.name: p.objects for p in explain(both, [soft, rigid], ["relief"])}
+    objects = {p.name: p.objects for p in engine.explain()}
     assert objects == {"soft": ("sponge",), "rigid": ("can",)}
 
 

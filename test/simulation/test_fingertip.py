@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from foretouch.errors import ContactError, TactileError
+from foretouch.errors import TactileError
 from foretouch.simulation import fingertip
 from foretouch.simulation.contact import (
     Command,
@@ -168,8 +168,6 @@ def test_weights_depend_on_neither_the_grid_nor_cells_beside_the_pad():
 def test_displaced_liquid_lifts_the_skin_elsewhere():
     approach = fingertip._skin_approach(np.zeros((24, 4)), np.zeros((2, 2)), 1e-9)
     assert_allclose(approach, -1e-9 / fingertip.BULGE_AREA_M2)
-    with pytest.raises(ContactError, match="displacement: 9 cells, but weights for 4"):
-        fingertip._skin_approach(np.zeros((24, 4)), np.zeros((3, 3)), 0.0)
 
 
 def test_closer_skin_raises_the_impedance_exponentially_and_crushed_skin_stays_finite():

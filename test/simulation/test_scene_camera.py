@@ -12,7 +12,7 @@ from foretouch.errors import MissingDependencyError
 from foretouch.simulation import random_scene
 from foretouch.simulation.depth_scene import FIRST_OBJECT
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene_camera import FrameMaker, SceneImages, scene_camera, swinging_frames
+from foretouch.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera, swinging_frames
 from foretouch.simulation.schedule import ScheduleConfig
 
 START = 1_763_000_000_000_000_000
@@ -29,9 +29,9 @@ class Clock:
         return self.now_ns
 
 
-def images(config, **faults) -> tuple[SceneImages, Clock, ScheduleConfig]:
+def images(config, **faults) -> tuple[_SceneImages, Clock, ScheduleConfig]:
     clock, schedule = Clock(), ScheduleConfig(dwell_s=2.0, origin_ns=START)
-    return SceneImages(config, schedule, MessageFaults(FaultConfig(**faults)), clock), clock, schedule
+    return _SceneImages(config, schedule, MessageFaults(FaultConfig(**faults)), clock), clock, schedule
 
 
 def test_what_is_seen_is_the_sample_of_its_stamp() -> None:

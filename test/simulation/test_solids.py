@@ -117,7 +117,7 @@ def test_the_distance_from_a_solid_is_that_from_its_visible_surface(solids, rng)
         nearest = cKDTree(surface[np.isfinite(surface).all(axis=1)]).query(points)[0]
         assert (found <= nearest + 1e-9).all()
         np.testing.assert_allclose(found, nearest, atol=2e-3)
-        assert solid.surface_distance(POSITION[None])[0] == pytest.approx(solid._half_extents.min())
+        assert solid.surface_distance(POSITION[None])[0] == pytest.approx(solid._edges().min() / 2.0)
 
     every_case(list(solids.items()), check)
 

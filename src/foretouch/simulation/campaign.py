@@ -7,13 +7,14 @@ a value.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.disturbances import ou_noise, temperature_drift
+from foretouch.simulation.disturbances import ou_noise
 from foretouch.simulation.fingertip import Finger, draw_finger
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.campaign import (
@@ -31,7 +32,7 @@ from foretouch.types import ELECTRODES, Float64
 
 _FINGERS: Final = ("thumb", "middle")
 _CHANNELS: Final = 1 + ELECTRODES
-_START_S: Final = 1_767_603_600  # when the sensors are switched on for the first time, since 1970
+_START_NS: Final = 1_767_603_600_000_000_000  # when the sensors are switched on for the first time, since 1970
 _KNOTS: Final = 50  # a memory; the path is linear in between, where its variance is at most 1 % lower
 
 
@@ -54,28 +55,16 @@ def object_index(scene: SceneConfig, slot: int) -> int:
     if scene.campaign is None:
         return slot % count
     turn, place = divmod(slot // scene.campaign.grasps, count)
-    return _order(scene.seed, turn, count)[place]
+    return int(SampleKey(scene.seed, turn).stream("order of the objects").permutation(count)[place])
 
 
-@lru_cache(maxsize=64)
-def _order(seed: int, turn: int, count: int) -> list[int]:
-    order: list[int] = SampleKey(seed, turn).stream("order of the objects").permutation(count).tolist()
-    return order
-
-
+@dataclass(eq=False)
 class Campaign:
-    """One campaign.
+    """One campaign."""
 
-    Args:
-        config: Its settings.
-        scene: The scene.
-        fingers: Thumb and middle finger as they are mounted at first.
-    """
-
-    def __init__(self, config: CampaignConfig, scene: SceneConfig, fingers: tuple[Finger, Finger]) -> None:
-        self.config = config
-        self._scene = scene
-        self._first = fingers
+    config: CampaignConfig  # its settings
+    scene: SceneConfig  # the scene
+    first: tuple[Finger, Finger]  # thumb and middle finger as they are mounted at first
 
     def time_of(self, slot: int) -> CampaignTime:
         """When the grasp of a slot is executed.
@@ -123,21 +112,14 @@ class Campaign:
                 total[:, k, 1:] += (share * electrodes).T
         return total
 
-    def warm_up(self, now: CampaignTime, times_s: Float64) -> Float64:
-        """(T, 1, 25) float64 [counts]: how far the sensors have warmed up since power-on; arguments as of `drift`."""
-        config = self.config.warm_up
-        assert config is not None  # noqa: S101  # the scene calls for it
-        return temperature_drift(config, now.powered_s + now.speed * times_s)[:, None]
-
     def _time(self, session: int, powered_s: float, visit: int = 0, grasp: int = 0) -> CampaignTime:
         time_s = self.config.days[session] * DAY_S + powered_s
-        stamp_ns = _START_S * 1_000_000_000 + round(time_s * 1e9)
-        return CampaignTime(stamp_ns, time_s, powered_s, session, visit, grasp)
+        return CampaignTime(_START_NS + round(time_s * 1e9), time_s, powered_s, session, visit, grasp)
 
     def _exchanges(self, finger: int) -> list[ExchangeConfig]:
         """Of one finger, in order of time."""
-        mine = [each for each in self.config.exchanges if each.finger == _FINGERS[finger]]
-        return sorted(mine, key=lambda each: each.session)
+        mine = (each for each in self.config.exchanges if each.finger == _FINGERS[finger])
+        return sorted(mine, key=attrgetter("session"))
 
     def _exchanges_before(self, finger: int, session: int) -> int:
         return sum(each.session <= session for each in self._exchanges(finger))
@@ -147,7 +129,7 @@ class Campaign:
         """Of each session (objects, grasps) float64: when each grasp is executed, since power-on [s]."""
         config, sessions = self.config, []
         for session in range(len(config.days)):
-            rng = SampleKey(self._scene.seed, session).stream("times of a session")
+            rng = SampleKey(self.scene.seed, session).stream("times of a session")
             pauses = rng.uniform(*GRASP_S, (config.objects, config.grasps))
             pauses[:, 0] += rng.uniform(*CHANGE_S, config.objects)
             pauses[0, 0] = POWER_ON_S
@@ -157,11 +139,11 @@ class Campaign:
     @cached_property
     def _sensors(self) -> tuple[list[Finger], list[Finger]]:
         """Of both fingers the fingertips that are mounted one after the other."""
-        first, fingers = self._first, self._scene.fingers
-        thumbs, middles = [first[0]], [first[1]]
+        fingers = self.scene.fingers
+        thumbs, middles = ([finger] for finger in self.first)
         for finger, (mounted, kind) in enumerate(((thumbs, fingers.thumb), (middles, fingers.middle))):
             for exchange in self._exchanges(finger):
-                stream = SampleKey(self._scene.seed, exchange.session).stream(f"new sensor of the {exchange.finger}")
+                stream = SampleKey(self.scene.seed, exchange.session).stream(f"new sensor of the {exchange.finger}")
                 old = mounted[-1]
                 new = draw_finger(kind, stream)
                 electrodes = new.electrode_rest - new.electrode_rest.mean() + old.electrode_rest.mean()
@@ -194,7 +176,7 @@ class Campaign:
     def _path(self, term: DriftTermConfig, number: int, name: str, channels: int, sensor: int = 0) -> Float64:
         end_s = self.config.days[-1] * DAY_S + self.config.longest_session_s
         knots = int(np.ceil(end_s / _distance_s(term))) + 1
-        rng = SampleKey(self._scene.seed, number, sensor).stream(name)
+        rng = SampleKey(self.scene.seed, number, sensor).stream(name)
         return ou_noise(knots, channels, 1.0, 1.0, _KNOTS, rng)
 
 

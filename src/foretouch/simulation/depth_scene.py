@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from foretouch.camera.deproject import Deprojector
 from foretouch.errors import ConfigError
-from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
+from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise
 from foretouch.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
 from foretouch.simulation.view import CameraView
 from foretouch.types import Cloud, Float64
@@ -67,36 +67,25 @@ class DepthScene:
     objects: tuple[Primitive, ...]  # the solids; the k-th has the label 2 + k
 
     def render(
-        self,
-        rng: np.random.Generator | None = None,
-        noise_m: float = 0.0,
-        flying_pixels: bool = False,
-        *,
-        stereo_shadows: bool = False,
+        self, rng: np.random.Generator | None = None, noise_m: float = 0.0, flying_pixels: bool = False
     ) -> DepthImage:
         """One frame; without effects it is exact to the millimetre that the depth is rounded to.
 
         Args:
-            rng: Of noise and flying pixels; may be None without either.
+            rng: Generator of noise and flying pixels; may be None without either.
             noise_m: Standard deviation of the depth at 1 m, growing with its square [m].
             flying_pixels: Whether pixels on a depth edge lie between both sides.
-            stereo_shadows: Whether what only one of the two imagers sees has no depth.
 
         Raises:
-            ConfigError: If an effect needs a generator and none is given, or the noise is negative.
+            ConfigError: If an effect needs a generator and none is given.
         """
-        if noise_m < 0.0:
-            raise ConfigError(f"noise_m: {noise_m} is negative")
         depth, labels = self.cast()
         rgb = self._colours(depth, labels)
-        hidden = stereo_shadow(depth, self.view.matrix[0, 0]) if stereo_shadows else None
         if noise_m > 0.0 or flying_pixels:
             if rng is None:
                 raise ConfigError("rng: is None, noise and flying pixels need a generator")
             depth = add_flying_pixels(depth, rng) if flying_pixels else depth
             depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
-        if hidden is not None:
-            depth = np.where(hidden, np.inf, depth)
         return DepthImage(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
 
     def cast(self) -> tuple[Float64, npt.NDArray[np.int32]]:
@@ -194,9 +183,8 @@ def _find_place(
     for _ in range(_ATTEMPTS):
         solid = _random_solid(rng)
         solid = solid.moved(np.append(rng.uniform(-0.5, 0.5, 2) * TABLE_M, 0.0))
-        if not _in_view(solid, view) or (np.abs(solid.position[:2]) + footprint_m(solid) >= TABLE_M / 2.0).any():
-            continue
-        if any(_collide(solid, other) for other in placed):
+        fits = _in_view(solid, view) and (np.abs(solid.position[:2]) + footprint_m(solid) < TABLE_M / 2.0).all()
+        if not fits or any(_collide(solid, other) for other in placed):
             continue
         if may_occlude or not any(_overlap_in_image(solid, other, view) for other in placed):
             return solid

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import TactileError
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import ELECTRODES, Float64
 
@@ -79,33 +77,17 @@ def ou_noise(
     return steps
 
 
-def fresh_samples(rows: int, channels: int, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
-    """(rows, channels) bool: which electrodes of the ring are new in each message; all of the first."""
+def scan(series: Float64, rng: np.random.Generator) -> Float64:
+    """Sample the channels of a series (T, C) in a ring: each message repeats those that were not sampled since the last."""
+    rows, channels = series.shape
     cuts = rng.uniform(0.0, channels) + _FRESH_PER_ROW * np.arange(rows + 1)
     cuts += _CUT_JITTER * rng.standard_normal(rows + 1)
     cursor = np.maximum.accumulate(np.floor(cuts).astype(np.int64))
     since_cut = (np.arange(channels) - cursor[:-1, None]) % channels
     fresh = since_cut < np.diff(cursor)[:, None]
     fresh[:1] = True
-    return np.asarray(fresh, np.bool_)
-
-
-def hold_samples(series: Float64, fresh: npt.NDArray[np.bool_]) -> Float64:
-    """Repeat the last fresh value of each channel.
-
-    Args:
-        series: (T, C).
-        fresh: (T, C) bool, true throughout the first row.
-
-    Raises:
-        TactileError: If the shapes differ or a channel has no first value.
-    """
-    if series.shape != fresh.shape:
-        raise TactileError(f"fresh: shape {fresh.shape} is not that of the series, {series.shape}")
-    if len(fresh) and not fresh[0].all():
-        raise TactileError(f"fresh: {np.count_nonzero(~fresh[0])} channels have no first value")
-    rows = np.where(fresh, np.arange(len(series))[:, None], 0)
-    return np.asarray(np.take_along_axis(series, np.maximum.accumulate(rows, axis=0), axis=0))
+    sampled = np.where(fresh, np.arange(rows)[:, None], 0)
+    return np.asarray(np.take_along_axis(series, np.maximum.accumulate(sampled, axis=0), axis=0))
 
 
 def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:
@@ -142,18 +124,10 @@ def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "
         series: (T, 24) [counts].
         dead: Which, 0 to 23.
         stuck_at: `low`: 0 counts, `high`: 4095, `last`: the counts of the first row.
-
-    Raises:
-        TactileError: If there is no such electrode or way to be stuck.
     """
-    if stuck_at not in {"low", "high", "last"}:
-        raise TactileError(f"stuck_at: {stuck_at!r} is none of low, high, last")
-    wrong = [k for k in dead if not 0 <= k < series.shape[-1]]
-    if wrong:
-        raise TactileError(f"dead: no electrode {wrong[0]}, there are {series.shape[-1]}")
-    result = np.array(series, np.float64)
-    columns = list(dead)
-    result[:, columns] = {"low": 0.0, "high": float(FULL_SCALE)}.get(stuck_at, result[:1, columns])
+    result, columns = series.copy(), list(dead)
+    stuck: dict[str, Float64 | float] = {"low": 0.0, "high": float(FULL_SCALE), "last": result[:1, columns]}
+    result[:, columns] = stuck[stuck_at]
     return result
 
 

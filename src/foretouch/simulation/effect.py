@@ -6,7 +6,6 @@ Each effect has a random stream of its own: an effect that is off leaves all bit
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ import numpy.typing as npt
 from foretouch.grasp import GraspPlan
 from foretouch.simulation.campaign import Campaign, CampaignTime
 from foretouch.simulation.contact import ContactFrame, ContactSolution, HeldWeight, PadWindow
-from foretouch.simulation.finger_contact import FingerFrame
 from foretouch.simulation.fingertip import Finger
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.solids import Body, Hits
@@ -41,14 +39,14 @@ class SampleState:
     pixels: npt.NDArray[np.int64]  # (n,), pixel of each point in the flat image
     plan: GraspPlan  # result of GeoGrasp
     grasp: Grasp  # the grasp that is executed, in the camera frame
-    fingers: tuple[FingerFrame, FingerFrame]  # where both fingers close, in the world
+    fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
     targets: Float64  # (2,) that both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
     weight: HeldWeight  # forces of the object's weight on the fingers
     postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]]
     # of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3)
     pads: tuple[PadWindow, PadWindow]  # where on its skin each fingertip is touched, and the window about it
-    touches: tuple[FingerFrame, FingerFrame]  # the tangent frames there, in the world
+    touches: tuple[ContactFrame, ContactFrame]  # the tangent frames there, in the world
     relief: Float64  # (2, N, N) [m], the object's surface behind each tangent plane, inf where there is none
     contacts: tuple[ContactSolution, ContactSolution]  # solved contacts of both fingers
     campaign_time: CampaignTime  # when in the campaign the grasp is executed
@@ -61,9 +59,6 @@ class SampleState:
     series: Float64  # (T, 2, 25) [counts], with what the sensor adds
     touch: Touch  # readings in contact [counts]
     tare: Touch | None  # readings before contact [counts]; None where no tare is recorded
-
-
-Needed = Callable[[SceneConfig, ObjectConfig], str | None]
 
 
 @dataclass(frozen=True)
@@ -79,28 +74,34 @@ class Effect:
         writes: Keys that it makes or changes.
         off: Reason why it does not run where nothing calls for it; by default the field that is absent.
         again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
+        detail: Describes that field, for the reason.
     """
 
     name: str
     run: Callable[["Job", SampleState], None]
-    when: str | Needed
+    when: str | Callable[[SceneConfig, ObjectConfig], str | None]
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     off: str = ""
     again: bool = False
-
-    def settings(self, scene: SceneConfig, item: ObjectConfig) -> Any:
-        """The field of the scene that calls for it; None where that is absent, or for a function."""
-        if callable(self.when):
-            return None
-        of_object = self.when.startswith("objects.")
-        return attrgetter(self.when.removeprefix("objects."))(item if of_object else scene)
+    detail: Callable[[Any], str] | None = None
 
     def reason(self, scene: SceneConfig, item: ObjectConfig) -> str | None:
         """Why it runs with an object of a scene; None where nothing calls for it."""
         if callable(self.when):
             return self.when(scene, item)
-        return None if self.settings(scene, item) is None else self.when
+        value = _field_of(self.when, scene, item)
+        if value is None or value == ():
+            return None
+        return self.when if self.detail is None else f"{self.when}: {self.detail(value)}"
+
+
+def _field_of(path: str, scene: SceneConfig, item: ObjectConfig) -> Any:
+    """A field of a scene, such as `camera.noise`, or of the object, such as `objects.surface`; None where a group is absent."""
+    value: Any = item if path.startswith("objects.") else scene
+    for name in path.removeprefix("objects.").split("."):
+        value = None if value is None else getattr(value, name)
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class Job:
     @property
     def settings(self) -> Any:
         """The field of the scene that calls for the effect."""
-        return self.effect.settings(self.scene, self.item)
+        return _field_of(str(self.effect.when), self.scene, self.item)
 
     def rng(self) -> np.random.Generator:
         """The effect's own stream; call it once, for each call starts it again."""

@@ -5,14 +5,22 @@ Of each object of the scene, those effects run that the scene calls for and whos
 """
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
-from foretouch.errors import ForetouchError, SimulationError
+from foretouch.errors import ContactError, ConvergenceError, ForetouchError, GraspError, SimulationError
 from foretouch.simulation.campaign import Campaign, object_index
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.world import SampleKey, World
+
+_REASONS: Final[dict[type[ForetouchError], str]] = {
+    ContactError: "contact",
+    ConvergenceError: "not_converged",
+    GraspError: "no_grasp",
+}
+"""Reasons of failed tries that are not named by the effect."""
 
 
 @dataclass(frozen=True)
@@ -33,36 +41,6 @@ class EffectTiming:
     seconds: float = 0.0
 
 
-def plan_chain(
-    effects: Sequence[Effect], scene: SceneConfig, item: ObjectConfig, outputs: Iterable[str]
-) -> list[Effect]:
-    """The effects that make `outputs` for one object, in the order of the list, from the outputs backwards."""
-    wanted, chain = set(outputs), []
-    for effect in reversed(effects):
-        if not wanted.isdisjoint(effect.writes) and effect.reason(scene, item) is not None:
-            chain.append(effect)
-            wanted.update(effect.reads)
-    return chain[::-1]
-
-
-def explain(scene: SceneConfig, effects: Sequence[Effect], outputs: Iterable[str]) -> list[EffectPlan]:
-    """Which effects will run and which will not, without running any."""
-    outputs = tuple(outputs)
-    chains = [plan_chain(effects, scene, item, outputs) for item in scene.objects]
-    plans = []
-    for effect in effects:
-        items = [item for item, chain in zip(scene.objects, chains, strict=True) if effect in chain]
-        if items:
-            reasons = dict.fromkeys(effect.reason(scene, item) or "" for item in items)
-            plans.append(EffectPlan(effect.name, True, ", ".join(reasons), tuple(item.name for item in items)))
-            continue
-        called_for = any(effect.reason(scene, item) is not None for item in scene.objects)
-        plans.append(
-            EffectPlan(effect.name, False, "nothing reads it" if called_for else effect.off or f"no {effect.when}")
-        )
-    return plans
-
-
 @dataclass(eq=False)
 class Engine:
     """Makes samples of one scene.
@@ -73,6 +51,7 @@ class Engine:
         outputs: The keys that are asked for.
         timings: By effect, for all that are listed: those that never ran have no calls.
         world: What all samples share.
+        chains: Of each object, the effects that run.
     """
 
     scene: SceneConfig
@@ -80,13 +59,35 @@ class Engine:
     outputs: tuple[str, ...]
     timings: dict[str, EffectTiming] = field(init=False)
     world: World = field(init=False)
+    chains: list[list[Effect]] = field(init=False)
 
     def __post_init__(self) -> None:
         self.timings = {effect.name: EffectTiming() for effect in self.effects}
         self.world = World.of(self.scene)
         campaign = self.scene.campaign
         self._campaign = Campaign(campaign, self.scene, self.world.fingers) if campaign else None
-        self._chains = [plan_chain(self.effects, self.scene, item, self.outputs) for item in self.scene.objects]
+        self.chains = [self._chain(item) for item in self.scene.objects]
+
+    def _chain(self, item: ObjectConfig) -> list[Effect]:
+        """The effects that lead to the outputs for one object, found from the outputs backwards."""
+        wanted, chain = set(self.outputs), []
+        for effect in reversed(self.effects):
+            if not wanted.isdisjoint(effect.writes) and effect.reason(self.scene, item) is not None:
+                chain.append(effect)
+                wanted.update(effect.reads)
+        return chain[::-1]
+
+    def explain(self) -> list[EffectPlan]:
+        """Which effects will run and which will not, without running any."""
+        plans = []
+        for effect in self.effects:
+            reasons = [effect.reason(self.scene, item) for item in self.scene.objects]
+            ran = [k for k, chain in enumerate(self.chains) if effect in chain]
+            reason = ", ".join(dict.fromkeys(reasons[k] or "" for k in ran))
+            if not ran:
+                reason = "nothing reads it" if any(reasons) else effect.off or f"no {effect.when}"
+            plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(self.scene.objects[k].name for k in ran)))
+        return plans
 
     def run(self, key: SampleKey, item: ObjectConfig | None = None) -> SampleState:
         """Make one sample.
@@ -101,7 +102,7 @@ class Engine:
         index = object_index(self.scene, key.slot)
         item = self.scene.objects[index] if item is None else item
         state = SampleState()
-        for effect in self._chains[index]:
+        for effect in self.chains[index]:
             timing = self.timings[effect.name]
             start = time.thread_time()
             try:
@@ -109,7 +110,8 @@ class Engine:
             except SimulationError:
                 raise
             except ForetouchError as err:
-                raise SimulationError(f"{item.name}: {effect.name}: {err}", effect.name) from err
+                reason = _REASONS.get(type(err), effect.name)
+                raise SimulationError(f"{item.name}: {effect.name}: {err}", reason) from err
             finally:
                 timing.calls += 1
                 timing.seconds += time.thread_time() - start

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from foretouch.config import setting
 from foretouch.errors import SimulationError
+from foretouch.simulation.contact import ContactFrame
 from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.finger_contact import FingerFrame
 from foretouch.simulation.fingertip import quantise
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
@@ -72,13 +72,11 @@ class GraspTrajectory:
 
     def phase(self, row: int) -> str:
         """Phase of a row: `rest`, `approach`, `contact`, `hold` or `release`."""
-        if row < self.start:
-            return "rest"
-        if self.onset is None or row < self.onset:
-            return "approach"
-        if self.contact is None or row < self.contact:
-            return "contact"
-        return "hold" if self.release is None or row < self.release else "release"
+        ends = (self.start, self.onset, self.contact, self.release)
+        for end, name in zip(ends, ("rest", "approach", "contact", "hold"), strict=True):
+            if end is None or row < end:
+                return name
+        return "release"
 
 
 class SimulatedHand:
@@ -90,8 +88,7 @@ class SimulatedHand:
     """
 
     def __init__(self, scene: SceneConfig, config: GraspTimingConfig | None = None) -> None:
-        config = GraspTimingConfig() if config is None else config
-        self.config = config
+        self.config = config = config or GraspTimingConfig()
         timeline = TimelineConfig(
             rate_hz=config.rate_hz,
             rest_s=config.rest_s + config.approach_s,
@@ -161,13 +158,8 @@ class SimulatedHand:
 
     def _given_grasp(self, job: Job, state: SampleState) -> None:
         """In place of planning: the grasp that was asked for."""
-        grasp, widest = self._grasp, job.scene.grasps.max_width_m
-        assert grasp is not None  # noqa: S101  # set by execute
-        if grasp.width_m > widest:
-            raise SimulationError(
-                f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {widest:g} m", "too_wide"
-            )
-        state.grasp = replace(grasp, object_id=job.item.name)
+        assert self._grasp is not None  # noqa: S101  # set by execute
+        state.grasp = replace(self._grasp, object_id=job.item.name)
 
     def _no_contact(self, _job: Job, state: SampleState) -> None:
         low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
@@ -214,15 +206,15 @@ class RestingFingers:
         return np.asarray(self._rows[self._next - 1], np.int16)
 
 
-def _achieved(fingers: tuple[FingerFrame, FingerFrame], grasp: Grasp, world: World) -> tuple[Float64, Float64]:
+def _achieved(fingers: tuple[ContactFrame, ContactFrame], grasp: Grasp, world: World) -> tuple[Float64, Float64]:
     """Midpoint and rotation of the hand in the camera frame, as the fingers really went.
 
     A finger's tangent x is the hand's X or its opposite, whichever points down; its approach is the hand's Z or -Z.
     """
     thumb, middle = fingers
     R_camera_world = world.view.R_world_camera.T  # noqa: N806  # transforms read as algebra
-    x, z = R_camera_world @ thumb.rotation[:, 0], -(R_camera_world @ thumb.approach)
+    x, z = R_camera_world @ thumb.rotation[:, 0], -(R_camera_world @ thumb.normal)
     if x @ grasp.rotation[:, 0] < 0.0:
         x = -x
-    midpoint = world.to_camera((thumb.origin + middle.origin) / 2.0)
+    midpoint = world.view.to_camera((thumb.origin + middle.origin) / 2.0)
     return midpoint, np.column_stack([x, np.cross(z, x), z])

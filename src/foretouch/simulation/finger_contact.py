@@ -1,42 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of both fingertips when the hand closes, and the contact problems (surfaces, layers, commands) that follow."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from foretouch.errors import ContactError, ConvergenceError, SimulationError
-from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, PadWindow, gap_field
+from foretouch.simulation.contact import Command, ContactFrame, ContactProblem, Layer, PadConfig, PadWindow, gap_field
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.scene.objects import POISSON
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 
 
-@dataclass(frozen=True, eq=False)
-class FingerFrame:
-    """The tangent frame of a fingertip at its contact, in the world.
-
-    Attributes:
-        origin: (3,) float64 [m], where the pad is to touch.
-        rotation: (3, 3) float64, columns: tangent x along the finger to its tip, tangent y across, and the pad's
-            outward normal, which is the way in which the finger closes. Matches `contact.ContactFrame`.
-    """
-
-    origin: Float64
-    rotation: Float64
-
-    @property
-    def approach(self) -> Float64:
-        """(3,) float64, unit length: the way in which the finger closes."""
-        return self.rotation[:, 2]
-
-    def points(self, x: Float64, y: Float64, depth: float) -> Float64:
-        """(..., 3) float64 [m], world, of points at (x, y) of the tangent plane, `depth` along the approach."""
-        return self.origin + np.stack([x, y, np.full_like(x, depth)], axis=-1) @ self.rotation.T
-
-
-def finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple[FingerFrame, FingerFrame]:
+def finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple[ContactFrame, ContactFrame]:
     """Thumb at g1 and middle finger at g2, closing towards each other, both pointing down.
 
     The hand's Y is along the object's axis and Z along g1 - g2, so the fingers lie along its X; which end of X
@@ -50,7 +24,7 @@ def finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple
     """
     along = hand[:, 0] if hand[:, 0] @ up < 0.0 else -hand[:, 0]
     frames = [
-        FingerFrame(origin, np.column_stack([along, np.cross(approach, along), approach]))
+        ContactFrame(origin, np.column_stack([along, np.cross(approach, along), approach]))
         for origin, approach in ((g1, -hand[:, 2]), (g2, hand[:, 2]))
     ]
     return frames[0], frames[1]
@@ -77,10 +51,10 @@ def pad_of(scene: SceneConfig, item: ObjectConfig) -> PadConfig:
     return scene.fingers.pad if item.rigid else scene.fingers.pad.soft
 
 
-def surface_behind(window: PadWindow, body: Body, frame: FingerFrame) -> Float64:
+def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
     """(N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
     starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
-    t = body.cast(starts, np.broadcast_to(frame.approach, starts.shape)).t
+    t = body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t
     return t.reshape(window.x.shape) - _BACK_M
 
 
@@ -92,8 +66,3 @@ def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, b
     """
     gap = gap_field(window.depth, -behind)
     return ContactProblem(gap, pad_of(scene, item).step_m, layers_of(scene, item))
-
-
-def contact_failure(message: str, error: ContactError) -> SimulationError:
-    """The failure of a sample whose contact cannot be solved, and whether it is the solver that failed."""
-    return SimulationError(message, "not_converged" if isinstance(error, ConvergenceError) else "contact")

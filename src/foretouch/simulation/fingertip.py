@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ContactError, TactileError
+from foretouch.errors import TactileError
 from foretouch.simulation.contact import ContactFrame, ContactSolution, PadConfig, PadWindow
 from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
 from foretouch.types import ELECTRODES, Float64
@@ -107,9 +107,6 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
 
     Returns:
         (25,) float64 [counts], PDC then electrodes.
-
-    Raises:
-        ContactError: If the solution is on another grid.
     """
     if solution.force_n == 0.0:
         return np.append(finger.pdc_rest, finger.electrode_rest)
@@ -167,18 +164,7 @@ def _electrode_weights(
 
 
 def _skin_approach(weights: Float64, displacement: Float64, volume_m3: float) -> Float64:
-    """(24,) float64 [m]: how much closer the skin is to each electrode; negative where it bulges.
-
-    Args:
-        weights: (24, N * N) of `_electrode_weights`.
-        displacement: (N, N) float64 [m], of the skin.
-        volume_m3: Of `_displaced_volume`.
-
-    Raises:
-        ContactError: If the shapes do not fit.
-    """
-    if weights.shape[1] != displacement.size:
-        raise ContactError(f"displacement: {displacement.size} cells, but weights for {weights.shape[1]}")
+    """(24,) float64 [m]: how much closer the skin is to each electrode; negative where it bulges."""
     return np.asarray(weights @ displacement.ravel() - volume_m3 / BULGE_AREA_M2)
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.camera import SyntheticCamera
 from foretouch.errors import SimulationError
@@ -21,6 +22,7 @@ from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.simulation.world import SampleKey
+from foretouch.types import Float64
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
@@ -75,19 +77,19 @@ class FrameMaker:
         if item.colour is not None:
             colours[state.labels == FIRST_OBJECT] = item.colour
         shade = np.where(state.labels > TABLE, view.light(state.normals), 1.0)
-        rgb = (colours * shade[..., None]).astype(np.uint8)
-        world = self._engine.world
-        return DepthImage(to_millimetres(state.depth), rgb, state.labels, world.view.matrix, world.plane.coefficients)
+        return self._image(state.depth, (colours * shade[..., None]).astype(np.uint8), state.labels)
 
     def nothing(self) -> DepthImage:
         """An image without depth, and black."""
+        shape = self._engine.world.rays.shape
+        return self._image(np.zeros(shape[:2]), np.zeros(shape, np.uint8), np.zeros(shape[:2], np.int32))
+
+    def _image(self, depth: Float64, rgb: npt.NDArray[np.uint8], labels: npt.NDArray[np.int32]) -> DepthImage:
         world = self._engine.world
-        depth = np.zeros((world.view.height, world.view.width), np.uint16)
-        rgb, labels = np.zeros((*depth.shape, 3), np.uint8), np.zeros(depth.shape, np.int32)
-        return DepthImage(depth, rgb, labels, world.view.matrix, world.plane.coefficients)
+        return DepthImage(to_millimetres(depth), rgb, labels, world.view.matrix, world.plane.coefficients)
 
 
-class SceneImages:
+class _SceneImages:
     """The image that a camera takes now: call it, then ask `stamp_ns` when it was taken.
 
     A sample is rendered when it is first seen, and up to four times where the camera's noise differs from image to
@@ -155,5 +157,5 @@ def scene_camera(
         fps: Images a second, as far as rendering keeps up [Hz].
         faults: Of stamps and images; their settings may be replaced while it streams.
     """
-    images = SceneImages(scene, schedule, faults)
+    images = _SceneImages(scene, schedule, faults)
     return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)

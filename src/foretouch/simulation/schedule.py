@@ -54,5 +54,4 @@ def centre_of_objects(scene: SceneConfig) -> Float64:
     The mean of the places where objects may lie, at half their mean height.
     """
     places = [(np.mean(item.pose.x_m), np.mean(item.pose.y_m), np.mean(item.size_m) / 2.0) for item in scene.objects]
-    view = scene.camera.view()
-    return np.asarray((np.mean(places, axis=0) - view.eye) @ view.R_world_camera, np.float64)
+    return scene.camera.view().to_camera(np.mean(places, axis=0))

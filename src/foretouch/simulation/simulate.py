@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from foretouch.processes import one_thread_each, process_pool
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine, explain
+from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
 from foretouch.types import ELECTRODES, GraspSample
@@ -76,7 +77,8 @@ class Simulation:
                 f"objects, {campaign.grasps} grasps each)"
             )
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
-        results = _in_turn(self.scene, blocks) if workers == 1 else _spread(self.scene, blocks, workers)
+        made_here = map(partial(_make_block, _engine_of(self.scene)), blocks)
+        results = made_here if workers == 1 else _spread(self.scene, blocks, workers)
         for samples, timings, failures, given_up in results:
             for name, timing in timings.items():
                 self.timings[name].calls += timing.calls
@@ -89,7 +91,7 @@ class Simulation:
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
     """Which effects will run and which will not, without running any."""
-    return explain(scene, EFFECTS, _keys(scene))
+    return _engine_of(scene).explain()
 
 
 def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
@@ -98,12 +100,11 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
     Raises:
         SimulationError: As it did.
     """
-    return Engine(scene, EFFECTS, _keys(scene)).run(key)
+    return _engine_of(scene).run(key)
 
 
-def _keys(scene: SceneConfig) -> tuple[str, ...]:
-    """Of the state that a sample of this scene is made of."""
-    return SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time")
+def _engine_of(scene: SceneConfig) -> Engine:
+    return Engine(scene, EFFECTS, SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time"))
 
 
 _Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
@@ -180,17 +181,12 @@ _engine: Engine | None = None  # of a worker process
 
 def _start_worker(scene: SceneConfig) -> None:
     global _engine  # noqa: PLW0603  # a worker process has one scene all its life
-    _engine = Engine(scene, EFFECTS, _keys(scene))
+    _engine = _engine_of(scene)
 
 
 def _work(slots: range) -> _Block:
     assert _engine is not None  # noqa: S101  # _start_worker made it
     return _make_block(_engine, slots)
-
-
-def _in_turn(scene: SceneConfig, blocks: Iterator[range]) -> Iterator[_Block]:
-    engine = Engine(scene, EFFECTS, _keys(scene))
-    return (_make_block(engine, slots) for slots in blocks)
 
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:

@@ -8,7 +8,6 @@ A ray is o + t·d. The direction is not normalised: with d_z = 1 in the camera's
 the depth itself. All is float64; a ray that misses has t = inf.
 """
 
-import itertools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -20,7 +19,7 @@ from foretouch.simulation.objects import TriangleMesh, unit_mesh
 from foretouch.types import Float32, Float64
 
 _MISS = 1e30  # embree answers 1e37 where a ray meets nothing
-
+_UNIT_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 LYING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Rotation of a body that lies on its side: its z along the table."""
@@ -89,9 +88,6 @@ class Body:
         return float(self.position[2] + (self.mesh.vertices @ (self.size * self.rotation[2])).min())
 
 
-_UNIT_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-
-
 @lru_cache(maxsize=256)
 def _search_tree(shape: str, variant: int) -> Any:
     from embreex.mesh_construction import TriangleMesh as EmbreeMesh
@@ -111,14 +107,17 @@ class Primitive(ABC):
     position: Float64  # (3,) float64, its centre in the world [m]
     rotation: Float64 = field(default_factory=lambda: np.eye(3))  # (3, 3) float64, its axes as columns in the world
 
-    @property
     @abstractmethod
-    def _half_extents(self) -> Float64:
-        """(3,) float64, half of the bounding box along its own axes [m]."""
+    def _edges(self) -> Float64:
+        """(3,) float64, edges of the bounding box along its own axes [m]."""
 
     @abstractmethod
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
         """`cast` in the solid's own frame, (n, 3) to (n,)."""
+
+    @abstractmethod
+    def _beyond(self, points: Float64) -> Float64:
+        """(n, k) float64, how far points of its own frame are beyond each of its faces; negative within [m]."""
 
     def cast(self, origin: Float64, directions: Float64) -> Float64:
         """Where rays enter the solid.
@@ -134,10 +133,6 @@ class Primitive(ABC):
         t = self._cast((origin - self.position) @ self.rotation, flat)
         return t.reshape(directions.shape[:-1])
 
-    @abstractmethod
-    def _beyond(self, points: Float64) -> Float64:
-        """(n, k) float64, how far points of its own frame are beyond each of its faces; negative within [m]."""
-
     def surface_distance(self, points: Float64) -> Float64:
         """(n,) float64, distance of points (n, 3) in the world from its surface, inside as well as outside [m]."""
         beyond = self._beyond((points - self.position) @ self.rotation)
@@ -146,8 +141,7 @@ class Primitive(ABC):
 
     def corners(self) -> Float64:
         """(8, 3) float64, corners of its oriented bounding box, world [m]."""
-        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        return self.position + (signs * self._half_extents) @ self.rotation.T
+        return self.position + (_UNIT_CORNERS * self._edges()) @ self.rotation.T
 
     def moved(self, offset: Float64) -> Self:
         """The same solid, shifted by (3,) in the world [m]."""
@@ -160,17 +154,15 @@ class Box(Primitive):
 
     size: Float64  # (3,) float64, full edge lengths [m]
 
-    @property
-    def _half_extents(self) -> Float64:
-        """(3,) float64 [m]."""
-        return np.asarray(self.size) / 2.0
+    def _edges(self) -> Float64:
+        return self.size
 
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        near, far = _slab(origin, directions, self._half_extents)
+        near, far = _slab(origin, directions, self.size / 2.0)
         return _first(near.max(axis=1), far.min(axis=1))
 
     def _beyond(self, points: Float64) -> Float64:
-        return np.asarray(np.abs(points) - self._half_extents, np.float64)
+        return np.asarray(np.abs(points) - self.size / 2.0, np.float64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -180,13 +172,11 @@ class Cylinder(Primitive):
     radius: float  # [m]
     height: float  # [m]
 
-    @property
-    def _half_extents(self) -> Float64:
-        """(3,) float64 [m]."""
-        return np.array([self.radius, self.radius, self.height / 2.0])
+    def _edges(self) -> Float64:
+        return np.array([2.0 * self.radius, 2.0 * self.radius, self.height])
 
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        near, far = _slab(origin[2:], directions[:, 2:], self._half_extents[2:])  # between the caps
+        near, far = _slab(origin[2:], directions[:, 2:], np.array([self.height / 2.0]))  # between the caps
         side_near, side_far = _ball(origin[:2], directions[:, :2], self.radius)  # within the mantle
         return _first(np.maximum(near[:, 0], side_near), np.minimum(far[:, 0], side_far))
 
@@ -201,10 +191,8 @@ class Sphere(Primitive):
 
     radius: float  # [m]
 
-    @property
-    def _half_extents(self) -> Float64:
-        """(3,) float64 [m]."""
-        return np.full(3, self.radius)
+    def _edges(self) -> Float64:
+        return np.full(3, 2.0 * self.radius)
 
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
         return _first(*_ball(origin, directions, self.radius))

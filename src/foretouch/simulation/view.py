@@ -63,11 +63,19 @@ class CameraView:
         Returns:
             (n, 2) float64 column and row [px], meaningless behind the camera; (n,) float64 depth [m].
         """
-        local = (points - self.eye) @ self.R_world_camera
+        local = self.to_camera(points)
         depth = local[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = (local @ self.matrix.T)[:, :2] / depth[:, None]
         return pixels, depth
+
+    def to_camera(self, points: Float64) -> Float64:
+        """Points (..., 3) of the world in the camera frame [m]."""
+        return np.asarray((points - self.eye) @ self.R_world_camera, np.float64)
+
+    def to_world(self, points: Float64) -> Float64:
+        """Points (..., 3) of the camera frame in the world [m]."""
+        return np.asarray(points @ self.R_world_camera.T + self.eye, np.float64)
 
     def bounds(self, points: Float64) -> Float64:
         """(2, 2) float64 smallest and largest (column, row) of points; the whole line of sight if one is behind."""

@@ -65,16 +65,3 @@ class World:
         hand = SampleKey(scene.seed, 0).stream("fingers of the scene")
         fingers = draw_finger(scene.fingers.thumb, hand), draw_finger(scene.fingers.middle, hand)
         return cls(view, view.directions(), plane, fingers)
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length [px]."""
-        return float(self.view.matrix[0, 0])
-
-    def to_camera(self, points: Float64) -> Float64:
-        """Points (..., 3) of the world in the camera frame [m]."""
-        return np.asarray((points - self.view.eye) @ self.view.R_world_camera, np.float64)
-
-    def to_world(self, points: Float64) -> Float64:
-        """Points (..., 3) of the camera frame in the world [m]."""
-        return np.asarray(points @ self.view.R_world_camera.T + self.view.eye, np.float64)

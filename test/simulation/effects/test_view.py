@@ -55,7 +55,7 @@ def test_the_noise_is_that_of_real_clouds() -> None:
 
 def test_the_size_of_the_noise_follows_the_formula() -> None:
     config = scene(FLAT, camera={"noise": {"sub_pixel": 0.08}})
-    focal = World.of(config).focal_px
+    focal = World.of(config).view.matrix[0, 0]
     spread = []
     for slot in range(12):
         state = run(config, "depth", "exact_depth", slot=slot)
@@ -119,7 +119,7 @@ def test_the_cloud_lies_on_the_object_in_the_camera_frame() -> None:
     config = scene({"name": "ball", "shape": "ball", "size_m": [0.1, 0.1, 0.1]}, camera={"tilt_deg": 20})
     state = run(config, "cloud", "bodies", "pixels")
     world = World.of(config)
-    points = world.to_world(state.cloud.xyz.astype(np.float64))
+    points = world.view.to_world(state.cloud.xyz.astype(np.float64))
     np.testing.assert_allclose(np.linalg.norm(points - state.bodies[0].position, axis=1), 0.05, atol=5e-5)
     rows, columns = np.divmod(state.pixels, world.view.width)
     pixel, _ = world.view.project(points)

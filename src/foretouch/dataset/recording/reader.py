@@ -6,7 +6,6 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 """
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple, Self, TypeVar
 
@@ -65,16 +64,14 @@ class RecordedDataset:
         self._closed = False
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []
-        with ExitStack() as stack:
-            for file in self.files:
-                data = stack.enter_context(mapped(file))
-                found = [_Sample(file, data, message) for message in sample_messages(file, data)]
-                if is_finished(data):
-                    _check_count(file, data, len(found))
-                else:
-                    self.unfinished.append(file)
-                self._samples += found
-            self._open = stack.pop_all()
+        for file in self.files:
+            data = mapped(file)
+            found = [_Sample(file, data, message) for message in sample_messages(file, data)]
+            if is_finished(data):
+                _check_count(file, data, len(found))
+            else:
+                self.unfinished.append(file)
+            self._samples += found
 
     def __enter__(self) -> Self:
         return self
@@ -86,7 +83,6 @@ class RecordedDataset:
         """Close the files; may be called more than once."""
         self._closed = True
         self._samples = []
-        self._open.close()
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -119,10 +115,9 @@ class RecordedDataset:
         total = MessageCounts()
         for file in self.files:
             declared = Declarations()
-            with mapped(file) as data:
-                for record in walk(data):
-                    if isinstance(record, Record):
-                        _require(file, declared.add(record))
+            for record in walk(mapped(file)):
+                if isinstance(record, Record):
+                    _require(file, declared.add(record))
             total.add(declared.counts or MessageCounts())
         return total
 

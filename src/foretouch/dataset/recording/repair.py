@@ -19,7 +19,6 @@ from typing import Final
 from mcap.records import Message
 
 from foretouch.dataset.disk import disk_errors, sync_folder
-from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
@@ -38,7 +37,15 @@ from foretouch.dataset.recording.records import (
     walk,
     walk_on,
 )
-from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
+from foretouch.dataset.recording.sample_codec import (
+    ABOUT,
+    COUNTS,
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    decode_sample,
+    is_intact,
+    sample_types,
+)
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import DatasetError, FileError, VersionError
 
@@ -84,10 +91,10 @@ def _repair_file(path: Path) -> RepairReport:
     part = path.with_name(f"{path.name}.repairing")
     part.unlink(missing_ok=True)
     try:
-        with mapped(path) as data:
-            if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
-                raise FileError(path, "is no MCAP file, and holds no part of one")
-            _Repair(data, McapFile(part), report).run()
+        data = mapped(path)
+        if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
+            raise FileError(path, "is no MCAP file, and holds no part of one")
+        _Repair(data, McapFile(part), report).run()
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -140,7 +147,7 @@ class _Repair:
             self._file.abandon()
 
     def _declare(self) -> None:
-        definition = Definitions().text(SAMPLE_TYPE)  # the file's own copy may be damaged
+        definition = sample_types().text(SAMPLE_TYPE)  # the file's own copy may be damaged
         self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, definition)
         for number, channel in sorted(self._declared.channels.items()):
             schema = self._declared.schemas.get(channel.schema_id)

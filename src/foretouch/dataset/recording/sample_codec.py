@@ -151,7 +151,7 @@ def _texts(text: str) -> dict[str, str]:
 
 @functools.cache
 def sample_types() -> Definitions:
-    """The definitions of a sample and of all types in it."""
+    """The definitions of a sample, of all types in it, and of those that were looked up since."""
     definitions = Definitions()
     definitions.text(SAMPLE_TYPE)
     return definitions

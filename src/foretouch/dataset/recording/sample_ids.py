@@ -3,6 +3,7 @@
 
 import struct
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from foretouch.dataset.record import SampleRecord, check_name, id_number, numbered_id
@@ -45,11 +46,10 @@ class SampleIds:
 
 def _sample_ids(path: Path) -> list[str]:
     """The ids in a file, including those after damage that `repair` would save (raises as `sample_messages`)."""
-    with mapped(path) as data:
-        ids = [_id_of(path, data, message) for message in sample_messages(path, data)]
-        cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-        saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and is_readable(data, one))
-        return ids + [_id_of(path, data, message) for message in saved]
+    data = mapped(path)
+    cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
+    saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and is_readable(data, one))
+    return [_id_of(path, data, message) for message in chain(sample_messages(path, data), saved)]
 
 
 def _id_of(path: Path, data: memoryview, sample: RecordedMessage) -> str:

@@ -87,8 +87,7 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
 def verify_file(path: Path) -> FileReport:
     """Verify one recording; a `FileError` if it cannot be read."""
     report = FileReport(path)
-    with mapped(path) as data:
-        _Verification(report, data).run()
+    _Verification(report, mapped(path)).run()
     del report.faults[_MAX_FAULTS:]
     return report
 

@@ -38,7 +38,6 @@ from foretouch import __version__
 from foretouch.config import Settings, setting
 from foretouch.dataset.disk import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord
-from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts
@@ -49,6 +48,7 @@ from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TYPE,
     SCHEMA_VERSION,
     encode_sample,
+    sample_types,
 )
 from foretouch.dataset.recording.sample_ids import SampleIds
 from foretouch.errors import DatasetError, FileError, ForetouchError
@@ -115,7 +115,6 @@ class RecordingWriter:
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
         self._closed = False
-        self._definitions = Definitions()
         self._unsynced_samples = 0
         self._guard = threading.RLock()
         self._pending: list[tuple[str, Message]] = []
@@ -126,7 +125,7 @@ class RecordingWriter:
             self._file = McapFile(new_session_path(self.path))
             stack.callback(self._file.abandon)
             self._file.write_metadata(ABOUT, _about(self.file.stem, identity))
-            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, self._definitions.text(SAMPLE_TYPE))
+            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
             sync_folder(self.path)
             self._release = stack.pop_all()
@@ -174,7 +173,7 @@ class RecordingWriter:
             known = self._file.types.get(topic)
             if known is None:
                 self._require_open()
-                self._file.declare(topic, type_name, self._definitions.text(type_name))
+                self._file.declare(topic, type_name, sample_types().text(type_name))
             elif known != type_name:
                 raise DatasetError(f"{topic}: holds {known}, not {type_name}")
 

@@ -164,7 +164,7 @@ class OnlineAdapter:
                 return None
             self._tare_refused = False
             same = self._history.is_current(cloud, config.same_object_m)
-            found = self._history.at(now_ns, same_object=same, tare=tare is not None)
+            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None)
         self._keeper.changed()
         return found
 

@@ -125,17 +125,16 @@ def _ellipse(curvature_ratio: float) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=1)
-def _ellipse_table() -> tuple[Float64, Float64, Float64, Float64]:
+def _ellipse_table() -> Float64:
+    """(4, n) float64: log B/A, b/a, K and D."""
     from scipy.special import ellipe, ellipkm1
 
     ratio = np.exp(np.linspace(-1e-4, math.log(_MIN_RATIO), 2000))  # b / a
     m = 1.0 - ratio**2  # e²
     k, e = ellipkm1(ratio**2), ellipe(m)
     log_b_over_a = np.log((e / ratio**2 - k) / (k - e))
-    first = (0.0, 1.0, math.pi / 2.0, math.pi / 4.0)  # the circle, where the formulas are 0 / 0
-    columns = (log_b_over_a, ratio, k, (k - e) / m)
-    circle, ratios, ks, ds = (np.concatenate([[f], c]) for f, c in zip(first, columns, strict=True))
-    return circle, ratios, ks, ds
+    circle = (0.0, 1.0, math.pi / 2.0, math.pi / 4.0)  # where the formulas are 0 / 0
+    return np.column_stack([circle, np.stack([log_b_over_a, ratio, k, (k - e) / m])])
 
 
 def _stretched_radius(problem: ContactProblem, shape: _Paraboloid, a: float, b: float) -> Float64:

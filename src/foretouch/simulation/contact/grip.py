@@ -8,7 +8,7 @@ w about the midpoint m:
     along a:    F1 - F2 + w·a = 0, hence the second finger carries w·a more than the first;
     across a:   T1 + T2 = -w_t and (L/2) a x (T2 - T1) = -[(c - m) x w]_t, the rule of the lever and the
                 couple of an object that hangs beside the line;
-    about a:    a·((c - m) x w) is left to the torsional friction of the pads and only reported.
+    about a:    a·((c - m) x w) is left to the torsional friction of the pads.
 
 Each finger has its own contact and its own command. In a balanced grip the object hangs freely between
 them: it moves along the line of the contacts until the pushes cancel, up to the share of its weight
@@ -70,12 +70,6 @@ class HeldWeight:
 
     axial_n: float  # how much more the second finger pushes than the first [N]
     tangential_n: Float64  # (2, 3) float64, force of each finger on the object across the line of the contacts [N]
-    torsion_nm: float  # moment about that line that friction must hold [N m]
-
-    def slips(self, forces_n: tuple[float, float], friction: float) -> tuple[bool, bool]:
-        """Whether each finger's tangential force exceeds Coulomb's limit at its normal force."""
-        t1, t2 = np.linalg.norm(self.tangential_n, axis=1)
-        return bool(t1 > friction * forces_n[0]), bool(t2 > friction * forces_n[1])
 
 
 def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldWeight:
@@ -100,7 +94,7 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldW
     # a x D = -M_t / (L/2) has the solution D = -(M_t x a) / (L/2) across a, as (M x a) crossed by a gives M_t back.
     couple = -np.cross(moment, axis) / (length / 2.0)
     tangential = np.stack([(-across - couple) / 2.0, (-across + couple) / 2.0])
-    return HeldWeight(float(weight_n @ axis), tangential, float(moment @ axis))
+    return HeldWeight(float(weight_n @ axis), tangential)
 
 
 _BALANCE_TOLERANCE = 1e-3  # largest difference of two forces over the larger one that counts as balanced
@@ -128,34 +122,25 @@ def solve_grip(
         level: Of the contact.
 
     Raises:
-        ContactError: If there are not two of each; a balanced grip has commands that contradict each other,
-            or its load opens a finger; or a contact cannot be solved.
+        ContactError: If a balanced grip has commands that contradict each other, or its load opens a finger; or a
+            contact cannot be solved.
     """
-    if len(problems) != 2 or len(commands) != 2:
-        raise ContactError(f"grip: {len(problems)} contacts and {len(commands)} commands, not two of each")
     if not balanced:
-        if axial_load_n != 0.0:
-            raise ContactError("axial_load_n: given for a grip that holds the object in place")
         return _solve_both(problems, commands, level)
-    forces = [c.force_n for c in commands if c.force_n is not None]
+    forces = sorted(c.force_n for c in commands if c.force_n is not None)
     depths = [c.depth_m for c in commands if c.depth_m is not None]
-    if len(forces) == 2:
-        return _at_force(problems, _common(forces), axial_load_n, level)
-    if len(depths) == 2:
+    if forces and depths:
+        raise ContactError("commands: a balanced grip needs two forces or two depths, not one of each")
+    if depths:
         return _at_closing(problems, sum(depths), axial_load_n, level)
-    raise ContactError("commands: a balanced grip needs two forces or two depths, not one of each")
+    if forces[1] - forces[0] > _BALANCE_TOLERANCE * forces[1]:
+        raise ContactError(f"force_n: {forces[0]:g} and {forces[1]:g} N cannot balance on one object")
+    return _at_force(problems, (forces[0] + forces[1]) / 2.0, axial_load_n, level)
 
 
 def _solve_both(problems: Sequence[ContactProblem], commands: Sequence[Command], level: str) -> Grip:
     first, second = (solve_contact(p, c, level) for p, c in zip(problems, commands, strict=True))
     return first, second
-
-
-def _common(forces: Sequence[float]) -> float:
-    low, high = sorted(forces)
-    if high - low > _BALANCE_TOLERANCE * high:
-        raise ContactError(f"force_n: {forces[0]:g} and {forces[1]:g} N cannot balance on one object")
-    return (low + high) / 2.0
 
 
 def _at_force(problems: Sequence[ContactProblem], force: float, load: float, level: str) -> Grip:

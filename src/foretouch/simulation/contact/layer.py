@@ -217,8 +217,8 @@ def solve_layer(
             )
         displacement = _displacements(problem, pressure)
     refuse_overload(problem, displacement, end.depth)
-    area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, end.depth)
+    force, cells = float(pressure.sum()) * problem.cell_m2, int(np.count_nonzero(pressure))
+    return ContactSolution(pressure, displacement, force, cells * problem.cell_m2, end.depth)
 
 
 def _box_around(pressure: Float64) -> tuple[slice, slice]:
@@ -278,16 +278,17 @@ def _descend(
     problem: ContactProblem, command: Command, gap: Float64, start: Float64, tolerance: float, max_iterations: int
 ) -> _End:
     """Step until the tolerance is met or the iterations are spent."""
+    gap, start = np.ascontiguousarray(gap), np.ascontiguousarray(start)  # for the compiled function
     spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
     if command.force_n is None:
         pressure, given = start.copy(), float(command.depth_m or 0.0)
     else:
         given = command.force_n / problem.cell_m2
-        pressure = start * (given / float(start.sum()))
+        pressure = np.ascontiguousarray(start * (given / float(start.sum())))
     safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
     limits = safe_length, tolerance, max_iterations
     n, by_force = gap.shape[0], int(command.force_n is not None)
-    _layer_descent(np.ascontiguousarray(gap), spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
+    _layer_descent(gap, spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
     if not end[3]:
         raise MemoryError("layer_descent")
     return _End(pressure, float(end[0]), int(end[1]), float(end[2]))

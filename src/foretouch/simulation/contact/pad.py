@@ -68,14 +68,19 @@ class PadConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class ContactFrame:
-    """Where the pad is touched."""
+    """The tangent frame of a pad at its contact, in the frame of the fingertip or in the world."""
 
-    origin: Float64  # (3,) float64 [m], on the skin, fingertip frame
-    rotation: Float64  # (3, 3) float64: columns are tangent x, tangent y and outward normal in the fingertip frame
+    origin: Float64  # (3,) float64 [m], on the skin
+    rotation: Float64  # (3, 3) float64, columns: tangent x along the finger to its tip, tangent y, outward normal
 
-    def points(self, x: Float64, y: Float64, depth: Float64) -> Float64:
-        """(..., 3) float64 [m], fingertip frame, of points at (x, y) and `depth` below the tangent plane."""
-        return self.origin + np.stack([x, y, -depth], axis=-1) @ self.rotation.T
+    @property
+    def normal(self) -> Float64:
+        """(3,) float64, unit length: outwards, the direction in which the finger closes."""
+        return self.rotation[:, 2]
+
+    def points(self, x: Float64, y: Float64, z: Float64 | float) -> Float64:
+        """(..., 3) float64 [m] of points at (x, y) of the tangent plane, `z` along the normal."""
+        return self.origin + np.stack(np.broadcast_arrays(x, y, z), axis=-1) @ self.rotation.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +100,7 @@ def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
     offset = (np.arange(config.cells) - (config.cells - 1) / 2.0) * config.step_m
     x, y = np.meshgrid(offset, offset)
     depth = pad_depth(config, frame, x, y)
-    return PadWindow(frame, x, y, depth, frame.points(x, y, np.where(np.isfinite(depth), depth, np.nan)))
+    return PadWindow(frame, x, y, depth, frame.points(x, y, -np.where(np.isfinite(depth), depth, np.nan)))
 
 
 def pad_direction(pitch_rad: float, roll_rad: float) -> Float64:
@@ -114,12 +119,9 @@ def contact_frame(config: PadConfig, direction: Float64) -> ContactFrame:
         direction: (3,) of any length, fingertip frame.
 
     Raises:
-        ContactError: If the direction is zero or not finite, or points away from the pad (z not below 0).
+        ContactError: If the direction points away from the pad (z not below 0).
     """
-    length = float(np.linalg.norm(direction))
-    if not (math.isfinite(length) and length > 0.0):
-        raise ContactError(f"direction: {direction.tolist()} has no finite length above 0")
-    normal = np.asarray(direction, np.float64) / length
+    normal = direction / float(np.linalg.norm(direction))
     if normal[2] >= 0.0:
         raise ContactError(
             f"direction: {normal.round(3).tolist()} points to the nail, not the pad (its z is not below 0)"
@@ -137,8 +139,8 @@ def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) ->
     The first meeting of the line o + x t_x + y t_y - s n with the ellipsoid, a quadratic in s.
     """
     inverse = 1.0 / config.skin_axes
-    o = frame.points(x, y, np.zeros_like(x)) * inverse
-    n = frame.rotation[:, 2] * inverse
+    o = frame.points(x, y, 0.0) * inverse
+    n = frame.normal * inverse
     nn = float(n @ n)
     half_b = o @ n
     c = np.einsum("...i,...i->...", o, o) - 1.0  # at least 0: the tangent plane is outside
@@ -161,12 +163,8 @@ def gap_field(depth: Float64, object_height: Float64) -> Float64:
         (N, N) float64, least value 0, infinite where one of the surfaces is absent.
 
     Raises:
-        ContactError: If the shapes differ, a height is NaN or +inf, or the two share no cell.
+        ContactError: If the two share no cell.
     """
-    if depth.shape != object_height.shape:
-        raise ContactError(f"object_height: shape {object_height.shape} is not that of the pad, {depth.shape}")
-    if np.isnan(object_height).any() or np.isposinf(object_height).any():
-        raise ContactError("object_height: holds NaN or +inf; use -inf where there is no surface")
     gap = depth - object_height
     least = float(gap.min())
     if math.isinf(least):

@@ -31,8 +31,6 @@ class Layer:
     thickness_m: float = math.inf  # h [m]; infinite for a half-space
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.modulus_pa) and self.modulus_pa > 0.0):
-            raise ContactError(f"modulus_pa: {self.modulus_pa} is not positive and finite")
         if not _LEAST <= self.modulus_pa <= _MOST:
             raise ContactError(f"modulus_pa: {self.modulus_pa} is not between {_LEAST:g} and {_MOST:g} Pa")
         if not 0.0 <= self.poisson <= 0.5:
@@ -101,10 +99,9 @@ class ContactProblem:
         if not self.layers:
             raise ContactError("layers: none is compliant, and two rigid bodies have no pressure field")
         least = float(self.gap.min())
-        if math.isnan(least):
-            raise ContactError("gap: holds NaN")
-        if math.isinf(least):
-            raise ContactError("gap: nowhere in the window do both surfaces exist")
+        if not math.isfinite(least):
+            fault = "holds NaN" if math.isnan(least) else "nowhere in the window do both surfaces exist"
+            raise ContactError(f"gap: {fault}")
         if abs(least) > 1e-12:
             raise ContactError(f"gap: its least value is {least:g} m, not 0")
 

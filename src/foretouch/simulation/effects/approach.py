@@ -9,7 +9,7 @@ from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.finger_contact import FingerFrame, pad_of, surface_behind
+from foretouch.simulation.finger_contact import pad_of, surface_behind
 from foretouch.simulation.scene import SurfaceConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.solids import Body
@@ -44,10 +44,11 @@ def _first_touch(job: Job, state: SampleState) -> None:
     pad_config, item = pad_of(job.scene, job.item), job.item
     met = []
     for finger, (aimed, tip), name in zip(state.fingers, state.postures, _FINGERS, strict=True):
-        point, normal = _meet(pad_config, state.bodies[0], finger, aimed)
-        if point is None or normal is None:
+        found = _meet(pad_config, state.bodies[0], finger, aimed)
+        if found is None:
             raise SimulationError(f"{item.name}: the {name} closes beside the object", "misses")
-        slope = _slope(-float(normal @ finger.approach))
+        point, normal = found
+        slope = _slope(-float(normal @ finger.normal))
         if slope > item.friction:
             raise SimulationError(
                 f"{item.name}: the {name} meets a slope of {slope:.2f}, friction holds {item.friction:g}", "slips"
@@ -56,7 +57,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
             pad = pad_window(pad_config, -normal @ tip)
         except ContactError as err:
             raise SimulationError(f"{item.name}: {name}: {err}", "misses") from err
-        met.append((pad, FingerFrame(point, tip @ pad.frame.rotation)))
+        met.append((pad, ContactFrame(point, tip @ pad.frame.rotation)))
     state.pads = met[0][0], met[1][0]
     state.touches = met[0][1], met[1][1]
 
@@ -66,21 +67,19 @@ def _slope(cosine: float) -> float:
     return math.sqrt(1.0 / cosine**2 - 1.0) if 0.0 < cosine < 1.0 else (math.inf if cosine <= 0.0 else 0.0)
 
 
-def _meet(
-    config: PadConfig, body: Body, finger: FingerFrame, aimed: ContactFrame
-) -> tuple[Float64 | None, Float64 | None]:
+def _meet(config: PadConfig, body: Body, finger: ContactFrame, aimed: ContactFrame) -> tuple[Float64, Float64] | None:
     """First touch of a pad that moves along its approach: the point on the object and the normal about it."""
     offset = np.linspace(-_SEARCH_M / 2.0, _SEARCH_M / 2.0, _SEARCH_CELLS)
     x, y = np.meshgrid(offset, offset)
     starts = finger.points(x, y, -_BACK_M).reshape(-1, 3)
-    hits = body.cast(starts, np.broadcast_to(finger.approach, starts.shape))
+    hits = body.cast(starts, np.broadcast_to(finger.normal, starts.shape))
     gap = pad_depth(config, aimed, x, y).reshape(-1) + hits.t
     least = int(np.argmin(gap))
     if not np.isfinite(gap[least]):
-        return None, None
+        return None
     near = gap < gap[least] + _NEAR_M
     normal = body.world_normals(hits.normal[near]).mean(axis=0)
-    return starts[least] + hits.t[least] * finger.approach, normal / np.linalg.norm(normal)
+    return starts[least] + hits.t[least] * finger.normal, normal / np.linalg.norm(normal)
 
 
 def _relief(_job: Job, state: SampleState) -> None:

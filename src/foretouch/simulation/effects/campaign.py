@@ -4,8 +4,10 @@
 import numpy as np
 
 from foretouch.simulation.campaign import Campaign
+from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene import CampaignConfig, ObjectConfig, SceneConfig
+from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig
 from foretouch.types import ELECTRODES
 
 
@@ -31,7 +33,9 @@ def _drift(job: Job, state: SampleState) -> None:
 
 
 def _warm_up(job: Job, state: SampleState) -> None:
-    state.level += _campaign(job).warm_up(state.campaign_time, state.times)
+    config: TemperatureConfig = job.settings
+    now = state.campaign_time
+    state.level += temperature_drift(config, now.powered_s + now.speed * state.times)[:, None]
 
 
 def _shift(_job: Job, state: SampleState) -> None:
@@ -48,74 +52,62 @@ def _tares(job: Job, state: SampleState) -> None:
         state.tare = None
 
 
-def _needs_calendar(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    config = scene.campaign
-    if config is None:
-        return None
+def _calendar_detail(config: CampaignConfig) -> str:
     return (
-        f"campaign: {config.size} grasps in {len(config.days)} sessions over {config.days[-1]:g} days, "
+        f"{config.size} grasps in {len(config.days)} sessions over {config.days[-1]:g} days, "
         f"{config.objects} objects each, {config.grasps} grasps of each"
     )
 
 
-def _needs_exchange(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    if scene.campaign is None or not scene.campaign.exchanges:
-        return None
-    exchanges = (f"{each.finger} at session {each.session}" for each in scene.campaign.exchanges)
-    return f"campaign.exchanges: {', '.join(exchanges)}"
+def _exchange_detail(exchanges: tuple[ExchangeConfig, ...]) -> str:
+    return ", ".join(f"{each.finger} at session {each.session}" for each in exchanges)
 
 
-def _needs_drift(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    if scene.campaign is None or not scene.campaign.drift:
-        return None
-    memories = (f"{term.memory_days:g}" for term in scene.campaign.drift)
-    return f"campaign.drift: memory {', '.join(memories)} days"
+def _drift_detail(terms: tuple[DriftTermConfig, ...]) -> str:
+    return f"memory {', '.join(f'{term.memory_days:g}' for term in terms)} days"
 
 
-def _needs_warm_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    if scene.campaign is None or scene.campaign.warm_up is None:
-        return None
-    return f"campaign.warm_up: {scene.campaign.warm_up.warming_s:g} s after each power-on"
+def _warm_up_detail(config: TemperatureConfig) -> str:
+    return f"{config.warming_s:g} s after each power-on"
 
 
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    return _needs_drift(scene, item) or _needs_warm_up(scene, item)
+    return _DRIFT.reason(scene, item) or _WARM_UP.reason(scene, item)
 
 
 def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    if scene.campaign is None or scene.campaign.tares == "grasp":
-        return None
-    return f"campaign.tares: {scene.campaign.tares}"
+    kept = scene.campaign.tares if scene.campaign else "grasp"
+    return None if kept == "grasp" else f"campaign.tares: {kept}"
 
 
 _TIME = "campaign_time"
 _NO_DRIFT = "no campaign.drift or campaign.warm_up"
 
+_LEVEL = "level"
+
+_DRIFT = Effect(
+    "level_drift",
+    _drift,
+    "campaign.drift",
+    reads=(_TIME, "times", "load", _LEVEL),
+    writes=(_LEVEL,),
+    detail=_drift_detail,
+)
+_WARM_UP = Effect(
+    "warm_up", _warm_up, "campaign.warm_up", reads=(_TIME, "times", _LEVEL), writes=(_LEVEL,), detail=_warm_up_detail
+)
+
 MOUNTING = (
-    Effect("calendar", _calendar, _needs_calendar, writes=(_TIME,), off="no campaign"),
-    Effect("exchange", _exchange, _needs_exchange, reads=(_TIME,), writes=("sensors",), off="no campaign.exchanges"),
+    Effect("calendar", _calendar, "campaign", writes=(_TIME,), detail=_calendar_detail),
+    Effect("exchange", _exchange, "campaign.exchanges", reads=(_TIME,), writes=("sensors",), detail=_exchange_detail),
 )
 """Which sensors are mounted."""
 
 DRIFT = (
-    Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
-    Effect(
-        "level_drift",
-        _drift,
-        _needs_drift,
-        reads=(_TIME, "times", "load", "level"),
-        writes=("level",),
-        off="no campaign.drift",
-    ),
-    Effect(
-        "warm_up",
-        _warm_up,
-        _needs_warm_up,
-        reads=(_TIME, "times", "level"),
-        writes=("level",),
-        off="no campaign.warm_up",
-    ),
-    Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
+    Effect("level", _level, _needs_level, reads=("times",), writes=(_LEVEL,), off=_NO_DRIFT),
+    _DRIFT,
+    _WARM_UP,
+    Effect("level_shift", _shift, _needs_level, reads=(_LEVEL, "series"), writes=("series",), off=_NO_DRIFT),
 )
 """How far their levels have drifted."""
 

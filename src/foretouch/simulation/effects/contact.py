@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from foretouch.errors import ContactError, SimulationError
+from foretouch.errors import SimulationError
 from foretouch.simulation.contact import LEVELS, choose_level, solve_grip, weigh
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.finger_contact import command_of, contact_failure, contact_problem, layers_of
+from foretouch.simulation.finger_contact import command_of, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 
 _GRAVITY_M_S2 = 9.81
@@ -27,16 +27,13 @@ def _weight(job: Job, state: SampleState) -> None:
 def _solve(level: str, job: Job, state: SampleState) -> None:
     scene, item = job.scene, job.item
     pressed = zip(state.pads, state.relief, strict=True)
-    try:
-        state.contacts = solve_grip(
-            [contact_problem(scene, item, pad, height) for pad, height in pressed],
-            [command_of(scene, float(target)) for target in state.targets],
-            balanced=scene.grasps.balanced,
-            axial_load_n=state.axial_load_n,
-            level=level,
-        )
-    except ContactError as err:
-        raise contact_failure(f"{item.name}: {err}", err) from err
+    state.contacts = solve_grip(
+        [contact_problem(scene, item, pad, height) for pad, height in pressed],
+        [command_of(scene, float(target)) for target in state.targets],
+        balanced=scene.grasps.balanced,
+        axial_load_n=state.axial_load_n,
+        level=level,
+    )
 
 
 def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:
@@ -47,13 +44,13 @@ def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | No
 
 
 def _held(job: Job, state: SampleState) -> None:
-    """Refuse a grasp out of which the object falls."""
-    forces = state.contacts[0].force_n, state.contacts[1].force_n
-    slips = state.weight.slips(forces, job.item.friction)
-    for finger, slipping, force in zip(("thumb", "middle finger"), slips, forces, strict=True):
-        if slipping:
+    """Refuse a grasp out of which the object falls: where a tangential force exceeds Coulomb's limit."""
+    across = np.linalg.norm(state.weight.tangential_n, axis=1)
+    for finger, tangential_n, contact in zip(("thumb", "middle finger"), across, state.contacts, strict=True):
+        if tangential_n > job.item.friction * contact.force_n:
             raise SimulationError(
-                f"{job.item.name}: its weight slips through the {finger}, which presses with {force:.2f} N", "falls"
+                f"{job.item.name}: its weight slips through the {finger}, which presses with {contact.force_n:.2f} N",
+                "falls",
             )
 
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from foretouch.errors import GraspError, SimulationError
+from foretouch.errors import SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
+from foretouch.simulation.contact import ContactFrame
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.finger_contact import FingerFrame, finger_frames
+from foretouch.simulation.finger_contact import finger_frames
 from foretouch.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
@@ -30,25 +31,19 @@ def _plan(job: Job, state: SampleState) -> None:
         raise SimulationError(f"{job.item.name}: {plan.reason}", "no_grasp")
     grasp = plan.grasps[0]
     if grasps.initial_points and plan.initial_points is not None and plan.axis is not None:
-        grasp = _initial(plan.initial_points, plan.axis, job.item.name)
-    if grasp.width_m > grasps.max_width_m:
-        raise SimulationError(
-            f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {grasps.max_width_m:g} m", "too_wide"
-        )
+        g1, g2 = plan.initial_points
+        grasp = Grasp(g1, g2, hand_rotation(g1, g2, plan.axis))
     state.plan, state.grasp = plan, replace(grasp, object_id=job.item.name)
 
 
-def _initial(points: Float64, axis: Float64, name: str) -> Grasp:
-    try:
-        return Grasp(points[0], points[1], hand_rotation(points[0], points[1], axis))
-    except GraspError as err:
-        raise SimulationError(f"{name}: {err}", "no_grasp") from err
-
-
 def _fingers(job: Job, state: SampleState) -> None:
-    grasp, world = state.grasp, job.world
+    grasp, world, widest = state.grasp, job.world, job.scene.grasps.max_width_m
+    if grasp.width_m > widest:
+        raise SimulationError(
+            f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {widest:g} m", "too_wide"
+        )
     lower = job.scene.grasps.insertion_m * _UP
-    g1, g2 = world.to_world(grasp.g1) - lower, world.to_world(grasp.g2) - lower
+    g1, g2 = world.view.to_world(grasp.g1) - lower, world.view.to_world(grasp.g2) - lower
     state.fingers = finger_frames(g1, g2, world.view.R_world_camera @ grasp.rotation, _UP)
 
 
@@ -61,7 +56,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
     turn = _small_rotation(np.radians(rng.normal(0.0, error.angle_deg, 3)))
     centre = (thumb.origin + middle.origin) / 2.0
     state.fingers = tuple(  # type: ignore[assignment]  # two in, two out
-        FingerFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
+        ContactFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
         for finger in (thumb, middle)
     )
     state.targets = state.targets * max(0.0, 1.0 + rng.normal(0.0, TARGET_SHARE))

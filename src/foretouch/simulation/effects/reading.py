@@ -5,23 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from foretouch.errors import ContactError
 from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
 from foretouch.simulation.disturbances import (
     WANDER_COUNTS,
     WANDER_S,
     NoiseConfig,
     creep,
-    fresh_samples,
-    hold_samples,
     mask_dead_electrodes,
     ou_noise,
+    scan,
     slip_path,
     temperature_drift,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import campaign
-from foretouch.simulation.finger_contact import command_of, contact_failure, contact_problem, pad_of, surface_behind
+from foretouch.simulation.finger_contact import command_of, contact_problem, pad_of, surface_behind
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
 from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
 from foretouch.simulation.scene.ranges import draw
@@ -94,16 +92,12 @@ def _slip(job: Job, state: SampleState) -> None:
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
     """(25,) of finger k, the object having slid down by so much across its normal."""
     frame, window, scene = state.touches[k], state.pads[k], job.scene
-    across = _DOWN - (_DOWN @ frame.approach) * frame.approach
+    across = _DOWN - (_DOWN @ frame.normal) * frame.normal
     length = float(np.linalg.norm(across))
     if length > 0.0:
         frame = replace(frame, origin=frame.origin - slid_m * across / length)
-    behind = surface_behind(window, state.bodies[0], frame)
-    try:
-        problem = contact_problem(scene, job.item, window, behind)
-        contact = solve_contact(problem, command_of(scene, float(state.targets[k])), scene.fidelity)
-    except ContactError as err:
-        raise contact_failure(f"{job.item.name}: after a slip of {slid_m * 1e3:.1f} mm: {err}", err) from err
+    problem = contact_problem(scene, job.item, window, surface_behind(window, state.bodies[0], frame))
+    contact = solve_contact(problem, command_of(scene, float(state.targets[k])), scene.fidelity)
     return _reading(job, state.sensors[k], window, contact)
 
 
@@ -143,8 +137,7 @@ def _noise(job: Job, state: SampleState) -> None:
 def _scan(job: Job, state: SampleState) -> None:
     rng = job.rng()
     for finger in range(2):
-        fresh = fresh_samples(len(state.series), ELECTRODES, rng)
-        state.series[:, finger, 1:] = hold_samples(state.series[:, finger, 1:], fresh)
+        state.series[:, finger, 1:] = scan(state.series[:, finger, 1:], rng)
 
 
 def _dead(job: Job, state: SampleState) -> None:

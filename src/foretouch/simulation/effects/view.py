@@ -78,12 +78,12 @@ def _flying_pixels(job: Job, state: SampleState) -> None:
 
 def _noise(job: Job, state: SampleState) -> None:
     config: DepthNoiseConfig = job.settings
-    at_1_m = config.sub_pixel / (job.world.focal_px * D415_BASELINE_M)  # sigma_z = s z² / (f B)
+    at_1_m = config.sub_pixel / (job.world.view.matrix[0, 0] * D415_BASELINE_M)  # sigma_z = s z² / (f B)
     state.depth = add_stereo_noise(state.depth, at_1_m, job.rng())
 
 
 def _shadow(job: Job, state: SampleState) -> None:
-    state.depth = np.where(stereo_shadow(state.exact_depth, job.world.focal_px), np.inf, state.depth)
+    state.depth = np.where(stereo_shadow(state.exact_depth, job.world.view.matrix[0, 0]), np.inf, state.depth)
 
 
 def _holes(job: Job, state: SampleState) -> None:
@@ -99,8 +99,7 @@ def _holes(job: Job, state: SampleState) -> None:
 
 
 def _quantise(job: Job, state: SampleState) -> None:
-    step: float = job.settings
-    state.depth = np.rint(state.depth / step) * step
+    state.depth = np.rint(state.depth / job.settings) * job.settings
 
 
 def _cloud(job: Job, state: SampleState) -> None:

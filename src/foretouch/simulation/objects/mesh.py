@@ -29,17 +29,17 @@ class TriangleMesh:
 
     def volume(self) -> float:
         """Enclosed volume by the divergence theorem; negative if the faces are inside out."""
-        a, b, c = self.corners()
+        a, b, c = self._corners()
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
     @cached_property
     def centroid(self) -> Float64:
         """(3,) float64, centre of the enclosed volume."""
-        a, b, c = self.corners()
+        a, b, c = self._corners()
         six_volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
         return np.asarray(six_volumes @ (a + b + c) / (4.0 * six_volumes.sum()), np.float64)
 
-    def corners(self) -> tuple[Float64, Float64, Float64]:
+    def _corners(self) -> tuple[Float64, Float64, Float64]:
         """First, second and third corner of each face, (F, 3) float64 each."""
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         return a, b, c

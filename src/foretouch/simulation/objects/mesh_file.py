@@ -3,7 +3,7 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, MissingDependencyError, SimulationError, shown
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.objects.mesh import TriangleMesh
-from foretouch.types import Float64
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
@@ -37,19 +36,6 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
 @lru_cache(maxsize=64)
 def _read(path: str, _sha256: str) -> TriangleMesh:
     """As `read_mesh_file`, once for each content."""
-    vertices, faces = _triangles(path)
-    if Path(path).suffix.lower() in _UP_Y:
-        vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    mesh = TriangleMesh(vertices, faces)
-    try:
-        mesh.in_unit_box().closed("mesh")
-    except SimulationError as err:
-        raise FileError(path, str(err).removeprefix("mesh: ")) from err
-    return mesh
-
-
-def _triangles(path: str) -> tuple[Float64, Any]:
-    """(V, 3) float64 vertices and (F, 3) int64 faces, outside counter-clockwise where the mesh is closed."""
     try:
         ensure_libusb()
         import open3d
@@ -61,12 +47,18 @@ def _triangles(path: str) -> tuple[Float64, Any]:
         found.remove_degenerate_triangles()
         found.remove_duplicated_triangles()
         found.remove_unreferenced_vertices()
-    faces = np.asarray(found.triangles, np.int64)
+    vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(found.triangles, np.int64)
     if not len(faces):
         raise FileError(path, "holds no triangle that can be read")
     if len(faces) > _MOST_FACES:
         raise FileError(path, f"holds {len(faces)} triangles, more than {_MOST_FACES}")
-    vertices = np.asarray(found.vertices, np.float64)
+    if Path(path).suffix.lower() in _UP_Y:
+        vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     if np.isfinite(vertices).all() and TriangleMesh(vertices, faces).volume() < 0.0:
-        faces = faces[:, ::-1]
-    return vertices, np.ascontiguousarray(faces)
+        faces = faces[:, ::-1]  # it is inside out
+    mesh = TriangleMesh(vertices, np.ascontiguousarray(faces))
+    try:
+        mesh.in_unit_box().closed("mesh")
+    except SimulationError as err:
+        raise FileError(path, str(err).removeprefix("mesh: ")) from err
+    return mesh

@@ -52,5 +52,6 @@ class CameraConfig(Settings):
 
     def view(self) -> CameraView:
         """Pose and intrinsics in the world."""
-        tilt_rad = float(np.radians(self.tilt_deg))
-        return CameraView.towards_table(self.width, self.height, self.distance_m, tilt_rad, self.hfov_deg)
+        return CameraView.towards_table(
+            self.width, self.height, self.distance_m, float(np.radians(self.tilt_deg)), self.hfov_deg
+        )

@@ -9,11 +9,11 @@ from foretouch.grasp import GeoGraspConfig
 from foretouch.simulation.contact import PadConfig
 from foretouch.simulation.disturbances import NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
-from foretouch.simulation.scene.ranges import Switch, require_range
+from foretouch.simulation.scene.ranges import RangedSettings, Switch
 
 
 @dataclass(frozen=True, kw_only=True)
-class PostureConfig(Settings):
+class PostureConfig(RangedSettings):
     """Which place of its pad a finger aims with, drawn uniformly."""
 
     pitch_deg: tuple[float, ...] = setting(
@@ -31,9 +31,7 @@ class PostureConfig(Settings):
         maximum=60.0,
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_range(self, "pitch_deg", "roll_deg")
+    RANGES = ("pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +56,7 @@ class TimelineConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriftConfig(Settings):
+class DriftConfig(RangedSettings):
     """Counts drift with the liquid's temperature, so a tare grows old."""
 
     temperature: TemperatureConfig = TemperatureConfig()
@@ -69,9 +67,7 @@ class DriftConfig(Settings):
         (2.0, 30.0), "Age of the tare at the touch, low and high", unit="s", minimum=0.0, maximum=1e9
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_range(self, "session_s", "tare_age_s")
+    RANGES = ("session_s", "tare_age_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,15 +117,14 @@ class FingersConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TargetConfig(Settings):
+class TargetConfig(RangedSettings):
     """What a finger's controller aims at, drawn uniformly; `control` decides which of the two counts."""
 
     force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high", unit="N")
     depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high", unit="m")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_range(self, "force_n", "depth_m", lowest=0.0)
+    RANGES = ("force_n", "depth_m")
+    LOWEST = 0.0
 
 
 TARGET_SHARE = 0.1  # standard deviation of the force or depth that is reached, relative to its target

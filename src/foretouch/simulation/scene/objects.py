@@ -14,7 +14,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError
 from foretouch.simulation.objects import SHAPES, read_mesh_file
-from foretouch.simulation.scene.ranges import draw, require_range
+from foretouch.simulation.scene.ranges import RangedSettings, draw
 
 RESTS = ("upright", "side", "any")
 POISSON = 0.3  # Poisson's ratio of soft objects
@@ -22,7 +22,7 @@ MESH = "mesh"  # shape of an object whose surface comes from a file
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseConfig(Settings):
+class PoseConfig(RangedSettings):
     """Pose of an object on the table.
 
     Each value is drawn uniformly from its range. The world's origin is on the table, z up.
@@ -33,9 +33,7 @@ class PoseConfig(Settings):
     yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Angle about the vertical, low and high", unit="deg")
     rest: str = setting("upright", "Part that the object rests on: its foot, its side, or any point", choices=RESTS)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_range(self, "x_m", "y_m", "yaw_deg")
+    RANGES = ("x_m", "y_m", "yaw_deg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +89,7 @@ class ObjectConfig(Settings):
         self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
             raise ConfigError(f"ObjectConfig.size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
-        if self.thickness_m is not None and self.young_pa is None:
+        if self.young_pa is None and self.thickness_m is not None:
             raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
         if self.young_pa is not None and self.thickness_m is None:
             raise ConfigError(f"{self.name}.young_pa: {self.young_pa:g} Pa of no layer; give thickness_m too")
@@ -104,8 +102,7 @@ class ObjectConfig(Settings):
     def _read_file(self) -> None:
         """Check the mesh, and set its hash and its size where they are not given."""
         if (self.shape == MESH) != bool(self.file):
-            needed = "file: is needed for the shape mesh" if self.shape == MESH else "file: is only for the shape mesh"
-            raise ConfigError(f"{self.name}.{needed}")
+            raise ConfigError(f"{self.name}.file: is {'needed' if self.shape == MESH else 'only'} for the shape mesh")
         if self.shape != MESH:
             return
         try:
@@ -130,7 +127,7 @@ class ObjectConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClutterConfig(Settings):
+class ClutterConfig(RangedSettings):
     """Other objects around the one that is grasped; they hide it in part but are not touched."""
 
     count: int = setting(4, "Number of other objects", minimum=1, maximum=20)
@@ -138,13 +135,12 @@ class ClutterConfig(Settings):
         (0.1, 0.25), "Distance between the axes of object and clutter, low and high", unit="m", maximum=10.0
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_range(self, "distance_m", lowest=0.005)
+    RANGES = ("distance_m",)
+    LOWEST = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
-class FamilyConfig(Settings):
+class FamilyConfig(RangedSettings):
     """Objects of one kind. Each draws its values once, independent of the seed of the scene."""
 
     name: str = setting(
@@ -171,11 +167,10 @@ class FamilyConfig(Settings):
     )
     pose: PoseConfig = PoseConfig()
 
+    RANGES = ("size_m", "thickness_m", "young_pa")
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_range(self, "size_m", "thickness_m")
-        if self.young_pa is not None:
-            require_range(self, "young_pa")
         for name in ("shapes", "rests"):
             if not getattr(self, name):
                 raise ConfigError(f"FamilyConfig.{name}: there is none")

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What many groups of a scene share: ranges (low, high) to draw from, and groups without settings."""
 
+import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,19 +16,26 @@ class Switch(Settings):
     """A group without settings: `{}` switches its effect on."""
 
 
-def require_range(settings: Settings, *names: str, lowest: float | None = None) -> None:
-    """Refuse tuples that are not (low, high) with low <= high.
+@dataclass(frozen=True, kw_only=True)
+class RangedSettings(Settings):
+    """Settings of which some are ranges (low, high) to draw from.
 
     Raises:
-        ConfigError: Names the field.
+        ConfigError: If one is not; names the field.
     """
-    for name in names:
-        value = getattr(settings, name)
-        place = f"{type(settings).__name__}.{name}"
-        if len(value) != 2 or value[0] > value[1]:
-            raise ConfigError(f"{place}: {list(value)} is not [low, high] with low <= high")
-        if lowest is not None and value[0] < lowest:
-            raise ConfigError(f"{place}: {value[0]} is below {lowest}")
+
+    RANGES: ClassVar[tuple[str, ...]] = ()
+    LOWEST: ClassVar[float] = -math.inf  # what a range may contain
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.RANGES:
+            value = getattr(self, name)
+            place = f"{type(self).__name__}.{name}"
+            if value is not None and (len(value) != 2 or value[0] > value[1]):
+                raise ConfigError(f"{place}: {list(value)} is not [low, high] with low <= high")
+            if value is not None and value[0] < self.LOWEST:
+                raise ConfigError(f"{place}: {value[0]} is below {self.LOWEST}")
 
 
 def draw(rng: np.random.Generator, limits: tuple[float, ...]) -> float:
