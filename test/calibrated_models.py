@@ -11,9 +11,10 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, add_calibration
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
-from foretouch.models.contact.features import FEATURES
+from foretouch.models.contact.features import CONDITIONS, FEATURES
+from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
-from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
+from foretouch.models.novelty import standardisation
 from foretouch.tactile import MODALITIES, columns
 
 FACTS = {
@@ -66,7 +67,8 @@ def save_calibrated_network(folder: Path, calibration: Calibration | None = None
 def save_calibrated_contact(folder: Path) -> str:
     """A contact model fitted to nothing, with a calibration; path of its card."""
     rng = np.random.default_rng(0)
-    rows, labels = rng.normal(size=(40, len(FEATURES))), rng.normal(size=(40, 50))
+    described, labels = rng.normal(size=(40, len(FEATURES))), rng.normal(size=(40, 50))
+    rows = described[:, len(CONDITIONS) :]
     outputs = {"together": np.arange(50)} | {name: columns([name]) for name in MODALITIES}
     forests = {}
     for name, index in outputs.items():
@@ -76,8 +78,8 @@ def save_calibrated_contact(folder: Path) -> str:
     centre, scale = standardisation(rows)
     known = ((rows - centre) / scale).astype(np.float32)
     kernel = KernelRegression(centre, scale, known, 0.1 * labels.astype(np.float32), np.array(2.0))
-    novelty = SizeNoveltyDetector.fit(rows[:, : len(OBJECT_FEATURES)])
-    estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0))
+    novelty = NoveltyDetector.fit(described, ["a", "b"] * 20)
+    estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0), np.ones(4))
     card = save_contact(folder, "contact", estimator, {"summary": "fitted to nothing"})
     add_calibration(card, make_calibration(), FACTS)
     return str(card)

@@ -12,21 +12,11 @@ from hypothesis import strategies as st
 
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import FEATURES
-from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
 
 FEW_TREES = ContactConfig(trees=4, thinned=1.0)
-CAMERA = FEW_TREES.replace(features="camera", ridges=(0.3, 1.0, 3.0, 10.0))
-"""As contact-v1: features in the camera's frame, no restraint."""
 HAND = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Rotation of a hand in front of the camera: X away from it, Y up, Z to its right."""
-
-
-def named(row: Float64, *names: str) -> Float64:
-    """Some columns of a row of `FEATURES`, or of object features."""
-    order = FEATURES if len(row) == len(FEATURES) else OBJECT_FEATURES
-    return np.array([row[order.index(name)] for name in names])
 
 
 def patch(normal: Float64, at: Float64, step: float = 0.002, count: int = 41) -> Float64:
@@ -86,20 +76,9 @@ def labels_of(samples: list[GraspSample]) -> Float64:
 
 @cache
 def small_estimator() -> ContactEstimator:
-    """Fitted to five made-up objects of ten grasps each, as contact-v1."""
-    return _fitted(CAMERA)
-
-
-@cache
-def hand_estimator() -> ContactEstimator:
-    """The same with features in the hand's frame and a claim, as contact-v2."""
-    return _fitted(FEW_TREES)
-
-
-def _fitted(config: ContactConfig) -> ContactEstimator:
+    """A contact model fitted to five made-up objects of ten grasps each."""
     samples = make_samples(5, 10)
-    rows = describe_samples(samples, config.features)
-    return fit_contact(rows, labels_of(samples), [one.object for one in samples], config)
+    return fit_contact(describe_samples(samples), labels_of(samples), [one.object for one in samples], FEW_TREES)
 
 
 def scaled(cloud: Cloud, factor: float) -> Cloud:

@@ -88,7 +88,7 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
     "README.md": [
         *(
             (rf"\| `{name}`[^|]* \| {{}} \| {{}} \| {{}} \| {{}} ms \| {{}} ms \|", lambda name=name: [*card_skills(name), *times(name, 1, 100)])
-            for name in sorted(available_models()) if name != "contact-v1"
+            for name in sorted(available_models())
         ),
         ("in which the four separate networks of the papers took {} ms for one grasp", lambda: times("papers' four networks", 1)),
         ("without a touch, no model differs significantly from the mean of the labels", no_model_is_better_than_the_mean),

@@ -10,12 +10,14 @@ import time
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from calibrated_models import save_calibrated_contact
+from every_case import every_case
 from recording_builders import readable
 
 from foretouch.checked_files import file_sha256
@@ -40,18 +42,20 @@ PLY = (
 POINTS = np.zeros((2, 3), np.float32).tobytes()
 
 
-@pytest.fixture(autouse=True)
-def a_reader_that_waits_is_stopped() -> Iterator[None]:
-    """A FIFO without a writer would block a test for ever."""
+@contextmanager
+def at_most(seconds: int) -> Iterator[None]:
+    """A FIFO without a writer would block its reader for ever."""
 
     def stop(*_: object) -> None:
-        raise TimeoutError("the reader did not return within 20 s")
+        raise TimeoutError(f"the reader did not return within {seconds} s")
 
     before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(20)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def npy(header: str, body: bytes = b"", version: tuple[int, int] = (1, 0)) -> bytes:
@@ -148,7 +152,7 @@ CLOUDS: dict[str, tuple[str, bytes]] = {
 def refused(call: Callable[[], Any], name: str, *, seconds: float = 1.0) -> str:
     """The message of the refusal, which must be one line that names the file, of at most 1000 characters."""
     start = time.monotonic()
-    with pytest.raises(ForetouchError) as caught:
+    with at_most(20), pytest.raises(ForetouchError) as caught:
         call()
     assert time.monotonic() - start < seconds
     message = str(caught.value)
@@ -158,19 +162,19 @@ def refused(call: Callable[[], Any], name: str, *, seconds: float = 1.0) -> str:
     return message
 
 
-@pytest.mark.parametrize("case", CLOUDS)
-def test_a_hostile_cloud_is_refused_in_a_second_and_little_memory(case: str, tmp_path: Path) -> None:
-    suffix, content = CLOUDS[case]
-    path = tmp_path / f"cloud{suffix}"
-    path.write_bytes(content)
+def test_hostile_clouds_are_refused_in_a_second_and_little_memory(tmp_path: Path) -> None:
+    def check(suffix: str, content: bytes) -> None:
+        path = tmp_path / f"cloud{suffix}"
+        path.write_bytes(content)
+        tracemalloc.start()
+        try:
+            refused(lambda: read_cloud(path), path.name)
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        assert peak < 10 * len(content) + 2_000_000
 
-    tracemalloc.start()
-    try:
-        refused(lambda: read_cloud(path), path.name)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak < 10 * len(content) + 2_000_000
+    every_case(CLOUDS, check)
 
 
 def test_one_hostile_file_costs_one_item_of_a_folder(tmp_path: Path) -> None:
@@ -187,18 +191,6 @@ def test_one_hostile_file_costs_one_item_of_a_folder(tmp_path: Path) -> None:
     assert len(reasons) > 40
 
 
-@pytest.mark.parametrize("suffix", [".pcd", ".ply", ".npz", ".npy"])
-def test_a_cloud_that_is_no_regular_file_is_refused(suffix: str, tmp_path: Path) -> None:
-    for name, make in (
-        ("fifo", os.mkfifo),
-        ("folder", os.mkdir),
-        ("device", lambda p: Path(p).symlink_to("/dev/zero")),
-    ):
-        path = tmp_path / f"{name}{suffix}"
-        make(path)
-        refused(lambda path=path: read_cloud(path), path.name)
-
-
 READERS: dict[str, Callable[[Path], Any]] = {
     "yaml": load_yaml,
     "card": read_card,
@@ -207,12 +199,17 @@ READERS: dict[str, Callable[[Path], Any]] = {
 }
 
 
-@pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: Path(p).symlink_to("/dev/zero")], ids=["fifo", "folder", "device"])  # fmt: skip
-def test_text_that_is_no_regular_file_is_refused(reader: str, make: Callable[[Path], None], tmp_path: Path) -> None:
-    path = tmp_path / "manifest.json"
-    make(path)
-    refused(lambda: READERS[reader](path), tmp_path.name)
+def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
+    makers = {"fifo": os.mkfifo, "folder": os.mkdir, "device": lambda p: Path(p).symlink_to("/dev/zero")}
+
+    def check(kind: str, reader: str) -> None:
+        path = tmp_path / f"{kind} {reader}" / (f"x{reader}" if reader.startswith(".") else "manifest.json")
+        path.parent.mkdir()
+        makers[kind](path)
+        refused(lambda: READERS.get(reader, read_cloud)(path), path.parent.name)
+
+    readers = (".pcd", ".ply", ".npz", ".npy", *READERS)
+    every_case([(kind, reader) for kind in makers for reader in readers], check)
 
 
 YAML = {
@@ -253,11 +250,14 @@ YAML = {
 }
 
 
-@pytest.mark.parametrize("case", YAML)
-def test_hostile_yaml_is_refused_in_a_second(case: str, tmp_path: Path) -> None:
+def test_hostile_yaml_is_refused_in_a_second(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
-    path.write_text(YAML[case].replace("range_m:", "segmentation.crop.max_range_m:"), encoding="utf-8")
-    refused(lambda: PipelineConfig.from_mapping(load_yaml(path), str(path)), "settings.yaml")
+
+    def check(text: str) -> None:
+        path.write_text(text.replace("range_m:", "segmentation.crop.max_range_m:"), encoding="utf-8")
+        refused(lambda: PipelineConfig.from_mapping(load_yaml(path), str(path)), "settings.yaml")
+
+    every_case(YAML, check)
 
 
 def test_aliases_and_merges_of_usual_size_are_read(tmp_path: Path) -> None:
@@ -266,11 +266,11 @@ def test_aliases_and_merges_of_usual_size_are_read(tmp_path: Path) -> None:
     assert load_yaml(path) == {"a": {"x": 1, "y": [2, 3]}, "b": {"x": 4, "y": [2, 3]}, "c": {"x": 1, "y": [2, 3]}}
 
 
-@pytest.mark.parametrize("text", ["2026-13-45", "[" * 5000, "9" * 5000, "&a [*a]", "\0", "!!int x"])
-def test_a_hostile_override_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^key: .*YAML") as caught:
-        parse_overrides([f"key={text}"])
-    assert len(str(caught.value)) < 1000
+def test_hostile_overrides_are_refused() -> None:
+    for text in ("2026-13-45", "[" * 5000, "9" * 5000, "&a [*a]", "\0", "!!int x"):
+        with pytest.raises(ConfigError, match=r"^key: .*YAML") as caught:
+            parse_overrides([f"key={text}"])
+        assert len(str(caught.value)) < 1000
 
 
 JSON_TEXTS = {
@@ -289,12 +289,15 @@ JSON_TEXTS = {
 }
 
 
-@pytest.mark.parametrize("reader", ["card", "store", "samples"])
-@pytest.mark.parametrize("case", JSON_TEXTS)
-def test_hostile_json_is_refused_in_a_second(case: str, reader: str, tmp_path: Path) -> None:
+def test_hostile_json_is_refused_in_a_second(tmp_path: Path) -> None:
     path = tmp_path / "manifest.json"
-    path.write_text(JSON_TEXTS[case], encoding="utf-8", errors="surrogateescape")
-    refused(lambda: READERS[reader](path), tmp_path.name)
+
+    def check(text: str) -> None:
+        path.write_text(text, encoding="utf-8", errors="surrogateescape")
+        for reader in ("card", "store", "samples"):
+            refused(lambda reader=reader: READERS[reader](path), tmp_path.name)
+
+    every_case(JSON_TEXTS, check)
 
 
 def tensor_file(path: Path, dtype: str, shape: list[int], size: int, **extra: Any) -> str:
@@ -303,61 +306,41 @@ def tensor_file(path: Path, dtype: str, shape: list[int], size: int, **extra: An
     return file_sha256(path)
 
 
-@pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3", "F8_E5M2", "F4", "U1", "X"])
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_a_tensor_of_an_unsupported_dtype_is_refused(dtype: str, kind: str, tmp_path: Path) -> None:
+def test_weights_of_an_unsupported_type_damaged_or_no_regular_file_are_refused(tmp_path: Path) -> None:
+    from safetensors.torch import load_file
+
     path = tmp_path / "weights.safetensors"
-    sha256 = tensor_file(path, dtype, [4], 8 if dtype == "BF16" else 4)
-    arguments: list[Any] = []
-    if kind == "torch":
-        from safetensors.torch import load_file
 
-        arguments = [load_file]
-        if dtype in ("BF16", "F8_E4M3", "F8_E5M2"):
-            pytest.skip("torch reads it; the architecture's dtype is compared afterwards")
-    refused(lambda: read_tensors(path, sha256, "card.json", *arguments), path.name)
+    def check(_: str, sha256: str, *loader: Any) -> None:
+        refused(lambda: read_tensors(path, sha256, "card.json", *loader), path.name)
 
-
-@pytest.mark.parametrize("head", [b"", b"\xff" * 8, struct.pack("<Q", 2**40), struct.pack("<Q", 6) + b'{"x":1'])
-def test_a_damaged_tensor_file_is_refused(head: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "weights.safetensors"
-    path.write_bytes(head)
-    refused(lambda: read_tensors(path, file_sha256(path), "card.json"), path.name)
-
-
-def test_weights_that_are_no_regular_file_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "weights.safetensors"
+    for dtype in ("BF16", "F8_E4M3", "F8_E5M2", "F4", "U1", "X"):
+        check(dtype, tensor_file(path, dtype, [4], 8 if dtype == "BF16" else 4))
+        if dtype in ("F4", "U1", "X"):  # torch reads the others; the architecture's type is compared afterwards
+            check(dtype, tensor_file(path, dtype, [4], 4), load_file)
+    for head in (b"", b"\xff" * 8, struct.pack("<Q", 2**40), struct.pack("<Q", 6) + b'{"x":1'):
+        path.write_bytes(head)
+        check("damaged", file_sha256(path))
+    path.unlink()
     os.mkfifo(path)
-    refused(lambda: read_tensors(path, "0", "card.json"), path.name)
+    check("fifo", "0")
 
 
 LONG = "n" * 5000
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda: read_cloud(f"{LONG}.pcd"),
-        lambda: read_cloud(f"{LONG}.npz"),
-        lambda: read_cloud("a\0b.ply"),
-        lambda: read_cloud("a\nb.ply"),
-        lambda: load_yaml(LONG),
-        lambda: load_yaml("a\0b"),
-        lambda: read_card(f"{LONG}.json"),
-        lambda: load_model(LONG),
-        lambda: load_model(f"{LONG}.json"),
-        lambda: load_model("a\0b.json"),
-        lambda: open_source(LONG),
-        lambda: open_source("a\0b"),
-        lambda: open_samples(LONG),
-        lambda: open_samples(f"{LONG}.mcap"),
-        lambda: open_samples("a\0b"),
-        lambda: Store(LONG),
-        lambda: Store("a\0b"),
-    ],
-)
-def test_a_name_that_no_file_can_have_is_refused(call: Callable[[], Any]) -> None:
-    refused(call, "")
+def test_names_that_no_file_can_have_are_refused() -> None:
+    readers: dict[Callable[[str], Any], tuple[str, ...]] = {
+        read_cloud: (f"{LONG}.pcd", f"{LONG}.npz", "a\0b.ply", "a\nb.ply"),
+        load_yaml: (LONG, "a\0b"),
+        read_card: (f"{LONG}.json",),
+        load_model: (LONG, f"{LONG}.json", "a\0b.json"),
+        open_source: (LONG, "a\0b"),
+        open_samples: (LONG, f"{LONG}.mcap", "a\0b"),
+        Store: (LONG, "a\0b"),
+    }
+    cases = [(f"{read.__name__} {name[:5]!r}", read, name) for read, names in readers.items() for name in names]
+    every_case(cases, lambda _, read, name: refused(lambda: read(name), ""))
 
 
 def test_a_card_with_long_or_absurd_fields_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler, Serializ
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
-from foretouch.models.hand_history import Extent
+from foretouch.models.hand_history import ObjectSignature
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import (
@@ -54,7 +54,7 @@ from foretouch.ros.nodes.monitor import View
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.grasp_sampler import sample_grasps
+from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
@@ -168,7 +168,7 @@ Reader = tuple[Sequence[Any], Callable[[Any], object]]
 
 def clouds() -> Reader:
     """Raw clouds: decode, and check what follows."""
-    return [scene_message(), *object_messages()], lambda message: Extent.of(read_cloud(message))
+    return [scene_message(), *object_messages()], lambda message: ObjectSignature.of(read_cloud(message))
 
 
 def segmented() -> Reader:
@@ -193,7 +193,7 @@ def object_clouds() -> Reader:
 
     def read(message: Any) -> None:
         for target in read_targets(message, ASSUMED_TABLE, ObjectLimits()):
-            Extent.of(target.cloud)
+            ObjectSignature.of(target.cloud)
 
     return object_messages(), read
 
@@ -422,7 +422,7 @@ def labels() -> Reader:
     def read(request: Any) -> None:
         now_s = next(numbers) * 0.1
         hand.add("executed", executed_message(), now_s)
-        hand.assembler.label(_decode_label(request), now_s)
+        hand.assembler.matcher.add_label(_decode_label(request), now_s)
         hand.assembler.poll(now_s)
 
     return [label_request()], read
@@ -432,7 +432,7 @@ _CONFIGS = {
     "segmentation": ("foretouch.ros.nodes.segmentation", "SegmentationNodeConfig"),
     "grasp": ("foretouch.ros.nodes.grasp", "GraspNodeConfig"),
     "touch_predictor": ("foretouch.ros.touch.config", "TouchPredictorConfig"),
-    "recorder": ("foretouch.ros.recorder.config", "RecorderConfig"),
+    "recorder": ("foretouch.ros.nodes.recorder", "RecorderConfig"),
     "camera": ("foretouch.ros.nodes.camera", "CameraNodeConfig"),
     "hand": ("foretouch.ros.nodes.hand", "HandConfig"),
 }

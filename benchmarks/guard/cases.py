@@ -160,7 +160,7 @@ def networks() -> tuple[Job, Job]:
     import torch
 
     from benchmarks.guard.eager import channels_first, made_net
-    from foretouch.models.network.checkpoint import Member, NetworkEstimator
+    from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.config import ModelConfig
     from foretouch.models.network.folding import fold
     from foretouch.models.touch_model import TouchModel
@@ -176,7 +176,7 @@ def networks() -> tuple[Job, Job]:
         pairs += [(net.counts(points, grasp), peer(points, grasp)) for net, peer in zip(four, eager, strict=True)]
     for one, other in pairs:  # folded and eager, and points in rows and channels first
         require_close("touchnet", float((one - other).abs().max()), 0.01)
-    model = TouchModel(NetworkEstimator([Member(ModelConfig(), folded)]), {"name": "full width", "sha256": ""})
+    model = TouchModel(NetworkEstimator(ModelConfig(), folded), {"name": "full width", "sha256": ""})
     one, asked = target(), grasps()[:1]
 
     def peer() -> None:

@@ -22,7 +22,7 @@ from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
 from foretouch.grasp.reach import DEFAULT_REACH, check_reach
 from foretouch.models import DEFAULT_MODEL, load_model
-from foretouch.models.contact.hand_features import HandScene
+from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
 from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
@@ -238,7 +238,7 @@ def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
 
 def feature_spread(clouds: list[Float32]) -> Float64:
     """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
-    described = [HandScene(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
+    described = [HandFrameFeatures(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
     spread = np.std(described, axis=0)
     return np.where(spread > 0.0, spread, np.inf)
 
@@ -289,7 +289,7 @@ def object_steps(
     compare("reach and limits", _verdict, _largest)
     compare(
         "contact features",
-        lambda points, one: HandScene(points).describe([one])[0],
+        lambda points, one: HandFrameFeatures(points).describe([one])[0],
         lambda before, after: float(np.sqrt(np.mean(((after - before) / spread) ** 2)) * 100.0),
     )
     for name, model in models.items():
@@ -309,7 +309,7 @@ def object_steps(
         history = HandHistory(contact)
         for _ in range(3):
             history.add_touch(1, Cloud(points), one, _READING)
-        return _vector(contact.predict(Cloud(points), [one], history=history.at(1, same_object=True))[0])
+        return _vector(contact.predict(Cloud(points), [one], history=history.snapshot(1, same_object=True))[0])
 
     compare("calibration after 3 touches", touched, _largest)
 
@@ -375,7 +375,7 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
         g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
         others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
     others[57] = grasp
-    scene = HandScene(xyz)
+    scene = HandFrameFeatures(xyz)
     found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
     for name, model in models.items():
         alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
@@ -421,7 +421,7 @@ def answers() -> dict[str, npt.NDArray[np.floating]]:
         for method in ("original", "stable"):
             plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig.from_mapping({"method": method}))
             result[f"GeoGrasp {method}: best grasp|{number}"] = 1e3 * np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-        result[f"contact features|{number}"] = HandScene(xyz).describe([grasp])[0]
+        result[f"contact features|{number}"] = HandFrameFeatures(xyz).describe([grasp])[0]
         for name, model in models.items():
             result[f"{name}: prediction|{number}"] = _vector(_answer(model, xyz, grasp))
     for seed in range(3):

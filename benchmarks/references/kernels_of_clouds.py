@@ -34,7 +34,7 @@ from foretouch.cloud.segmentation.rays import _least_squares
 from foretouch.grasp.axis import ObjectAxis, find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.hold import _measure
-from foretouch.models.hand_history import Extent
+from foretouch.models.hand_history import ObjectSignature
 from foretouch.simulation.view import CameraView
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
@@ -168,7 +168,7 @@ def _hold(t: float, rng: np.random.Generator) -> tuple[float, float]:
 @kernel("object identity: touches")
 def _extent(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud, mean, deviation, kappa = _far_cloud(t, rng)
-    computed = Extent.of(cloud).numbers
+    computed = ObjectSignature.of(cloud).numbers
     return kappa, gap(computed, np.concatenate([mean, deviation])) / float(min(deviation))
 
 

@@ -16,13 +16,11 @@ from benchmarks.references.reference import (
     far_or_round,
     float32_cloud,
     gap,
-    gap_up_to_sign,
     kernel,
     norm,
     real,
     relative_gap,
     rotation,
-    solve,
     span,
     spread_points,
     sqrt,
@@ -30,7 +28,6 @@ from benchmarks.references.reference import (
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.learning.evaluation.metrics import ObjectErrors, score, skills
 from foretouch.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
-from foretouch.learning.training.contact import _ridge_weights
 from foretouch.learning.training.losses import (
     Features,
     SrganLossConfig,
@@ -38,15 +35,16 @@ from foretouch.learning.training.losses import (
     generator_loss,
     labeled_loss,
 )
-from foretouch.models.contact.features import FEATURES, ContactScene
-from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
+from foretouch.models.contact.features import FEATURES, HandFrameFeatures
+from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.network.batch_norm import batch_affine, update_statistics
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud
-from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
+from foretouch.models.novelty import Fallback, standardisation
+from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Grasp
 
@@ -81,54 +79,28 @@ def _quantile(values: Exact, share: float) -> Exact:
 @kernel("features: lengths")
 def _lengths(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points, grasp = _scene(t, rng)
-    row = ContactScene(points).describe([grasp])[0]
+    row, sizes = HandFrameFeatures(points).describe([grasp])[0], object_sizes(points)
     mean, _, values = _sizes(points)
     p, hand, size = exact(points), exact(grasp.rotation), np.sqrt(values[2])
     away = norm(p - mean)
     middle = (exact(grasp.g1) + exact(grasp.g2)) / 2
-    in_hand = (p - middle) @ hand
     _, exact_values = covariance(p)
+    spreads = sqrt(eigen(exact_values)[0])
+    sign = -1.0 if grasp.rotation[2, 0] < 0.0 else 1.0  # the hand's X points away from the camera
+    centre = (mean - middle) @ hand * exact(np.array([sign, sign, 1.0]))
     wanted: dict[str, Exact] = {
-        **{f"spread_{k + 1}": value for k, value in enumerate(sqrt(eigen(exact_values)[0]))},
-        **{f"extent_{axis}": p[:, k].max() - p[:, k].min() for k, axis in enumerate("xyz")},
-        "radius": away.max(),
+        **{f"spread_{k + 1}": value for k, value in enumerate(spreads)},
         **{f"radius_q{round(100 * q)}": _quantile(away, q) for q in (0.25, 0.5, 0.75)},
+        **{f"centre_hand_{axis}": centre[k] for k, axis in enumerate("xyz")},
         "width": norm(exact(grasp.g1) - exact(grasp.g2)),
         "offset": norm(middle - mean),
-        **{f"g1_from_centre_{axis}": exact(grasp.g1)[k] - mean[k] for k, axis in enumerate("xyz")},
-        **{f"low_hand_{axis}": _quantile(in_hand[:, k], 0.01) for k, axis in enumerate("xyz")},
-        **{f"high_hand_{axis}": _quantile(in_hand[:, k], 0.99) for k, axis in enumerate("xyz")},
-        **{f"centre_hand_{axis}": in_hand[:, k].sum() / 40 for k, axis in enumerate("xyz")},
+        "distance": norm(mean),
     }
     kappa = float(np.abs(points).max()) / size * np.sqrt(values[2] / values[0])
-    return kappa, max(gap(row[_COLUMN[name]], value) for name, value in wanted.items()) / size
-
-
-@kernel("features: axis")
-def _feature_axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    points, _ = _scene(t, rng)
-    _, vectors, values = _sizes(points)
-    axis = ContactScene(points).object_features[[OBJECT_FEATURES.index(f"axis_{k}") for k in "xyz"]]
-    return values[2] / (values[2] - values[1]), gap_up_to_sign(axis, vectors[:, 2])
-
-
-@kernel("features: slope at the contact")
-def _slopes(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The surface around a contact, an ever narrower strip at up to 10 km."""
-    hand = rotation(rng)
-    flat = rng.uniform(-1.0, 1.0, (20, 3)) * [0.006, 0.006 * span(t, 0.9, 0.02), 1e-5]
-    place = span(t, 0.3, 1e4) * np.array([0.1, -0.1, 1.0])
-    points = flat @ rotation(rng).T + place
-    contact = points.mean(axis=0)
-    row = ContactScene(points).describe([Grasp(contact, contact + 0.05 * hand[:, 2], hand)])[0]
-    near = norm(exact(points) - exact(contact)) < exact(0.008)
-    _, vectors, values = _sizes(points[near.astype(np.bool_)])
-    along = hand[:, 0] if hand[:, 0] @ points.mean(axis=0) >= 0.0 else -hand[:, 0]
-    frame = np.stack([along, np.cross(-hand[:, 2], along), -hand[:, 2]], axis=1)
-    wanted = vectors[:, 0] @ exact(frame)
-    low, middle, high = values
-    found = row[[_COLUMN[f"g1_slope_8mm_{axis}"] for axis in "xyz"]]
-    return high / (middle - low), gap_up_to_sign(found, wanted)
+    errors = [gap(row[_COLUMN[name]], value) for name, value in wanted.items()]
+    lengths = [*(p[:, k].max() - p[:, k].min() for k in range(3)), *spreads, away.max()]
+    errors += [gap(found, value) for found, value in zip(sizes[:-1], lengths, strict=True)]
+    return kappa, max(errors) / size
 
 
 @kernel("standardisation")
@@ -148,13 +120,13 @@ def _novelty(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Distances at the middle of an ever narrower span."""
     centre, scale = rng.random(8), rng.uniform(0.5, 2.0, 8)
     known = rng.normal(size=(12, 8)).astype(np.float32)
-    features = rng.normal(size=len(OBJECT_FEATURES))
-    sizes = (exact(features[3:11]) - exact(centre)) / exact(scale)
+    features = rng.normal(size=8)
+    sizes = (exact(features) - exact(centre)) / exact(scale)
     distance = np.sort(np.abs(exact(known) - sizes).sum(axis=1))[:3].sum() / 3
     low = float(distance) * (1.0 - span(t, 0.5, 1e-9) * rng.uniform(0.2, 0.8))
     high = low + float(distance) * span(t, 0.5, 1e-9)
     wanted = np.clip((exact(high) - distance) / (exact(high) - exact(low)), mpmath.mpf(0), mpmath.mpf(1))
-    found = SizeNoveltyDetector(centre, scale, known, np.array([low, high])).in_distribution_score(features)
+    found = Fallback(centre, scale, known, np.array([low, high]), np.zeros(50)).score(features)
     return float(distance) / (high - low), gap(found, wanted)
 
 
@@ -188,17 +160,6 @@ def _regression(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 + float(exponent.max()), float(np.max(np.abs(exact(found) - k @ exact(weight)) / size))
 
 
-@kernel("kernel ridge weights")
-def _ridge(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Training rows that almost coincide, and a vanishing ridge."""
-    rows = rng.normal(size=(5, 4)).repeat(2, axis=0) + span(t, 1.0, 1e-9) * rng.normal(size=(10, 4))
-    matrix = laplacian(rows, rows, 1.0)
-    labels, ridge = rng.normal(size=(10, 2)), span(t, 1.0, 1e-9)
-    wanted = solve(exact(matrix) + exact(ridge) * exact(np.eye(10)), exact(labels))
-    error = gap(_ridge_weights(matrix, labels, ridge), wanted) / float(np.abs(wanted).max())
-    return float(np.linalg.cond(matrix + ridge * np.eye(10))), error
-
-
 @kernel("calibration: W, slope, spread")
 def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Readings that vary less and less about 3000 counts: they are centred first."""
@@ -220,7 +181,9 @@ def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
         slope[column] = min((a * b).sum() / (a * a).sum(), mpmath.mpf(1))
     within = ((y - slope * x) ** 2).sum(axis=0) / 9
     error = max(
-        relative_gap(group.within, within), relative_gap(group.worth, slope), relative_gap(group.spread, spread)
+        relative_gap(group.within, within),
+        relative_gap(group.difference_shrinkage, slope),
+        relative_gap(group.spread, spread),
     )
     return 1.0, error
 
@@ -349,7 +312,7 @@ def _matching(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Batches whose mean features agree more and more."""
     a = rng.uniform(0.5, 1.0, (8, 16)).astype(np.float32)
     b = (a + span(t, 0.5, 1e-4) * rng.uniform(0.5, 1.0, a.shape)).astype(np.float32)
-    config = SrganLossConfig(reading="as_printed", distance="batch_mean")
+    config = SrganLossConfig(loss_variant="as_printed", distance="batch_mean")
     found = float(generator_loss(torch.from_numpy(a), torch.from_numpy(b), config).total)
     delta = (exact(a) - exact(b)).sum(axis=0) / 8
     wanted = (delta**2).sum()

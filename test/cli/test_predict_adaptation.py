@@ -84,7 +84,7 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call: Call, model: str,
             hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
         now_ns = max(sample.stamp_ns, others[-1].stamp_ns)
         hand.add_tare(now_ns, sample.tare)
-        read = hand.at(now_ns, same_object=True, tare=True)
+        read = hand.snapshot(now_ns, same_object=True, tare=True)
         (wanted,) = core.predict(sample.cloud, [sample.grasp], history=read)
         assert_reported(results[sample.id]["predictions"][0], wanted)
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
@@ -217,7 +217,7 @@ def test_a_history_is_read_in_order_of_time(call: Call, tracked: str, session: P
         hand.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
     for result, sample in zip(call(*words).records, samples_of(session), strict=True):
         (found,) = result["predictions"]
-        (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.at(sample.stamp_ns, same_object=False))
+        (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.snapshot(sample.stamp_ns, same_object=False))
         assert_reported(found, wanted)
         assert (found["reference"], found["evidence"]["readings"]) == ("history", 3)
         assert found["evidence"]["reading_age_s"] > 3000.0

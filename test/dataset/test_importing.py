@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 from recording_builders import IDENTITY
 from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
 
@@ -22,7 +23,7 @@ from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.recording import SampleRecord, verify_dataset
 from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.samples import open_samples
-from foretouch.errors import FileError
+from foretouch.errors import ConfigError, FileError
 from foretouch.types import Cloud
 
 NS = 1_000_000_000
@@ -99,12 +100,8 @@ def write_topics(path: Path, faults: Faults | None = None) -> None:
             write_cloud(np.full((4, 3), k), at)
             grasps = [_grasp(name, faults.matrix) for name in names]
             header = SimpleNamespace(stamp=_stamp(at), frame_id=faults.frame)
-            write(
-                "/foretouch/grasps",
-                "GraspArray",
-                at + 2,
-                SimpleNamespace(header=header, grasps=grasps, status=0, reason=""),
-            )
+            planned = SimpleNamespace(header=header, grasps=grasps, status=0, reason="")
+            write("/foretouch/grasps", "GraspArray", at + 2, planned)
         if faults.second_cloud:
             write_cloud(np.full((4, 3), 7), start)
         contact, release = start + 3 * NS, start + 4 * NS
@@ -154,34 +151,31 @@ def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> 
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
 
 
-@pytest.mark.parametrize(
-    ("faults", "reason"),
-    [
-        (Faults(hole=True), "pairing_error"),
-        (Faults(late_ns=NS // 2), "clock_offset"),
-        (Faults(reports=(("a", 0), ("b", NS // 2))), "overlap"),
-        (Faults(reports=(("a", 0), ("a", 0))), "told_twice"),
-        (Faults(names=(("a",), ("a",))), "grasp_ambiguous"),
-        (Faults(second_cloud=True), "cloud_ambiguous"),
-        (Faults(reports=(("a", -3 * NS),)), "bad_interval"),
-        (Faults(frame="base"), "frame_differs"),
-        (Faults(matrix=np.eye(3)), "bad_grasp"),
-        (Faults(reports=(("stranger", 0),)), "grasp_unknown"),
-        (Faults(electrodes=19), "no_tactile"),
-    ],
-)
-def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path, faults: Faults, reason: str) -> None:
-    result, _ = imported(tmp_path, faults)
-    assert result.left_out[reason] == 1
-    assert result.labelled == sum(name == "a" and shift == 0 for name, shift in faults.reports[:-1])
-    if faults.electrodes != 24:
-        assert result.left_out["unreadable /rh/tactile"] == 500
+def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -> None:
+    def check(reason: str, faults: Faults) -> None:
+        (tmp_path / reason).mkdir()
+        result, samples = imported(tmp_path / reason, faults)
+        assert result.left_out[reason] == 1
+        assert result.labelled == sum(name == "a" and shift == 0 for name, shift in faults.reports[:-1])
+        if reason == "no_tactile":
+            assert result.left_out["unreadable /rh/tactile"] == 500
+        if reason == "pairing_error":  # a cloud whose grasp was rejected becomes a sample without a touch
+            assert [one.sample.grasp.id for one in samples] == ["a", "c"]
 
-
-def test_a_cloud_whose_grasp_was_rejected_becomes_a_sample_without_a_touch(tmp_path: Path) -> None:
-    result, samples = imported(tmp_path, Faults(hole=True))
-    assert (result.samples, result.labelled) == (2, 0)
-    assert [one.sample.grasp.id for one in samples] == ["a", "c"]
+    cases = [
+        ("pairing_error", Faults(hole=True)),
+        ("clock_offset", Faults(late_ns=NS // 2)),
+        ("overlap", Faults(reports=(("a", 0), ("b", NS // 2)))),
+        ("told_twice", Faults(reports=(("a", 0), ("a", 0)))),
+        ("grasp_ambiguous", Faults(names=(("a",), ("a",)))),
+        ("cloud_ambiguous", Faults(second_cloud=True)),
+        ("bad_interval", Faults(reports=(("a", -3 * NS),))),
+        ("frame_differs", Faults(frame="base")),
+        ("bad_grasp", Faults(matrix=np.eye(3))),
+        ("grasp_unknown", Faults(reports=(("stranger", 0),))),
+        ("no_tactile", Faults(electrodes=19)),
+    ]
+    every_case(cases, check)
 
 
 def test_times_of_a_bag_that_was_not_recorded_live_say_nothing_of_the_clocks(tmp_path: Path) -> None:
@@ -197,17 +191,23 @@ def test_a_grasp_with_nine_zeros_is_read_from_its_quaternion(tmp_path: Path) -> 
         np.testing.assert_array_equal(one.sample.grasp.rotation, TURNED)
 
 
-def test_a_missing_topic_is_named(tmp_path: Path) -> None:
+def test_a_topic_that_is_missing_or_of_an_unsupported_type_is_named(tmp_path: Path) -> None:
     write_topics(tmp_path / "bag")
-    with pytest.raises(FileError, match="/nowhere: no such topic; known: /foretouch/executed_grasp"):
-        import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(clouds="/nowhere"))
+    supported = r"/foretouch/grasps: holds foretouch_msgs/GraspArray; supported: foretouch_msgs/BiotacAll, sr_robot"
+    for topics, rule in (
+        (BagTopics(clouds="/nowhere"), "/nowhere: no such topic; known: /foretouch/executed_grasp"),
+        (BagTopics(tactile="/foretouch/grasps"), supported),
+    ):
+        with pytest.raises(FileError, match=rule):
+            import_samples(tmp_path / "bag", tmp_path / "ds", topics=topics)
 
 
-def test_a_tactile_topic_of_a_type_that_is_not_supported_is_named(tmp_path: Path) -> None:
-    write_topics(tmp_path / "bag")
-    rule = r"/foretouch/grasps: holds foretouch_msgs/GraspArray; supported: foretouch_msgs/BiotacAll, sr_robot"
-    with pytest.raises(FileError, match=rule):
-        import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(tactile="/foretouch/grasps"))
+def test_fingers_are_chosen_by_their_indices(tmp_path: Path) -> None:
+    result, (touched, _) = imported(tmp_path, Faults(), fingers=(0, 3))  # all fingers read the same
+    assert result.labelled == 1
+    assert touched.sample.touch is not None
+    with pytest.raises(ConfigError, match="'FF' is the thumb already"):
+        import_samples(tmp_path / "bag", tmp_path / "other", topics=BagTopics(fingers=(0, 0)))
 
 
 def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

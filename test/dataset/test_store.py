@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The training store: what is written is read, and nothing that was changed."""
+
 import hashlib
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from every_case import every_case
+from recording_builders import assert_same_sample
 
 from foretouch import checked_files
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
@@ -50,27 +55,6 @@ def reseal(path: Path) -> None:
     (path / MANIFEST).write_text(sealed(manifest, SEAL))
 
 
-def assert_same(a: GraspSample, b: GraspSample) -> None:
-    np.testing.assert_array_equal(a.cloud.xyz, b.cloud.xyz)
-    assert (a.cloud.rgb is None) == (b.cloud.rgb is None)
-    if a.cloud.rgb is not None:
-        np.testing.assert_array_equal(a.cloud.rgb, b.cloud.rgb)
-    for name in ("g1", "g2", "rotation", "score"):
-        np.testing.assert_array_equal(getattr(a.grasp, name), getattr(b.grasp, name))
-    for name in ("touch", "tare"):
-        first, second = getattr(a, name), getattr(b, name)
-        assert (first is None) == (second is None)
-        if first is not None:
-            np.testing.assert_array_equal(first.vector(), second.vector())
-    assert (a.id, a.object, a.stamp_ns, a.cloud.frame_id, a.extra) == (
-        b.id,
-        b.object,
-        b.stamp_ns,
-        b.cloud.frame_id,
-        b.extra,
-    )
-
-
 def test_what_was_written_is_read_bit_for_bit(tmp_path: Path) -> None:
     samples = [sample(k, 10 + k, labelled=k % 3 > 0, colour=k % 2 > 0) for k in range(150)]
     writer = write(tmp_path / "ds", samples)
@@ -78,53 +62,46 @@ def test_what_was_written_is_read_bit_for_bit(tmp_path: Path) -> None:
     assert len(store) == 150
     assert store.sha256 == writer.sha256
     for k in (149, 0, 1, 63, 64, 65, 127, 128, -150):
-        assert_same(store[k], samples[k])
+        assert_same_sample(store[k], samples[k])
+        assert (store[k].id, store[k].cloud.frame_id) == (samples[k].id, samples[k].cloud.frame_id)
     assert [s.id for s in store] == [s.id for s in samples]
     assert [s.id for s in store[3:5]] == ["can/3", "can/4"]
     store.verify()
     assert store.manifest["about"] == {"scene": "x"}
 
 
-def test_more_than_one_shard(tmp_path: Path) -> None:
+def test_more_than_one_shard_and_none(tmp_path: Path) -> None:
     write(tmp_path / "ds", [sample(k, 3) for k in range(1100)])
     store = Store(tmp_path / "ds")
     assert [shard["samples"] for shard in store.manifest["shards"]] == [1024, 76]
-    assert store[1023].id == "can/1023"
-    assert store[1024].id == "can/1024"
+    assert [store[k].id for k in (1023, 1024)] == ["can/1023", "can/1024"]
     store.verify()
+    write(tmp_path / "empty", [])
+    store = Store(tmp_path / "empty")
+    assert (len(store), is_store(store.path), is_store(tmp_path)) == (0, True, False)
+    with pytest.raises(IndexError, match="sample 0 of 0"):
+        store[0]
 
 
 def test_the_hash_is_of_the_content(tmp_path: Path) -> None:
     samples = [sample(k) for k in range(5)]
     first, again = write(tmp_path / "a", samples), write(tmp_path / "b", samples)
     other = write(tmp_path / "c", [*samples[:4], replace(samples[4], extra={"force_th_n": 0.0})])
-    assert first.sha256 == again.sha256
-    assert first.sha256 != other.sha256
+    assert first.sha256 == again.sha256 != other.sha256
 
 
-def test_an_existing_path_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "ds").mkdir()
-    with pytest.raises(FileError, match=r"ds: exists already"), StoreWriter(tmp_path / "ds"):
-        pass
-
-
-def test_an_error_leaves_nothing_behind(tmp_path: Path) -> None:
-    def broken() -> None:
-        with StoreWriter(tmp_path / "ds") as writer:
+def test_an_existing_path_is_refused_and_an_error_leaves_nothing_behind(tmp_path: Path) -> None:
+    def write_and_fail(path: Path) -> None:
+        with StoreWriter(path) as writer:
             writer.write(sample(0))
             raise RuntimeError("stop")
 
     with pytest.raises(RuntimeError, match="stop"):
-        broken()
+        write_and_fail(tmp_path / "ds")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_empty_store_is_a_store(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [])
-    store = Store(tmp_path / "ds")
-    assert len(store) == 0
-    with pytest.raises(IndexError, match="sample 0 of 0"):
-        store[0]
+    (tmp_path / "ds").mkdir()
+    with pytest.raises(FileError, match=r"ds: exists already"):
+        write_and_fail(tmp_path / "ds")
 
 
 def test_bad_samples_are_refused_by_name(tmp_path: Path) -> None:
@@ -137,63 +114,89 @@ def test_bad_samples_are_refused_by_name(tmp_path: Path) -> None:
             (organised, "can/0: the cloud is organised"),
             (unfinished, "can/0: the cloud is organised or not finite"),
             (replace(good, extra={"force": math.inf}), "can/0: extra.force: inf"),
+            (
+                replace(good, tare=Touch.from_vector(np.full(50, np.nan))),
+                "can/0: tare: holds a value that is not finite",
+            ),
             (good, "can/0: the store .* holds this id already"),
         ):
             with pytest.raises(DatasetError, match=message):
                 writer.write(bad)
+        for name in ("manifest.json", "../x", "a/b", "shard-00000.arrow/x"):
+            with pytest.raises(DatasetError, match="is taken, or not the name of a file"):
+                writer.attach(name, "")
     assert len(Store(tmp_path / "ds")) == 1
 
 
-def test_damage_is_found(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [sample(k) for k in range(3)])
-    shard = tmp_path / "ds" / "shard-00000.arrow"
-    content = bytearray(shard.read_bytes())
-    middle = content.index(np.ascontiguousarray(sample(1).cloud.xyz).tobytes()[:16])
-    content[middle] ^= 1
-    shard.write_bytes(content)
-    with pytest.raises(FileError, match=r"shard-00000.arrow: sha256 is"):
-        Store(tmp_path / "ds")
-    shard.write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileError, match=r"shard-00000.arrow: sha256 is"):
-        Store(tmp_path / "ds")
-    reseal(tmp_path / "ds")
-    with pytest.raises(FileError, match=r"shard-00000.arrow: cannot be read"):
-        Store(tmp_path / "ds")
+def test_files_that_disagree_with_the_manifest_are_never_used(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path / "ds", {"scene": "x"}) as writer:
+        for k in range(3):
+            writer.write(sample(k))
+        writer.attach("splits.json", "{}")
+    cloud = np.ascontiguousarray(sample(1).cloud.xyz).tobytes()[:16]
+    label, changed_label = sample(1).touch.vector()[:1].tobytes(), np.float64(999.0).tobytes()
+
+    def check(name: str, change: Callable[[bytes], bytes], rule: str, resealed: bool = False) -> None:
+        file = tmp_path / "ds" / name
+        good, manifest = file.read_bytes(), (tmp_path / "ds" / MANIFEST).read_bytes()
+        file.write_bytes(change(good))
+        if resealed:
+            reseal(tmp_path / "ds")
+        try:
+            with pytest.raises(FileError, match=rf"{name}: {rule}"):
+                Store(tmp_path / "ds")
+        finally:
+            file.write_bytes(good)
+            (tmp_path / "ds" / MANIFEST).write_bytes(manifest)
+
+    shard = "shard-00000.arrow"
+    every_case(
+        [
+            (shard, lambda data: data.replace(cloud, cloud[::-1]), "sha256 is .* the file was changed"),
+            (shard, lambda data: data.replace(label, changed_label), "sha256 is"),
+            (shard, lambda data: data[: len(data) // 2], "sha256 is"),
+            (shard, lambda data: data[: len(data) // 2], "cannot be read", True),
+            (shard, lambda _: _other_columns(), "schema: has other columns", True),
+            ("splits.json", lambda _: b"[]", "sha256 is"),
+            (
+                MANIFEST,
+                lambda data: data.replace(b'"x"', b'"y"'),
+                "seal: damaged: the text does not match its checksum",
+            ),
+        ],
+        check,
+    )
+    Store(tmp_path / "ds").verify()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"schema_version": 9}, r"schema_version: 9 is not 1"),
-        ({"format": "other"}, r"format: is not foretouch-store"),
-        ({"samples": 4}, r"samples: holds 3 samples, not 4"),
-    ],
-)
-def test_a_manifest_that_disagrees_is_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
+def _other_columns() -> bytes:
+    table, sink = pa.record_batch({"id": ["a", "b", "c"]}), pa.BufferOutputStream()
+    with pa.ipc.new_file(sink, table.schema) as out:
+        out.write_batch(table)
+    return sink.getvalue().to_pybytes()
+
+
+def test_a_manifest_that_breaks_a_rule_is_refused_though_its_seal_is_right(tmp_path: Path) -> None:
     write(tmp_path / "ds", [sample(k) for k in range(3)])
     file = tmp_path / "ds" / MANIFEST
-    file.write_text(sealed(json.loads(file.read_text()) | change, SEAL))
-    with pytest.raises(FileError, match=message):
-        Store(tmp_path / "ds")
+    good = json.loads(file.read_text())
 
+    def check(change: dict[str, object], message: str) -> None:
+        file.write_text(sealed(good | change, SEAL))
+        with pytest.raises(FileError, match=message):
+            Store(tmp_path / "ds")
 
-def test_another_schema_is_refused(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [sample(k) for k in range(3)])
-    table = pa.record_batch({"id": ["a", "b", "c"]})
-    with (
-        pa.OSFile(str(tmp_path / "ds" / "shard-00000.arrow"), "wb") as sink,
-        pa.ipc.new_file(sink, table.schema) as out,
-    ):
-        out.write_batch(table)
-    reseal(tmp_path / "ds")
-    with pytest.raises(FileError, match=r"schema: has other columns"):
-        Store(tmp_path / "ds")
-
-
-def test_is_store(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [])
-    assert is_store(tmp_path / "ds")
-    assert not is_store(tmp_path)
+    cases = [
+        ({"format": "other"}, "format: is not foretouch-store"),
+        ({"samples": 4}, "samples: holds 3 samples, not 4"),
+        ({"samples": "3"}, "samples: 3 is of type str"),
+        ({"about": []}, r"about: \[\] is of type list"),
+        ({"shards": 5}, "shards: 5 is no list"),
+        ({"files": [{"file": "x"}]}, "files: .* lacks one of file, sha256"),
+        ({"files": [{"file": "../x", "sha256": ""}]}, "file: '../x' is not the name of a file in the store"),
+        ({"shards": [good["shards"][0] | {"samples": 2}]}, "holds 3 samples, the manifest declares 2"),
+    ]
+    every_case(cases, check)
 
 
 def test_a_random_read_takes_microseconds(tmp_path: Path) -> None:
@@ -208,46 +211,16 @@ def test_a_random_read_takes_microseconds(tmp_path: Path) -> None:
     assert np.median(spent) < 300e-6  # measured 40 µs; the bound leaves room for a loaded machine
 
 
-def test_a_changed_label_is_never_used(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [sample(k) for k in range(3)])
-    shard = tmp_path / "ds" / "shard-00000.arrow"
-    content = bytearray(shard.read_bytes())
-    start = content.index(sample(1).touch.vector().tobytes())
-    content[start : start + 8] = np.float64(999.0).tobytes()
-    shard.write_bytes(content)
-    with pytest.raises(FileError, match=r"shard-00000.arrow: sha256 is .* the file was changed"):
-        Store(tmp_path / "ds")
-
-
-def test_a_changed_count_in_the_manifest_is_never_used(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [sample(k) for k in range(3)])
-    file = tmp_path / "ds" / MANIFEST
-    file.write_text(file.read_text().replace('"scene": "x"', '"scene": "y"'))
-    with pytest.raises(FileError, match=r"manifest.json: seal: damaged: the text does not match its checksum"):
-        Store(tmp_path / "ds")
-
-
-def test_a_changed_attached_file_is_never_used(tmp_path: Path) -> None:
-    with StoreWriter(tmp_path / "ds") as writer:
-        writer.write(sample(0))
-        writer.attach("splits.json", "{}")
-    (tmp_path / "ds" / "splits.json").write_text("[]")
-    with pytest.raises(FileError, match=r"splits.json: sha256 is"):
-        Store(tmp_path / "ds")
-
-
-@pytest.mark.parametrize("value", [-1, 1, 2**31 - 1, -(2**31), 10**6])
-def test_offsets_are_checked_even_where_the_hashes_agree(tmp_path: Path, value: int) -> None:
+def test_offsets_are_checked_even_where_the_hashes_agree(tmp_path: Path) -> None:
     write(tmp_path / "ds", [sample(k) for k in range(5)])
     shard = tmp_path / "ds" / "shard-00000.arrow"
-    content = bytearray(shard.read_bytes())
-    offsets = np.arange(0, 6 * 120, 120, dtype=np.int32).tobytes()  # of xyz: 40 points a sample
-    start = content.index(offsets)
-    content[start + 8 : start + 12] = np.int32(value).tobytes()
-    shard.write_bytes(content)
-    reseal(tmp_path / "ds")
-    with pytest.raises(FileError, match=r"shard-00000.arrow: batch 0: "):
-        Store(tmp_path / "ds")
+    good = shard.read_bytes()
+    start = good.index(np.arange(0, 6 * 120, 120, dtype=np.int32).tobytes())  # of xyz: 40 points a sample
+    for value in (-1, 1, 2**31 - 1, -(2**31), 10**6):
+        shard.write_bytes(good[: start + 8] + np.int32(value).tobytes() + good[start + 12 :])
+        reseal(tmp_path / "ds")
+        with pytest.raises(FileError, match=r"shard-00000.arrow: batch 0: "):
+            Store(tmp_path / "ds")
 
 
 def test_a_shard_is_hashed_once_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

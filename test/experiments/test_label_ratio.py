@@ -102,7 +102,7 @@ def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps) -> None:
         assert (found["pointnet"].batch_size, found["pointnet"].epochs) == (32, 50)
         assert (found["srgan"].batch_size, found["srgan"].epochs) == (10, 30)
         loss = found["srgan"].loss
-        assert loss.reading == loss_variant
+        assert loss.loss_variant == loss_variant
         weights = (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake, loss.gradient_penalty)
         assert weights == (1.0, 10.0, 0.1, 0.0)
 

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from contact_model_builders import HAND, cylinder, hand_estimator, lines_sheets_and_repeated_points
+from contact_model_builders import HAND, cylinder, lines_sheets_and_repeated_points, small_estimator
 from every_case import every_case
 from hypothesis import given, settings
 from kernels.references import models as reference
@@ -18,7 +18,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
-from foretouch.models.contact.hand_features import FEATURES, HandScene
+from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.network.length_check import _nearest
 from foretouch.models.network.preparation import PreparedCloud
@@ -42,7 +42,7 @@ def grasps_on(points: np.ndarray, count: int, rng: np.random.Generator) -> list[
 
 def differences(points: np.ndarray, grasps: list[Grasp]) -> tuple[float, float]:
     """Largest of weight, roughness and place of the pad, and of the slopes, from the reference."""
-    scene = HandScene(points)
+    scene = HandFrameFeatures(points)
     g1, g2, hand = stacked(grasps)
     contacts, fingers = np.concatenate([g1, g2]), np.concatenate([hand, -hand])
     apart = np.abs(scene._contacts(contacts, fingers) - reference.contact_rows(points, contacts, fingers))
@@ -71,7 +71,7 @@ def test_contacts_on_a_surface_differ_by_rounding(rng) -> None:
 def test_a_contact_whose_distance_overflows_touches_nothing(rng) -> None:
     far = [Grasp(np.array([x, -x, 0.0]), PLACE, HAND) for x in (1e200, 1e308)]
     with np.errstate(over="ignore", invalid="ignore"):
-        rows = HandScene(rough(rng)).describe(far)
+        rows = HandFrameFeatures(rough(rng)).describe(far)
     assert_array_equal(rows[:, -28:-14], 0.0)
 
 
@@ -80,7 +80,7 @@ def test_a_contact_whose_distance_overflows_touches_nothing(rng) -> None:
 def test_where_rounding_decides_numpy_describes_the_contact(case) -> None:
     """Compiled or not, a row is that of `_summed` within rounding."""
     points, g1, g2 = case
-    scene = HandScene(points)
+    scene = HandFrameFeatures(points)
     contacts, fingers = np.stack([g1, g2]), np.stack([HAND, HAND])
     rows, plain = scene._contacts(contacts, fingers), scene._summed(contacts, fingers)
     assert_allclose(rows[:, :5], plain[:, :5], rtol=1e-9, atol=1e-9)
@@ -89,14 +89,14 @@ def test_where_rounding_decides_numpy_describes_the_contact(case) -> None:
 
 def test_contacts_on_a_plane_are_left_to_numpy(rng) -> None:
     points = np.column_stack([rng.uniform(-0.05, 0.05, (3000, 2)), np.full(3000, 0.123)]) + PLACE
-    scene, (g1, _, hand) = HandScene(points), stacked(grasps_on(points, 20, rng))
+    scene, (g1, _, hand) = HandFrameFeatures(points), stacked(grasps_on(points, 20, rng))
     assert_array_equal(scene._contacts(g1, hand), scene._summed(g1, hand))
 
 
 def test_a_row_is_the_same_alone_and_among_others(rng) -> None:
     points = rough(rng)
     grasps = grasps_on(points, 30, rng)
-    scene = HandScene(points)
+    scene = HandFrameFeatures(points)
     assert_array_equal(scene.describe(grasps), np.concatenate([scene.describe([one]) for one in grasps]))
     assert scene.describe([]).shape == (0, len(FEATURES))
 
@@ -162,7 +162,7 @@ def test_the_kernel_regression_differs_by_rounding(rng) -> None:
         assert model.predict(rows[:0]).shape == (0, outputs)
 
     every_case([(1, 1), (31, 50), (32, 56), (65, 57), (400, 50)], check)
-    model = hand_estimator().kernel
+    model = small_estimator().kernel
     assert np.isnan(model.predict(np.full((2, model.known.shape[1]), np.nan))).all()
 
 

@@ -16,14 +16,14 @@ from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
 from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, load_profile, profile_scene
-from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 
 # Levels.
 
 
 def test_cheaper_contact_models() -> None:
     samples = make_samples()
-    rows = describe_samples(samples, FEW_TREES.features)
+    rows = describe_samples(samples)
     objects = [sample.object for sample in samples]
     large, small = (fit_contact(rows, labels_of(samples), objects, FEW_TREES.replace(trees=trees)) for trees in (4, 2))
     np.testing.assert_array_equal(fewer_trees(large, 2).predict_rows(rows)[0], small.predict_rows(rows)[0])
@@ -32,7 +32,7 @@ def test_cheaper_contact_models() -> None:
         forest._check()
     changed = rows.copy()
     changed[:, -14:] += 1.0  # the second contact
-    plain = WithoutSurroundings.of(large)
+    plain = GlobalFeaturesOnly.of(large)
     np.testing.assert_array_equal(plain.predict_rows(rows)[0], plain.predict_rows(changed)[0])
     assert np.abs(large.predict_rows(rows)[0] - plain.predict_rows(rows)[0]).max() > 1e-3
 

@@ -20,8 +20,10 @@ SIZE = 50
 Change = Callable[[np.ndarray], np.ndarray | None]
 
 
-def group_of(between: np.ndarray, within: np.ndarray, worth: float) -> CalibrationGroup:
-    return CalibrationGroup(between, within, np.full(SIZE, worth), np.diag(between) + within, np.full(SIZE, 100.0))
+def group_of(between: np.ndarray, within: np.ndarray, difference_shrinkage: float) -> CalibrationGroup:
+    return CalibrationGroup(
+        between, within, np.full(SIZE, difference_shrinkage), np.diag(between) + within, np.full(SIZE, 100.0)
+    )
 
 
 def full(rng: np.random.Generator) -> np.ndarray:
@@ -39,8 +41,8 @@ def conditioned(group: CalibrationGroup, residuals: np.ndarray) -> tuple[np.ndar
 
 
 def test_touches_move_predictions_as_conditioning_does(rng) -> None:
-    def check(_name: str, between: np.ndarray, touches: int, worth: float, known: bool) -> None:
-        group = group_of(between, rng.uniform(50.0, 900.0, SIZE), worth)
+    def check(_name: str, between: np.ndarray, touches: int, difference_shrinkage: float, known: bool) -> None:
+        group = group_of(between, rng.uniform(50.0, 900.0, SIZE), difference_shrinkage)
         # Of known objects, only the diagonals in the basis of new ones are used: both have the same group here.
         parameters = Calibration(REST, {"known": group, "new": group}).tracker_parameters
         tracker = SensorTracker(replace(parameters, alarm=np.full((2, 2), 1e6)))
@@ -52,17 +54,23 @@ def test_touches_move_predictions_as_conditioning_does(rng) -> None:
         mean = touched.mean(axis=0) if touches else asked
         found, _ = tracker.predict(5, asked)
         moved, variance = conditioned(group, readings - mean) if touches else (0.0, np.diag(between))
-        shrunk = mean + (worth if touches else 1.0) * (asked - mean)
+        shrunk = mean + (difference_shrinkage if touches else 1.0) * (asked - mean)
         # The residuals that B (B + W/n)^-1 acts on are those of the mean, so shrunk differences cancel in it.
         assert_allclose(found, shrunk + moved, atol=1e-6)
         assert_allclose(tracker.level(5).variance, variance, rtol=1e-7)
 
     every_case(
         {
-            f"{name} B, {touches} touches, {worth}, {known}": (name, between, touches, worth, known)
+            f"{name} B, {touches} touches, {difference_shrinkage}, {known}": (
+                name,
+                between,
+                touches,
+                difference_shrinkage,
+                known,
+            )
             for name, between in (("diagonal", np.diag(rng.uniform(10.0, 900.0, SIZE))), ("full", full(rng)))
             for touches in (0, 1, 3, 10)
-            for worth in (1.0, 0.3)
+            for difference_shrinkage in (1.0, 0.3)
             for known in (False, True)
         },
         check,
@@ -119,7 +127,7 @@ def test_damage_is_refused_by_name() -> None:
             ("rest", lambda a: None, "rest: is missing"),
             ("rest", changed(3, np.nan), "rest: holds a value that is not finite$"),
             ("new/between", lambda a: None, "new/between: is missing"),
-            ("known/worth", lambda a: None, "known/worth: is missing"),
+            ("known/difference_shrinkage", lambda a: None, "known/difference_shrinkage: is missing"),
             ("known/between", lambda a: a[:, :49], r"known/between: shape \(50, 49\) is not \(50, 50\)"),
             ("known/within", lambda a: a[:2], r"known/within: shape \(2,\) is not \(50,\)"),
             ("known/within", changed(0, 5e-324), "known/within: .* not finite and at least 1e-09"),
@@ -128,8 +136,8 @@ def test_damage_is_refused_by_name() -> None:
             ("new/between", changed((0, 1), 1e6), "new/between: is not symmetric"),
             ("new/between", lambda a: -a, "new/between: is no covariance"),
             ("new/between", lambda a: 1e200 * a, "new/between: .* exceeds 1e.12"),
-            ("new/worth", changed(5, 1.5), r"new/worth: leaves \[0, 1\]"),
-            ("new/worth", changed(5, -0.1), r"new/worth: leaves \[0, 1\]"),
+            ("new/difference_shrinkage", changed(5, 1.5), r"new/difference_shrinkage: leaves \[0, 1\]"),
+            ("new/difference_shrinkage", changed(5, -0.1), r"new/difference_shrinkage: leaves \[0, 1\]"),
             ("tracker/slow", changed(5, np.nan), "^tracker/slow: "),
         ],
         check,

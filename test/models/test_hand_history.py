@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load, save
 
 from foretouch.errors import CloudError, FileError, TactileError
-from foretouch.models.hand_history import Extent, HandHistory, HistoryFile, read_history
+from foretouch.models.hand_history import HandHistory, HistoryFile, ObjectSignature, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.types import Cloud, GraspSample, Touch, TouchPrediction
 
@@ -40,7 +40,7 @@ def read(history: HandHistory, samples: list[GraspSample], *, tare: Touch | None
 
 
 def predict(history: HandHistory, sample: GraspSample, stamp_ns: int = 0, *, same: bool = False) -> TouchPrediction:
-    at = history.at(stamp_ns or sample.stamp_ns, same_object=same)
+    at = history.snapshot(stamp_ns or sample.stamp_ns, same_object=same)
     (found,) = history.model.predict(sample.cloud, [sample.grasp], history=at)
     return found
 
@@ -81,14 +81,14 @@ def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
     history = HandHistory(model)
     history.add_tare(sample.stamp_ns, tare)
     history.add_tare(sample.stamp_ns + 30 * S, Touch.from_vector(REST - 40.0))  # within a minute of the last one
-    at = history.at(sample.stamp_ns, same_object=False, tare=True)
+    at = history.snapshot(sample.stamp_ns, same_object=False, tare=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=at)
     assert_array_equal(found.value.vector(), tared.value.vector())
 
 
 def test_later_readings_do_not_change_a_prediction_under_way(model: TouchModel) -> None:
     history, sample = read(HandHistory(model), FIRST[:3]), SECOND[0]
-    at = history.at(sample.stamp_ns, same_object=False)
+    at = history.snapshot(sample.stamp_ns, same_object=False)
     before = model.predict(sample.cloud, [sample.grasp], history=at)
     read(history, FIRST[3:])
     after = model.predict(sample.cloud, [sample.grasp], history=at)
@@ -120,7 +120,7 @@ def test_position_and_size_of_a_large_cloud_are_computed_in_double() -> None:
     points = (np.random.default_rng(0).normal(size=(1_000_000, 3)) * 0.03 + [0.1, 0.05, 1.2]).astype(np.float32)
     exact = points.astype(np.float64)
     expected = np.concatenate([exact.mean(axis=0), exact.std(axis=0)])
-    assert_allclose(Extent.of(Cloud(points)).numbers, expected, rtol=0.0, atol=1e-9)  # in float32: 0.3 mm
+    assert_allclose(ObjectSignature.of(Cloud(points)).numbers, expected, rtol=0.0, atol=1e-9)  # in float32: 0.3 mm
 
 
 def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
@@ -198,7 +198,7 @@ def test_a_file_that_was_sealed_with_impossible_values_is_refused(model: TouchMo
 
     tensors = load(path.read_bytes())
     tensors.pop("sha256")
-    for name, value in (("tracker/mean", np.inf), ("version", 7), ("extent", None), ("tracker/counts", -1)):
+    for name, value in (("tracker/mean", np.inf), ("version", 7), ("signature", None), ("tracker/counts", -1)):
         changed = {key: array.copy() for key, array in tensors.items()}
         if value is None:
             changed[name] = changed[name][:3]

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_model_builders import scaled
 
 from foretouch.dataset.vision2tactile import folder_sha256, read_sample, sample_folders
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
 from foretouch.tactile import MODALITIES, columns
+from foretouch.types import Grasp
 
 
 def test_the_default_is_first_and_all_load() -> None:
@@ -47,10 +49,19 @@ def test_a_prediction_has_the_size_of_a_touch(can, make_grasps) -> None:
         assert all(1600 < p.value.pdc_mf < 2300 and 2500 < p.value.pdc_th < 3400 for p in predictions)
 
 
-def test_far_from_all_training_data_the_default_gives_the_mean_and_flags_it(can, make_grasps) -> None:
-    predictions = load_model().predict(can, make_grasps(3))
-    assert all("unfamiliar" in p.flags for p in predictions)
-    assert np.ptp([p.value.vector() for p in predictions], axis=0).max() < 1.0
+def test_objects_of_sizes_far_from_those_of_training_are_flagged_and_get_the_mean(can, make_grasps) -> None:
+    for name in available_models():
+        model = load_model(name)
+        for factor in (0.4, 2.5):
+            cloud = scaled(can, factor)
+            centre = cloud.xyz.mean(axis=0, dtype=np.float64)
+            grasps = [
+                Grasp(*(centre + factor * (p - centre) for p in (one.g1, one.g2)), one.rotation)
+                for one in make_grasps(3)
+            ]
+            predictions = model.predict(cloud, grasps)
+            assert all("unfamiliar" in p.flags for p in predictions), (name, factor)
+            assert np.ptp([p.value.vector() for p in predictions], axis=0).max() < 1.0
 
 
 @pytest.mark.real_data

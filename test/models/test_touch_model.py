@@ -17,7 +17,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import CloudError, ModelError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.hand_history import HandHistory
-from foretouch.models.network.checkpoint import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
@@ -31,7 +31,7 @@ TARE = Touch.from_vector(REST + np.linspace(-30.0, 60.0, 50))
 
 @pytest.fixture
 def model(make_net, small) -> TouchModel:
-    return TouchModel(NetworkEstimator([Member(small, fold(make_net()))]), CARD)
+    return TouchModel(NetworkEstimator(small, fold(make_net())), CARD)
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History
         if tare is not None:
             history.add_tare(sample.stamp_ns, tare)
         history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
-    return history.at(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
+    return history.snapshot(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
 
 
 def bounds(predictions) -> np.ndarray:
@@ -100,7 +100,7 @@ def test_values_out_of_range_are_flagged_and_overflow_is_refused(make_net, small
         net = make_net()
         with torch.no_grad():
             net.target_mean[column] = value
-        found += TouchModel(NetworkEstimator([Member(small, fold(net))]), CARD).predict(can, make_grasps(1))
+        found += TouchModel(NetworkEstimator(small, fold(net)), CARD).predict(can, make_grasps(1))
     beyond, overflown = found
     assert "out_of_range" in beyond.flags
     assert beyond.value.pdc_th > 4000
@@ -112,7 +112,7 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
     grasps = make_grasps(20)
     lengths = grasp_lengths(prepare_cloud(can, small), grasps)
     lengths_check = LengthRangeCheck(lengths.min(axis=0) - 0.01, lengths.max(axis=0) + 0.01)
-    model = TouchModel(NetworkEstimator([Member(small, fold(make_net()), lengths_check)]), CARD)
+    model = TouchModel(NetworkEstimator(small, fold(make_net()), lengths_check), CARD)
     assert not any("unfamiliar" in p.flags for p in model.predict(can, grasps))
     back, aside = np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.0])
     far = Cloud((can.xyz + back).astype(np.float32))
@@ -124,15 +124,9 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
     assert ["unfamiliar" in p.flags for p in predictions] == [False, True]
 
 
-def test_each_modality_must_be_predicted_by_one_member(make_net, small) -> None:
-    twice = [Member(small, fold(make_net())), Member(small.replace(outputs=("E_TH",)), fold(make_net()))]
-    with pytest.raises(ModelError, match="E_TH is predicted by 2 networks"):
-        TouchModel(NetworkEstimator(twice), CARD)
-
-
 def test_refusals_reach_the_caller(make_net, small, can, make_grasps) -> None:
     config = small.replace(channels="xyz+rgb")
-    model = TouchModel(NetworkEstimator([Member(config, fold(make_net(config)))]), CARD)
+    model = TouchModel(NetworkEstimator(config, fold(make_net(config))), CARD)
     with pytest.raises(ModelError, match="has no rgb"):
         model.predict(Cloud(can.xyz), make_grasps(1))
     with pytest.raises(CloudError, match="fewer than 32"):
@@ -147,7 +141,7 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
     def check(calibration, cloud: Cloud, group: str) -> None:
         model = TouchModel(small_estimator(), CARD, calibration)
         estimate = small_estimator().estimate(cloud, [sample.grasp])
-        unread = HandHistory(model).at(5, same_object=True)
+        unread = HandHistory(model).snapshot(5, same_object=True)
         for history in (None, unread):
             (found,) = model.predict(cloud, [sample.grasp], history=history, limits=limits, reach=reach)
             half = calibration.unread_half_widths[group]

@@ -35,7 +35,7 @@ def drifting(slow: float = 2.0, fast: float = 0.5, lasting: float = 0.5) -> Trac
         fast=fast * ones,
         object=np.full((2, SIZE), lasting),
         noise=np.ones((2, SIZE)),
-        worth=np.ones((2, SIZE)),
+        difference_shrinkage=np.ones((2, SIZE)),
         factor=np.full(4, 1.645),
     )
 
@@ -127,7 +127,7 @@ def test_after_a_long_pause_the_state_counts_as_unknown() -> None:
 
 
 def test_after_touches_predicted_differences_are_shrunk() -> None:
-    tracker = SensorTracker(replace(drifting(), worth=np.full((2, SIZE), 0.25)))
+    tracker = SensorTracker(replace(drifting(), difference_shrinkage=np.full((2, SIZE), 0.25)))
     grasps = REST + np.array([[0.0], [40.0]])
     first, _ = tracker.predict(START, grasps)
     assert_allclose(first[1] - first[0], 40.0)

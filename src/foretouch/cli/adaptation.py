@@ -113,7 +113,7 @@ class Adaptation:
             now_ns = max(now_ns, one.stamp_ns)
         if tare is not None:
             hand.add_tare(now_ns, tare)
-        return hand.at(now_ns, same_object=bool(touched), tare=tare is not None)
+        return hand.snapshot(now_ns, same_object=bool(touched), tare=tare is not None)
 
     def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""

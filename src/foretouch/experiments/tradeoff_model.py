@@ -33,9 +33,9 @@ from foretouch.learning.training.contact import (
     thinned_samples,
 )
 from foretouch.models.card import read_card
-from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.hand_features import CONDITIONS
+from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator
@@ -180,7 +180,7 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     if part is None:
         return estimator
     if part == "no surroundings":
-        return WithoutSurroundings.of(estimator)
+        return GlobalFeaturesOnly.of(estimator)
     fields = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
     return _OnePart(**fields, forests_alone=part == "forests alone")
 
@@ -190,11 +190,11 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
 
 def _network(values: Mapping[str, Any], net: TouchNet, fallback: Any) -> Estimator:
     """The estimator of a variant from a network."""
-    from foretouch.models.network.checkpoint import Member, NetworkEstimator
+    from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.folding import fold
 
     config = net.config.replace(**values.get("changes", {}))
-    return NetworkEstimator([Member(config, fold(net, values.get("precision", "float32")))], fallback)
+    return NetworkEstimator(config, fold(net, values.get("precision", "float32")), fallback=fallback)
 
 
 def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:

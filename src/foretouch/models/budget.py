@@ -31,7 +31,7 @@ from foretouch import __version__
 from foretouch.checked_files import read_json
 from foretouch.errors import FileError
 from foretouch.models.card import write_text
-from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import by_modality
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
@@ -76,7 +76,7 @@ class _Mean:
 
 _MAKERS: Final[dict[str, Callable[[Any], Estimator]]] = {
     "10 trees": lambda one: fewer_trees(one, 10),
-    "no surroundings": WithoutSurroundings.of,
+    "no surroundings": GlobalFeaturesOnly.of,
     "touchnet-v1": lambda _: load_model("touchnet-v1").estimator,
 }
 """Estimators of the levels by name, from the model's own."""

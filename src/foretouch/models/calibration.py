@@ -46,14 +46,14 @@ class CalibrationGroup(TensorRecord):
         between: (50, 50) float64 [counts²], B: covariance of the part that stays with an object and its day.
         within: (50,) float64 [counts²], W: variance of the part that is new with each grasp, after shrinkage of the
             predicted differences.
-        worth: (50,) float64 in [0, 1], shrinkage factor of predicted differences between two grasps on an object.
+        difference_shrinkage: (50,) float64 in [0, 1], shrinkage factor of predicted differences between two grasps on an object.
         spread: (50,) float64 [counts²], variance of the residuals before any touch.
         half_width: (50,) float64 [counts], of the interval before any touch.
     """
 
     between: Float64
     within: Float64
-    worth: Float64
+    difference_shrinkage: Float64
     spread: Float64
     half_width: Float64
 
@@ -67,8 +67,8 @@ class CalibrationGroup(TensorRecord):
             raise ModelError("between: is not symmetric")
         if np.linalg.eigvalsh(self.between)[0] < -tolerance:
             raise ModelError("between: is no covariance: it has a negative eigenvalue")
-        if self.worth.min() < 0.0 or self.worth.max() > 1.0:
-            raise ModelError("worth: leaves [0, 1]")
+        if self.difference_shrinkage.min() < 0.0 or self.difference_shrinkage.max() > 1.0:
+            raise ModelError("difference_shrinkage: leaves [0, 1]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class Calibration:
                 found = TrackerParameters.from_calibration(
                     (new.between, known.between),
                     (new.within, known.within),
-                    (new.worth, known.worth),
+                    (new.difference_shrinkage, known.difference_shrinkage),
                     np.array([ratio[columns([name])].mean() for name in MODALITIES]),
                 )
             sensors = found.object.min(axis=0)
@@ -216,8 +216,8 @@ def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibrat
             raise ModelError(f"{card_path}: calibration.{field}: is missing")
     path = file_beside(card_path, facts["weights"], "calibration.weights")
     tensors = read_tensors(path, facts["sha256"], card_path.name)
-    fallback = {key.removeprefix(_FALLBACK): value for key, value in tensors.items() if key.startswith(_FALLBACK)}
     try:
-        return Calibration.from_tensors(tensors), Fallback.from_tensors(fallback) if fallback else None
+        fallback = any(name.startswith(_FALLBACK) for name in tensors)
+        return Calibration.from_tensors(tensors), read_part(Fallback, tensors, _FALLBACK) if fallback else None
     except ModelError as err:
         raise ModelError(f"{path}: {err}") from err

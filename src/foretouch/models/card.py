@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The card beside a model's weights: what the model is, what it was trained on, how well it performs.
 
-A card is plain JSON. `KINDS` lists the kinds of models: the fields that their cards hold, and the function that loads
-them. A `network` and a `contact` model name their weights; an `ensemble` names the cards of networks that together
-predict all modalities. A new kind of touch model is one row here beside its own modules.
+A card is plain JSON, which names the weights. `KINDS` lists the kinds of models: the fields that their cards hold, and
+the function that loads them. A new kind of touch model is one row here beside its own modules.
 """
 
-import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +16,7 @@ from foretouch.errors import FileError, ModelError, quoted, shown
 from foretouch.models.files import replace_files
 
 CARD_FORMAT: Final = "foretouch-model"
-CARD_VERSION: Final = 1
+CARD_VERSION: Final = 2
 
 _Fields = Mapping[str, type | tuple[type, ...]]
 _COMMON: Final[_Fields] = {"name": str, "kind": str, "sha256": str}
@@ -53,7 +51,6 @@ KINDS: Final[Mapping[str, ModelKind]] = {
         "foretouch.models.network.checkpoint:load_model", {**_TRAINED, "familiar": (dict, type(None))}
     ),
     "contact": ModelKind("foretouch.models.contact.estimator:load_model", _TRAINED),
-    "ensemble": ModelKind("foretouch.models.network.checkpoint:load_ensemble", {"members": list}),
 }
 
 
@@ -89,11 +86,6 @@ def read_card(path: str | Path) -> dict[str, Any]:
         if not isinstance(card[field], types):
             raise ModelError(f"{path}: {field}: {quoted(card[field])} is of type {type(card[field]).__name__}")
     return card
-
-
-def combined_sha256(hashes: Sequence[str]) -> str:
-    """One hash over several, in order: that of an ensemble over its members."""
-    return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -129,6 +129,14 @@ class TensorRecord:
         """Raise ModelError, which names the array, if the arrays cannot be used."""
         raise NotImplementedError
 
+    def _require(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        """Raise ModelError unless these arrays are finite and of these shapes, in which -1 is any length."""
+        for name, shape in shapes.items():
+            found = getattr(self, name)
+            fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
+            if not fits or not np.isfinite(found).all():
+                raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
+
 
 Record = TypeVar("Record", bound=TensorRecord)
 

@@ -33,7 +33,7 @@ from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import touch_faults
 from foretouch.types import Cloud, Float64, Grasp, Touch
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Of the file's format."""
 
 _TRACKER: Final = "tracker/"
@@ -42,14 +42,14 @@ _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tare
 
 
 @dataclass(frozen=True, eq=False)
-class Extent:
+class ObjectSignature:
     """Position and size of an object, by which it is recognised."""
 
     frame_id: str  # frame of the cloud
     numbers: Float64  # (6,) float64, mean and standard deviation of its points in x, y, z [m]
 
     @classmethod
-    def of(cls, cloud: Cloud) -> Extent:
+    def of(cls, cloud: Cloud) -> ObjectSignature:
         """Of the points of a cloud that are finite."""
         points = cloud.xyz.reshape(-1, 3)
         points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
@@ -57,7 +57,7 @@ class Extent:
             return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
         return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]))
 
-    def is_near(self, other: Extent, distance_m: float) -> bool:
+    def is_near(self, other: ObjectSignature, distance_m: float) -> bool:
         """Whether no mean and no deviation differs by more than a distance [m]."""
         if self.frame_id != other.frame_id or not np.isfinite([self.numbers, other.numbers]).all():
             return False
@@ -75,14 +75,14 @@ class HandHistory:
 
     Attributes:
         tracker: What the readings say about the sensors and the current object.
-        extent: Of the current object at its last touch; None before its first.
+        signature: Of the current object at its last touch; None before its first.
         restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
     """
 
     def __init__(self, model: TouchModel) -> None:
         self.model = model
         self.tracker = model.new_tracker()
-        self.extent: Extent | None = None
+        self.signature: ObjectSignature | None = None
         self.restarts: dict[str, int] = {}
         self._tare_ns = -1
         self._forgotten = 0
@@ -151,23 +151,23 @@ class HandHistory:
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns)
-        self.extent = Extent.of(cloud)
+        self.signature = ObjectSignature.of(cloud)
         return self._counted(restarted)
 
     def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
         """Whether the object of a cloud is, by place and size, the one that was touched last."""
-        return self.extent is not None and Extent.of(cloud).is_near(self.extent, same_object_m)
+        return self.signature is not None and ObjectSignature.of(cloud).is_near(self.signature, same_object_m)
 
     def start_object(self) -> None:
         """The object is another one now: forget the touches of the last one, keep the state of the sensors."""
         self.tracker.start_object()
-        self.extent = None
+        self.signature = None
 
     def forget(self) -> int:
         """Forget everything, such as after the sensors were exchanged; gives the number of readings."""
         count = self.tracker.evidence(0).readings
         self.tracker = self.model.new_tracker()
-        self.extent, self._tare_ns = None, -1
+        self.signature, self._tare_ns = None, -1
         self._forgotten += 1
         return count
 
@@ -184,10 +184,10 @@ class HandHistory:
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """All of it, for a file."""
-        extent = self.extent or Extent("", np.full(6, np.nan))
+        signature = self.signature or ObjectSignature("", np.full(6, np.nan))
         own: dict[str, npt.NDArray[Any]] = {
-            "extent": extent.numbers,
-            "frame": _text(extent.frame_id),
+            "signature": signature.numbers,
+            "frame": _text(signature.frame_id),
             "tare_ns": np.array([self._tare_ns], np.int64),
         }
         return {**own, **{_TRACKER + name: value for name, value in self.tracker.to_tensors().items()}}
@@ -200,18 +200,18 @@ class HandHistory:
             ModelError: Names an array that is missing or cannot be, or if it is of another model.
         """
         history = cls(model)
-        for name, shape, dtype in (("extent", (6,), np.float64), ("tare_ns", (1,), np.int64)):
+        for name, shape, dtype in (("signature", (6,), np.float64), ("tare_ns", (1,), np.int64)):
             array = tensors.get(name)
             if array is None or array.shape != shape or array.dtype != dtype:
                 raise ModelError(f"{name}: is missing, or of another shape or type")
         part = {name.removeprefix(_TRACKER): array for name, array in tensors.items() if name.startswith(_TRACKER)}
         history.tracker = SensorTracker.from_tensors(history.tracker.parameters, part)
         if history.touches:
-            history.extent = Extent(_read_text(tensors, "frame"), tensors["extent"])
+            history.signature = ObjectSignature(_read_text(tensors, "frame"), tensors["signature"])
         history._tare_ns = int(tensors["tare_ns"][0])
         return history
 
-    def at(self, stamp_ns: int, *, same_object: bool, tare: bool = False) -> History:
+    def snapshot(self, stamp_ns: int, *, same_object: bool, tare: bool = False) -> History:
         """The readings so far, for predictions at a time; later readings do not change it.
 
         Args:

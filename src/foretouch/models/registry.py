@@ -28,7 +28,7 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
             a finished run of `foretouch train`.
 
     Raises:
-        ModelError: If there is no such model, or it is damaged, or its networks do not predict each modality once.
+        ModelError: If there is no such model, or it is damaged, or does not predict each modality.
     """
     path = find_card(name_or_path)
     card = read_card(path)
@@ -63,14 +63,12 @@ def find_card(name_or_path: str | Path) -> Path:
 
 
 def _card_in(folder: Path) -> Path:
-    """The card of the only model in a folder; the networks of an ensemble belong to the ensemble."""
-    cards = {path.name: _members(path) for path in sorted(folder.glob("*.json"))}
-    models = {name for name, members in cards.items() if members is not None}
-    models -= {member for members in cards.values() for member in members or ()}
+    """The card of the only model in a folder."""
+    models = [path.name for path in sorted(folder.glob("*.json")) if _is_card(path)]
     if len(models) == 1:
-        return folder / models.pop()
+        return folder / models[0]
     if models:
-        raise ModelError(f"{folder}: holds several models, {', '.join(sorted(models))}: name the card of one")
+        raise ModelError(f"{folder}: holds several models, {', '.join(models)}: name the card of one")
     if any((folder / name).exists() for name in _RUN_FILES):
         raise ModelError(
             f"{folder}: is an unfinished run without a model card; `foretouch train --resume` completes it"
@@ -85,19 +83,13 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _members(path: Path) -> list[str] | None:
-    """File names of an ensemble's members, empty for other models; None for JSON files that are no model cards.
-
-    A damaged file counts as a card, so that it is reported and not overlooked.
-    """
+def _is_card(path: Path) -> bool:
+    """Whether a JSON file is a model card; a damaged file counts as one, so that it is reported and not overlooked."""
     try:
         document = read_json(path)
     except FileError:
-        return []
-    if not isinstance(document, dict) or document.get("format") != CARD_FORMAT:
-        return None
-    members = document.get("members")
-    return [Path(str(member)).name for member in members] if isinstance(members, list) else []
+        return True
+    return isinstance(document, dict) and document.get("format") == CARD_FORMAT
 
 
 def _released() -> Path:

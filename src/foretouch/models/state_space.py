@@ -44,7 +44,7 @@ _PER_VALUE: Final = ("slow", "slow_time_s", "fast", "fast_time_s", "tare_noise")
 _SHAPES: Final = {
     "basis": (TOUCH_SIZE, TOUCH_SIZE),
     **dict.fromkeys(_PER_VALUE, (TOUCH_SIZE,)),
-    **dict.fromkeys(("object", "noise", "worth"), (2, TOUCH_SIZE)),
+    **dict.fromkeys(("object", "noise", "difference_shrinkage"), (2, TOUCH_SIZE)),
     "factor": (len(MODALITIES),),
     "alarm": (len(FINGERS), 2),
 }
@@ -56,7 +56,7 @@ _BOUNDS: Final = {  # inclusive
     "tare_noise": (1e-6, 1e3),
     "slow_time_s": (1.0, 1e10),
     "fast_time_s": (1.0, 1e10),
-    "worth": (0.0, 1.0),
+    "difference_shrinkage": (0.0, 1.0),
     "factor": (0.1, 100.0),
     "alarm": (1e-3, 1e6),
     "basis": (-1e6, 1e6),
@@ -81,7 +81,9 @@ class TrackerParameters(TensorRecord):
     object: Float64  # (2, 50) variance between objects, new and known
     noise: Float64  # (2, 50) variance of the noise of a grasp, on new and known objects
     tare_noise: Float64  # (50,) variance of a tare around the slow state
-    worth: Float64  # (2, 50) in [0, 1], shrinkage factor of predicted differences between grasps, per value
+    difference_shrinkage: (
+        Float64  # (2, 50) in [0, 1], shrinkage factor of predicted differences between grasps, per value
+    )
     factor: (
         Float64  # (4,) by modality: half width of a 90 % interval over the predicted deviation, before it is adapted
     )
@@ -92,7 +94,7 @@ class TrackerParameters(TensorRecord):
         cls,
         between: tuple[Float64, Float64],
         within: tuple[Float64, Float64],
-        worth: tuple[Float64, Float64],
+        difference_shrinkage: tuple[Float64, Float64],
         factor: Float64,
     ) -> Self:
         """Of sensors without drift, from the statistics of residuals.
@@ -106,7 +108,7 @@ class TrackerParameters(TensorRecord):
         Args:
             between: B of new and of known objects, (50, 50) each [counts²].
             within: W of both, (50,) each [counts²].
-            worth: Of both, (50,) each.
+            difference_shrinkage: Of both, (50,) each.
             factor: (4,) as of the record.
         """
         scale = np.sqrt(within[NEW])
@@ -123,7 +125,7 @@ class TrackerParameters(TensorRecord):
             object=np.clip([values, known_object], *_BOUNDS["object"]),
             noise=np.clip([np.ones(TOUCH_SIZE), known_noise], *_BOUNDS["noise"]),
             tare_noise=np.full(TOUCH_SIZE, TARE_NOISE),
-            worth=np.array(worth),
+            difference_shrinkage=np.array(difference_shrinkage),
             factor=factor,
             alarm=np.tile(_ALARM, (len(FINGERS), 1)),
         )

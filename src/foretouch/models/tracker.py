@@ -241,7 +241,7 @@ class SensorTracker:
         """Predictions adapted to all readings, and the half widths of their 90 % intervals.
 
         After touches of the object, differences of the predictions by sight from their mean at the touches are
-        multiplied by `worth`.
+        multiplied by `difference_shrinkage`.
 
         Args:
             stamp_ns: Time of the prediction [ns].
@@ -259,7 +259,7 @@ class SensorTracker:
         counts = expected + level.offset
         if level.evidence.touches:
             anchor = self._expected / level.evidence.touches
-            counts = anchor + self.parameters.worth[level.kind] * (expected - anchor) + level.offset
+            counts = anchor + self.parameters.difference_shrinkage[level.kind] * (expected - anchor) + level.offset
         factor = np.exp(self._log_factor if level.same_object else self._other_log_factor())[_MODALITY]
         half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])
         return counts, np.broadcast_to(half, counts.shape)

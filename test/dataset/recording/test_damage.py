@@ -1,19 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damage of every kind: `verify` finds it, `repair` keeps all intact samples, and neither needs more memory than the file."""
+"""Damage of every kind: readers give the truth or one line, `verify` finds it, `repair` keeps all intact samples.
 
+None of them needs more memory than the file.
+"""
+
+import hashlib
 import struct
 import tracemalloc
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_builders import IDENTITY, QUICK, record, write_dataset
+from every_case import every_case
+from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, record, write_dataset
 
-from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
+from foretouch.dataset.info import describe
+from foretouch.dataset.recording import RecordedDataset, RecordingWriter, RepairReport, repair_dataset, verify_dataset
 from foretouch.dataset.recording.reader import sample_messages
-from foretouch.dataset.recording.records import mapped
-from foretouch.dataset.recording.verify import verify_file
-from foretouch.errors import FileError
+from foretouch.dataset.recording.records import mapped, walk
+from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
+from foretouch.dataset.recording.verify import FileReport
+from foretouch.errors import FileError, ForetouchError
 
 COUNT = 4
 
@@ -25,110 +34,187 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    with mapped(path) as data:
-        return [(place.start, place.end) for place in sample_messages(path, data)]
+    return [(one.start, one.end) for one in sample_messages(path, mapped(path))]
 
 
 def numbers(path: Path) -> list[int]:
-    """The numbers of the samples in a file, from their contents."""
+    """The numbers of the samples in a file, each of which equals the recorded one."""
+    found = []
     with RecordedDataset(path) as dataset:
-        return [int(stored.record.sample.grasp.id.removeprefix("grasp-")) for stored in dataset]
+        for stored in dataset:
+            found.append(int(stored.record.sample.grasp.id.removeprefix("grasp-")))
+            points = stored.record.sample.cloud.size
+            assert_same_sample(stored.record.sample, record(found[-1], points=points).sample)
+    return found
 
 
-def check_repaired(path: Path, kept: set[int]) -> None:
+def refusal(action: Callable[[], object]) -> str:
+    """The one-line error of an action; "" if it succeeds."""
+    text = ""
+    try:
+        action()
+    except ForetouchError as err:
+        text = str(err)
+    assert "\n" not in text
+    return text
+
+
+def verify(path: Path) -> FileReport:
+    (report,) = verify_dataset(path)
+    assert all(line.startswith(f"{path}: byte ") and "\n" not in line for line in report.fault_lines())
+    return report
+
+
+def repair(path: Path) -> RepairReport:
+    (report,) = repair_dataset(path)
+    return report
+
+
+def check_repaired(path: Path, kept: Iterable[int]) -> None:
     original = path.read_bytes()
-    report = repair_dataset(path)[0]
+    report = repair(path)
     assert report.changed
     assert report.original is not None
     assert report.original.read_bytes() == original
-    assert verify_file(path).fault_lines() == []
-    assert set(numbers(path)) == kept
-    assert report.samples == len(kept)
-    assert not repair_dataset(path)[0].changed
+    assert verify(path).clean
+    assert set(numbers(path)) == set(kept)
+    assert report.samples == len(set(kept))
+    assert not repair(path).changed
+    report.original.unlink()
 
 
 def test_a_clean_file_is_left_alone(file: Path) -> None:
     before = file.read_bytes(), file.stat().st_mtime_ns
-    assert verify_file(file).clean
-    assert not repair_dataset(file)[0].changed
+    assert verify(file).clean
+    assert not repair(file).changed
     assert (file.read_bytes(), file.stat().st_mtime_ns) == before
     assert [p.name for p in file.parent.glob("session*")] == [file.name]
 
 
 def test_every_flipped_bit_is_found_and_costs_at_most_the_sample_it_is_in(file: Path, rng: np.random.Generator) -> None:
-    good = file.read_bytes()
-    places = spans(file)
-    near = {place + step for start, end in places for place in (start, end) for step in range(-50, 20, 7)}
-    edges = set(range(0, 60, 5)) | {len(good) - k for k in range(1, 60, 4)}
-    for place in sorted(near | edges | set(map(int, rng.integers(0, len(good), 60)))):
-        if not 0 <= place < len(good):
-            continue
+    good, all_numbers = file.read_bytes(), list(range(COUNT))
+    ends = spans(file)
+    near = {place + step for start, end in ends for place in (start, end) for step in range(-50, 20, 14)}
+    edges = set(range(0, 60, 7)) | {len(good) - k for k in range(1, 60, 6)}
+    places = sorted(near | edges | set(map(int, rng.integers(0, len(good), 60))))
+
+    def check(place: int) -> None:
         damaged = bytearray(good)
         damaged[place] ^= 1 << int(rng.integers(8))
         file.write_bytes(damaged)
-        report = verify_file(file)
-        assert not report.clean, f"byte {place} of {len(good)}"
-        assert all(line.startswith(f"{file}: byte ") and "\n" not in line for line in report.fault_lines())
-        check_repaired(file, {n for n, (start, end) in enumerate(places) if not start <= place < end})
-        for kept in file.parent.glob("*.before-repair*"):
-            kept.unlink()
+        found: list[int] = []
+        told = refusal(lambda: found.extend(numbers(file)))
+        assert told.startswith(str(file)) or (not told and found == all_numbers)
+        assert not verify(file).clean
+        check_repaired(file, {n for n, (start, end) in enumerate(ends) if not start <= place < end})
+
+    every_case([place for place in places if 0 <= place < len(good)], check)
 
 
 def test_a_cut_anywhere_keeps_all_samples_before_it(file: Path, rng: np.random.Generator) -> None:
-    good = file.read_bytes()
-    places = spans(file)
-    for cut in sorted({0, 3, 8, 20, len(good) - 1, len(good) - 8, *map(int, rng.integers(0, len(good), 40))}):
+    good, ends = file.read_bytes(), spans(file)
+    magic = len(good) - 8  # the last bytes only show that the file ends
+
+    def check(cut: int) -> None:
         file.write_bytes(good[:cut])
-        report = verify_file(file)
-        assert not report.clean
-        assert not report.finished or cut >= len(good) - 8  # the last bytes only say that the file ends
-        check_repaired(file, {n for n, (_, end) in enumerate(places) if end <= cut})
-        for kept in file.parent.glob("*.before-repair*"):
-            kept.unlink()
+        assert refusal(lambda: numbers(file)) == "" or cut < 9
+        assert not verify(file).finished
+        check_repaired(file, {n for n, (_, end) in enumerate(ends) if end <= cut})
+
+    every_case(sorted({0, 3, 8, 9, 20, 40, len(good) - 1, magic, *map(int, rng.integers(0, magic, 40))}), check)
 
 
-def test_a_hole_in_the_middle_costs_the_samples_in_it(file: Path) -> None:
-    good = bytearray(file.read_bytes())
-    places = spans(file)
-    start, end = places[1][0] - 200, places[2][0] + 20
-    good[start:end] = b"\xff" * (end - start)
-    file.write_bytes(good)
+def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None:
+    good, ends = file.read_bytes(), spans(file)
+    start, end = ends[1][0] - 200, ends[2][0] + 20
+    file.write_bytes(good[:start] + b"\xff" * (end - start) + good[end:])
     check_repaired(file, {0, 3})
-
-
-def test_a_piece_taken_out_of_the_middle_is_found(file: Path) -> None:
-    good = file.read_bytes()
-    places = spans(file)
-    file.write_bytes(good[: places[1][0] + 7] + good[places[1][0] + 100 :])
+    file.write_bytes(good[: ends[1][0] + 7] + good[ends[1][0] + 100 :])
     check_repaired(file, {0, 2, 3})
+    name = b"foretouch_msgs/msg/GraspSample"
+    file.write_bytes(good.replace(name, b"x" + name[1:], 1))
+    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, its index declares {COUNT}"):
+        RecordedDataset(file)
+    check_repaired(file, range(COUNT))
 
 
-@pytest.mark.parametrize("length", [0, 1, 2**31, 2**63 - 1, 2**64 - 1])
-def test_a_length_that_lies_takes_no_memory(tmp_path: Path, length: int) -> None:
-    file = write_dataset(tmp_path / "ds", 2, points=20_000)
+def test_damage_in_the_declaring_chunk_loses_no_message_of_other_chunks(file: Path) -> None:
+    """A finished file repeats its topics in the summary."""
+    good = bytearray(file.read_bytes())
+    good[good.index(b"foretouch_msgs/msg/BiotacAll")] ^= 1
+    file.write_bytes(good)
+    assert repair(file).changed
+    assert verify(file).messages == {"/foretouch/samples": COUNT, TACTILE: 2 * (COUNT - 1)}
+
+
+def test_no_length_of_a_record_takes_memory(tmp_path: Path) -> None:
+    file = write_dataset(tmp_path / "ds", 2, points=5_000)
     good = file.read_bytes()
-    (start, end), _ = spans(file)
-    head = start - 31
-    data = bytearray(good)
-    assert data[head] == 5
-    data[head + 1 : head + 9] = struct.pack("<Q", length)
-    file.write_bytes(data)
+    places = [one.offset for one in walk(mapped(file))]
+    places.append(spans(file)[0][0] - 31)  # the message of the first sample
+    assert good[places[-1]] == 5
+
+    def check(length: int, place: int) -> None:
+        damaged = bytearray(good)
+        damaged[place + 1 : place + 9] = struct.pack("<Q", length)
+        file.write_bytes(damaged)
+        tracemalloc.start()
+        for reader in (RecordedDataset, describe, verify):
+            refusal(lambda reader=reader: reader(file))  # type: ignore[misc]
+        assert place != places[-1] or (repair(file).changed and numbers(file) == [0, 1])
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < len(good) + 4_000_000  # definitions of messages, and copies of a sample or two
+
+    every_case([(length, place) for length in (0, 1, 2**31, 2**63 - 1, 2**64 - 1) for place in places[::3]], check)
+
+
+def test_no_length_in_a_sample_takes_memory_though_its_digest_is_right() -> None:
+    made = record(0, points=5)
+    good = encode_sample(replace(made, sample=replace(made.sample, id="ball/1")), IDENTITY)[:-32]
+    decode_sample(good + hashlib.sha256(good).digest())  # load everything that is cached before memory is measured
     tracemalloc.start()
-    report = verify_file(file)
-    repair_dataset(file)[0]
+    refused = []
+    for place in range(4, len(good) - 3, 12):
+        body = bytearray(good)
+        body[place : place + 4] = b"\xff\xff\xff\x7f"
+        refused.append(refusal(lambda body=body: decode_sample(bytes(body) + hashlib.sha256(body).digest())))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert not report.clean
-    assert numbers(file) == [0, 1]
-    assert peak < len(good) + 4_000_000  # definitions of messages, and copies of a sample or two
-    del end
+    assert sum(text != "" for text in refused) > 10
+    assert peak < 2_000_000
+
+
+def test_continuing_after_damage_overwrites_nothing_and_gives_no_id_twice(file: Path, rng: np.random.Generator) -> None:
+    """A sample may be complete though its chunk is not: `repair` saves it, so its id is taken."""
+    good, ends = file.read_bytes(), [end for _, end in spans(file)]
+
+    def check(_: str, damaged: bytes, must_continue: bool) -> None:
+        file.write_bytes(damaged)
+
+        def resume() -> None:
+            with RecordingWriter(file.parent, IDENTITY, QUICK) as writer:
+                writer.append(record(COUNT))
+
+        assert not (refusal(resume) and must_continue)
+        assert file.read_bytes() == damaged
+        repair_dataset(file.parent)
+        assert [report.fault_lines() for report in verify_dataset(file.parent) if not report.clean] == []
+        for other in set(file.parent.glob("session-*")) - {file}:
+            other.unlink()
+
+    cases = [(f"cut {cut}", good[:cut], True) for cut in (ends[-1], ends[-1] + 5, ends[-2], len(good) - 40)]
+    for place in map(int, rng.integers(0, len(good), 25)):
+        damaged = bytearray(good)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        cases.append((f"flip {place}", bytes(damaged), False))
+    every_case(cases, check)
 
 
 def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     other = tmp_path / "photo.mcap"
     other.write_bytes(bytes(range(256)) * 40)
-    (report,) = verify_dataset(other)
-    assert report.fault_lines()[0] == f"{other}: byte 0: is no MCAP file: it does not begin as one"
+    assert verify(other).fault_lines()[0] == f"{other}: byte 0: is no MCAP file: it does not begin as one"
     with pytest.raises(FileError, match="is no MCAP file, and holds no part of one"):
         repair_dataset(other)
     assert other.read_bytes() == bytes(range(256)) * 40
@@ -136,10 +222,9 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
         verify_dataset(tmp_path / "nothing")
 
 
-def test_an_id_in_two_sessions_is_a_fault(tmp_path: Path) -> None:
-    first = write_dataset(tmp_path / "ds", 2)
-    (tmp_path / "ds" / "session-0002.mcap").write_bytes(first.read_bytes())
-    reports = verify_dataset(tmp_path / "ds")
+def test_an_id_in_two_sessions_is_a_fault(file: Path) -> None:
+    file.with_name("session-0002.mcap").write_bytes(file.read_bytes())
+    reports = verify_dataset(file.parent)
     assert reports[0].clean
     assert any("id ball/000001 is in session-0001.mcap too" in line for line in reports[1].fault_lines())
 
@@ -148,9 +233,7 @@ def test_every_byte_of_the_manifest_counts(file: Path) -> None:
     manifest = file.parent / "manifest.json"
     good = manifest.read_bytes()
     for place in range(len(good)):
-        data = bytearray(good)
-        data[place] ^= 1
-        manifest.write_bytes(data)
+        manifest.write_bytes(good[:place] + bytes([good[place] ^ 1]) + good[place + 1 :])
         with pytest.raises(FileError):
             verify_dataset(file.parent)
 
@@ -158,47 +241,35 @@ def test_every_byte_of_the_manifest_counts(file: Path) -> None:
 def test_the_original_of_an_earlier_repair_is_kept_too(file: Path) -> None:
     for _ in range(3):
         file.write_bytes(file.read_bytes()[:-30])
-        assert repair_dataset(file)[0].changed
+        assert repair(file).changed
     kept = sorted(p.name for p in file.parent.glob("*.before-repair*"))
     assert kept == [f"{file.name}.before-repair", f"{file.name}.before-repair-2", f"{file.name}.before-repair-3"]
     assert numbers(file) == list(range(COUNT))
 
 
-def test_what_a_crash_left_unwritten_is_booked_as_lost(tmp_path: Path) -> None:
-    writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
-    writer.config = QUICK.replace(accounts_s=0.1)
+def test_a_sample_of_another_version_is_not_repaired_away(file: Path) -> None:
+    good, (start, end) = file.read_bytes(), spans(file)[-1]
+    body = bytearray(good[start : end - 32])
+    place = 4 + 12 + len("camera") + 1
+    body[place + place % 2] = 9
+    changed = good[:start] + body + hashlib.sha256(body).digest() + good[end:]
+    file.write_bytes(changed)
+    with pytest.raises(FileError, match=r"schema_version: 9 is not 1: it was written by a newer foretouch"):
+        repair(file)
+    assert file.read_bytes() == changed
+
+
+def test_what_a_crash_left_unwritten_is_counted_as_lost(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK.replace(accounts_s=0.1))
     writer._counted_s -= 1.0
-    writer.receive("/cloud", 5)  # in a queue when the process dies
+    writer.receive("/cloud", 5)  # in a queue when the process is killed
     writer.append(record(0))
     writer._file.abandon()
     writer._release.close()
-    (report,) = verify_dataset(tmp_path / "ds")
+    report = verify(writer.file)
     assert report.fault_lines() == [f"{writer.file}: byte {report.size}: not finished: no index; repair creates one"]
-    repair_dataset(tmp_path / "ds")
-    (report,) = verify_dataset(tmp_path / "ds")
+    assert repair(writer.file).changed
+    report = verify(writer.file)
     assert report.clean
     assert report.counts is not None
     assert report.counts.topics["/cloud"].dropped == {"lost before repair": 5}
-
-
-def test_no_changed_byte_hides_or_changes_a_sample_in_silence(file: Path, rng: np.random.Generator) -> None:
-    original, before = file.read_bytes(), numbers(file)
-    for at in rng.choice(len(original), 250, replace=False):
-        changed = bytearray(original)
-        changed[at] ^= 1 << int(rng.integers(0, 8))
-        file.write_bytes(changed)
-        try:
-            assert numbers(file) == before
-            with RecordedDataset(file) as dataset:
-                assert not dataset.unfinished or len(original) - at <= 8  # the final magic alone
-        except FileError:
-            continue
-
-
-def test_a_renamed_schema_does_not_empty_a_recording(file: Path) -> None:
-    content = file.read_bytes()
-    name = b"foretouch_msgs/msg/GraspSample"
-    at = content.index(name)
-    file.write_bytes(content[:at] + b"x" + content[at + 1 :])
-    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, its index declares {COUNT}"):
-        RecordedDataset(file)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from every_case import every_case
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from recording_builders import MESSAGE, TACTILE, record, write_dataset
@@ -17,53 +18,53 @@ from foretouch.dataset.recording import SAMPLE_TOPIC, repair_dataset
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE
 
 
-@pytest.fixture(params=["finished", "repaired"])
-def file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Five samples with ten messages, finished by the writer or by a repair."""
-    made = write_dataset(tmp_path / "ds", 5)
-    if request.param == "repaired":
-        data = made.read_bytes()
-        made.write_bytes(data[: data.rindex(b"foretouch_accounts") - 100])
-        repair_dataset(tmp_path / "ds")
-    return made
+def write_and_repair(folder: Path) -> list[Path]:
+    """Five samples with ten messages, finished by the writer and by a repair."""
+    finished, repaired = (write_dataset(folder / name, 5) for name in ("finished", "repaired"))
+    data = repaired.read_bytes()
+    repaired.write_bytes(data[: data.rindex(b"foretouch_accounts") - 100])
+    assert repair_dataset(repaired)[0].changed
+    return [finished, repaired]
 
 
-def test_mcap_reads_it_and_all_its_checksums_hold(file: Path) -> None:
-    with file.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        assert summary.statistics.message_count == 15
-        assert {channel.topic for channel in summary.channels.values()} == {SAMPLE_TOPIC, TACTILE}
-        messages = [message.data for _, _, message in reader.iter_messages(topics=[TACTILE])]
-        assert messages == 10 * [MESSAGE]
-    with file.open("rb") as stream:
-        kinds = [type(r).__name__ for r in StreamReader(stream, validate_crcs=True, emit_chunks=True).records]
-    assert kinds[-1] == "Footer"
-    assert kinds.count("Chunk") == 10  # five of a sample, five of the messages before it
+def test_mcap_reads_recordings_and_all_their_checksums_hold(tmp_path: Path) -> None:
+    def check(file: Path) -> None:
+        with file.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            assert summary is not None
+            assert summary.statistics is not None
+            assert summary.statistics.message_count == 15
+            assert {channel.topic for channel in summary.channels.values()} == {SAMPLE_TOPIC, TACTILE}
+            messages = [message.data for _, _, message in reader.iter_messages(topics=[TACTILE])]
+            assert messages == 10 * [MESSAGE]
+        with file.open("rb") as stream:
+            kinds = [type(r).__name__ for r in StreamReader(stream, validate_crcs=True, emit_chunks=True).records]
+        assert kinds[-1] == "Footer"
+        assert kinds.count("Chunk") == 10  # five of a sample, five of the messages before it
+
+    every_case(write_and_repair(tmp_path), check)
 
 
-def test_rosbags_reads_it_and_decodes_the_samples(file: Path) -> None:
-    with AnyReader([file]) as reader:
-        connections = [c for c in reader.connections if c.topic == SAMPLE_TOPIC]
-        decoded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]
-    made = [record(number) for number in range(5)]
-    assert [message.id for message in decoded] == [f"ball/{number:06d}" for number in range(1, 6)]
-    for message, expected in zip(decoded, made, strict=True):
-        assert expected.sample.touch is not None
-        np.testing.assert_array_equal(message.e_th, expected.sample.touch.e_th)
-        np.testing.assert_array_equal(np.asarray(message.grasp.rotation).reshape(3, 3), expected.sample.grasp.rotation)
-        assert message.cloud.width == 30
-    with Recording(file) as bag:
-        assert sum(1 for _ in bag.messages()) == 15
+def test_rosbags_reads_recordings_and_decodes_the_samples(tmp_path: Path) -> None:
+    def check(file: Path) -> None:
+        with AnyReader([file]) as reader:
+            connections = [c for c in reader.connections if c.topic == SAMPLE_TOPIC]
+            decoded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]
+        assert [message.id for message in decoded] == [f"ball/{number:06d}" for number in range(1, 6)]
+        for number, message in enumerate(decoded):
+            sample = record(number).sample
+            assert sample.touch is not None
+            np.testing.assert_array_equal(message.e_th, sample.touch.e_th)
+            np.testing.assert_array_equal(np.asarray(message.grasp.rotation).reshape(3, 3), sample.grasp.rotation)
+            assert message.cloud.width == 30
+        with Recording(file) as bag:
+            assert sum(1 for _ in bag.messages()) == 15
+            topics = {topic.name: topic for topic in bag.topics}
+        assert (topics[SAMPLE_TOPIC].type, topics[SAMPLE_TOPIC].stamped) == (SAMPLE_TYPE, True)
+        assert topics[TACTILE].count == 10
 
-
-def test_the_topics_tell_their_types(file: Path) -> None:
-    topics = {topic.name: topic for topic in Recording(file).topics}
-    assert topics[SAMPLE_TOPIC].type == SAMPLE_TYPE
-    assert topics[SAMPLE_TOPIC].stamped
-    assert topics[TACTILE].count == 10
+    every_case(write_and_repair(tmp_path), check)
 
 
 def test_ros_itself_decodes_the_samples() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration on made-up populations of objects whose lasting errors, noise and worth are known."""
+"""Calibration on made-up populations of objects whose lasting errors, noise and slopes are known."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def lasting(rng: np.random.Generator) -> np.ndarray:
 
 
 def population(
-    rng: np.random.Generator, between: np.ndarray, objects: int, each: int, worth: float = 1.0
+    rng: np.random.Generator, between: np.ndarray, objects: int, each: int, kept: float = 1.0
 ) -> HeldOutPredictions:
-    """Labels are an offset of the object, `worth` of each predicted difference, and noise of variance W."""
+    """Labels are an offset of the object, `kept` of each predicted difference, and noise of variance W."""
     owner = np.repeat(np.arange(objects), each)
     predicted = 30.0 * rng.normal(size=(len(owner), SIZE))
     centre = np.array([predicted[owner == k].mean(axis=0) for k in range(objects)])[owner]
     offsets = rng.multivariate_normal(np.zeros(SIZE), between, objects)
     noise = np.sqrt(W) * rng.normal(size=predicted.shape)
-    labels = centre + worth * (predicted - centre) + offsets[owner] + noise
+    labels = centre + kept * (predicted - centre) + offsets[owner] + noise
     who = np.array([f"object{k}" for k in owner])
     return HeldOutPredictions(predicted, labels, who, who)
 
@@ -79,14 +79,14 @@ def test_intervals_of_forty_objects_hold_nine_in_ten_values_of_new_ones() -> Non
         assert 0.87 <= np.mean(shares) <= 0.95, modality
 
 
-@pytest.mark.parametrize("worth", [1.0, 0.4])
-def test_after_three_touches_they_are_narrower_and_hold_as_many(worth: float) -> None:
+@pytest.mark.parametrize("kept", [1.0, 0.4])
+def test_after_three_touches_they_are_narrower_and_hold_as_many(kept: float) -> None:
     covered, narrowed = [], []
     for seed in range(8):
         rng = np.random.default_rng(seed)
         B = lasting(rng)
-        regime = fit_group(population(rng, B, 40, 12, worth))
-        new = population(rng, B, 40, 40, worth)  # so many that the mean of what is predicted hardly matters
+        regime = fit_group(population(rng, B, 40, 12, kept))
+        new = population(rng, B, 40, 40, kept)  # so many that the mean of what is predicted hardly matters
         for name in np.unique(new.objects):
             one = new.take(new.objects == name)
             after, half = after_touches(regime, one, 3)
@@ -120,24 +120,25 @@ def test_each_modality_has_its_own_cut() -> None:
         )
 
 
-@pytest.mark.parametrize(("worth", "found"), [(0.0, 0.0), (0.4, 0.4), (1.0, 1.0), (1.7, 1.0), (-0.5, 0.0)])
-def test_the_worth_of_differences_is_found(worth: float, found: float) -> None:
+@pytest.mark.parametrize(("kept", "found"), [(0.0, 0.0), (0.4, 0.4), (1.0, 1.0), (1.7, 1.0), (-0.5, 0.0)])
+def test_the_share_of_differences_that_holds_is_found(kept: float, found: float) -> None:
     rng = np.random.default_rng(3)
-    regime = fit_group(population(rng, lasting(rng), 20, 30, worth))
+    regime = fit_group(population(rng, lasting(rng), 20, 30, kept))
     # 580 differences of deviation 30 in noise of up to 30: a standard error of 0.04 for a single value.
-    assert_allclose(regime.worth, found, atol=0.1)
+    assert_allclose(regime.difference_shrinkage, found, atol=0.1)
     for modality in MODALITIES:
-        assert len(np.unique(regime.worth[columns([modality])])) == 1
+        assert len(np.unique(regime.difference_shrinkage[columns([modality])])) == 1
 
 
 def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
     rng = np.random.default_rng(5)
     held_out = population(rng, lasting(rng), 10, 30, 0.8)
     known, new = fit_group(held_out), fit_group(held_out, new=True)
-    assert_allclose(new.worth, known.worth * 10 / 40)
+    assert_allclose(new.difference_shrinkage, known.difference_shrinkage * 10 / 40)
     assert (new.within > known.within).all()  # differences that count for less explain less
     assert_allclose(
-        make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].groups["new"].worth, new.worth
+        make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].groups["new"].difference_shrinkage,
+        new.difference_shrinkage,
     )
 
 
@@ -180,7 +181,7 @@ def test_sessions_of_one_sample_tell_nothing_of_what_lasts() -> None:
     regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names))
     assert_allclose(regime.within, regime.spread)
     assert_allclose(np.diag(regime.between), 0.05 * regime.within, rtol=1e-9)  # the least that is allowed
-    assert_allclose(regime.worth, 1.0)
+    assert_allclose(regime.difference_shrinkage, 1.0)
 
 
 def test_a_session_is_part_of_an_object_and_objects_count() -> None:
@@ -234,7 +235,7 @@ def test_the_order_of_samples_does_not_matter() -> None:
     order = rng.permutation(60)
     mixed = HeldOutPredictions(held.predicted[order], held.labels[order], held.objects[order], held.sessions[order])
     one, other = fit_group(held), fit_group(mixed)
-    for field in ("between", "within", "worth", "spread", "half_width"):
+    for field in ("between", "within", "difference_shrinkage", "spread", "half_width"):
         assert_allclose(getattr(other, field), getattr(one, field), rtol=1e-9, atol=1e-9)
 
 

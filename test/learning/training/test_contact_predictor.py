@@ -50,7 +50,7 @@ def by_touch_model(model: TouchModel, touched: list[GraspSample], sample: GraspS
     at = max([sample.stamp_ns, *(one.stamp_ns for one in touched)])
     if tare:
         history.add_tare(at, sample.tare)
-    read = history.at(at, same_object=True, tare=tare)
+    read = history.snapshot(at, same_object=True, tare=tare)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=read)
     return np.array([found.value.vector(), found.upper.vector() - found.value.vector()])
 
@@ -122,7 +122,7 @@ def test_calibration_is_that_of_models_that_never_saw_the_sample(bare, name: str
         predicted[fold.test] = fitted.predict_rows(rows[fold.test])[0]
     wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions), new=name == "new")
     found = bare.calibration[0].groups[name]
-    for field in ("between", "within", "worth", "spread", "half_width"):
+    for field in ("between", "within", "difference_shrinkage", "spread", "half_width"):
         assert_allclose(getattr(found, field), getattr(wanted, field))
     assert bare.calibration[1]["regimes"][name]["objects"] == 4
 

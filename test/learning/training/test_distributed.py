@@ -37,7 +37,7 @@ def gradients(chosen: slice, context: DistributedContext) -> torch.Tensor:
         weight = torch.linspace(-1.0, 1.0, 12).view(4, 3).requires_grad_()
         labeled = labeled_loss(x @ weight, target, [1, 2], context=context)
         features = Features(x @ weight, (x * 0.5 + 1.0) @ weight, (x * 2.0 - 1.0) @ weight)
-        discriminator_loss(labeled, features, SrganLossConfig(reading=reading), context=context).total.backward()
+        discriminator_loss(labeled, features, SrganLossConfig(loss_variant=reading), context=context).total.backward()
         rows.append(weight.grad)
     return torch.stack(rows)
 
@@ -101,7 +101,7 @@ def trained_gradients(data: TrainingSet, method: str) -> torch.Tensor:
                 points=24,
                 batch_norm="per_source" if method == "per_source" else "frozen",
                 generator=GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3),
-                loss=SrganLossConfig(reading="srgan", gradient_penalty=0.0 if method == "per_source" else 10.0),
+                loss=SrganLossConfig(loss_variant="srgan", gradient_penalty=0.0 if method == "per_source" else 10.0),
                 device="cpu",
             ),
         )

@@ -55,17 +55,19 @@ def test_a_perfect_batch_has_a_finite_gradient() -> None:
 
 
 def test_as_printed_by_hand_and_equation_4_is_equation_3() -> None:
-    found = parts(SrganLossConfig(reading="as_printed"))
+    found = parts(SrganLossConfig(loss_variant="as_printed"))
     assert found["unlabeled"] == pytest.approx((1 + 5) / 2)
     assert found["fake"] == found["unlabeled"]
     assert found["total"] == pytest.approx(0.5 + 10 * 3 + 0.1 * 3)
-    moved = discriminator_loss(torch.tensor(0.5), Features(L, U, 100 * FAKE), SrganLossConfig(reading="as_printed"))
+    moved = discriminator_loss(
+        torch.tensor(0.5), Features(L, U, 100 * FAKE), SrganLossConfig(loss_variant="as_printed")
+    )
     assert moved.numbers() == found
-    assert parts(SrganLossConfig(reading="as_printed", across_features="mean"))["unlabeled"] == pytest.approx(1.5)
+    assert parts(SrganLossConfig(loss_variant="as_printed", across_features="mean"))["unlabeled"] == pytest.approx(1.5)
 
 
 def test_contrast_by_hand() -> None:
-    found = parts(SrganLossConfig(reading="contrast"))
+    found = parts(SrganLossConfig(loss_variant="contrast"))
     roots = [2.0, 1.0, 1.0, 3.0]  # sqrt(|Δ| + 1) for |Δ| = 3, 0, 0, 8
     assert found["unlabeled"] == pytest.approx(3.0)
     assert found["fake"] == pytest.approx(-sum(roots) / 4)
@@ -80,32 +82,32 @@ def test_other_contrasts_by_hand(kind: str, value: float) -> None:
 
 
 def test_original_srgan_by_hand() -> None:
-    found = parts(SrganLossConfig(reading="srgan"))
+    found = parts(SrganLossConfig(loss_variant="srgan"))
     assert found["unlabeled"] == pytest.approx((1.5 + 0.5) / 2)
     assert found["fake"] == pytest.approx(-(math.sqrt(2.5) + math.sqrt(5)) / 2)
-    generator = generator_loss(FAKE, U, SrganLossConfig(reading="srgan"))
+    generator = generator_loss(FAKE, U, SrganLossConfig(loss_variant="srgan"))
     assert generator.numbers() == {"total": pytest.approx(2.75), "generator": pytest.approx(2.75)}
 
 
 def test_generator_by_hand() -> None:
-    config = SrganLossConfig(reading="as_printed")
+    config = SrganLossConfig(loss_variant="as_printed")
     assert float(generator_loss(FAKE, U, config).total) == pytest.approx((9 + 64) / 2)
     means = config.replace(distance="batch_mean")
     assert float(generator_loss(FAKE, U, means).total) == pytest.approx(1.5**2 + 4**2)
 
 
 def test_distances_can_be_chosen_against_the_reading() -> None:
-    assert float(generator_loss(FAKE, U, SrganLossConfig(reading="srgan", distance="per_sample")).total) == 11 / 4
+    assert float(generator_loss(FAKE, U, SrganLossConfig(loss_variant="srgan", distance="per_sample")).total) == 11 / 4
     with pytest.raises(DatasetError, match="2 and 1 samples cannot be compared in pairs"):
         generator_loss(FAKE, U[:1], SrganLossConfig())
-    generator_loss(FAKE, U[:1], SrganLossConfig(reading="srgan"))
+    generator_loss(FAKE, U[:1], SrganLossConfig(loss_variant="srgan"))
 
 
 @pytest.mark.parametrize("contrast", ["sqrt", "log", "abs", "ratio"])
 @pytest.mark.parametrize("distance", ["per_sample", "batch_mean"])
 @pytest.mark.parametrize("reading", READINGS)
 def test_gradients_agree_with_finite_differences(reading: str, distance: str, contrast: str) -> None:
-    config = SrganLossConfig(reading=reading, distance=distance, contrast=contrast)
+    config = SrganLossConfig(loss_variant=reading, distance=distance, contrast=contrast)
     generator = torch.Generator().manual_seed(3)
     features = [torch.randn(3, 4, dtype=F64, generator=generator).requires_grad_() for _ in range(3)]
     labels = torch.randn(3, 2, dtype=F64, generator=generator).requires_grad_()
@@ -169,6 +171,6 @@ def test_the_penalty_can_be_differentiated_where_features_vanish() -> None:
 
 
 def test_the_penalty_enters_the_total_with_its_weight() -> None:
-    config = SrganLossConfig(reading="as_printed", gradient_penalty=7.0)
+    config = SrganLossConfig(loss_variant="as_printed", gradient_penalty=7.0)
     loss = discriminator_loss(torch.tensor(0.5), Features(L, U, FAKE), config, torch.tensor(2.0))
     assert loss.numbers()["total"] == pytest.approx(0.5 + 30.3 + 14.0)

@@ -19,7 +19,12 @@ from foretouch.models.network.networks import GeneratorConfig
 
 GENERATOR = GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3)  # 24 points
 QUICK = SrganConfig(
-    epochs=2, batch_size=5, learning_rate=1e-3, points=24, generator=GENERATOR, loss=SrganLossConfig(reading="srgan")
+    epochs=2,
+    batch_size=5,
+    learning_rate=1e-3,
+    points=24,
+    generator=GENERATOR,
+    loss=SrganLossConfig(loss_variant="srgan"),
 )
 LABELLED, UNLABELLED = np.arange(20), np.arange(20, 60)
 
@@ -54,7 +59,7 @@ def steps(trainer: SrganTrainer, epochs: int) -> SrganTrainer:
 @pytest.mark.parametrize("batch_norm", ["frozen", "per_source"])
 @pytest.mark.parametrize("reading", ["as_printed", "contrast", "srgan"])
 def test_an_epoch_changes_every_weight_of_both_networks(data, reading: str, batch_norm: str) -> None:
-    trainer = make(data, QUICK.replace(loss=SrganLossConfig(reading=reading), batch_norm=batch_norm))
+    trainer = make(data, QUICK.replace(loss=SrganLossConfig(loss_variant=reading), batch_norm=batch_norm))
     before = weights(trainer)
     losses = trainer.run_epoch()
     assert set(losses) == {"total", "labeled", "unlabeled", "fake", "generator"}
@@ -134,7 +139,7 @@ def test_a_few_labels_are_learned_by_heart(samples, small) -> None:
         target_scaling="standardised",
         batch_size=10,
         points=48,
-        loss=SrganLossConfig(reading="srgan", weight_unlabeled=1.0),
+        loss=SrganLossConfig(loss_variant="srgan", weight_unlabeled=1.0),
     )
     trainer = SrganTrainer(data, np.arange(10), UNLABELLED, config)
     first = trainer.run_epoch()["labeled"]
@@ -205,7 +210,7 @@ def test_a_loss_that_is_not_finite_names_batch_and_sample(data) -> None:
 
 
 def test_the_penalty_runs_and_needs_frozen_batch_norm(data) -> None:
-    loss = SrganLossConfig(reading="srgan", gradient_penalty=10.0)
+    loss = SrganLossConfig(loss_variant="srgan", gradient_penalty=10.0)
     assert np.isfinite(make(data, QUICK.replace(loss=loss)).run_epoch()["penalty"])
     with pytest.raises(ConfigError, match="gradient_penalty: needs batch_norm frozen"):
         QUICK.replace(loss=loss, batch_norm="per_source")

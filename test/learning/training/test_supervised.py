@@ -17,7 +17,7 @@ from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.run import make_learner
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
-from foretouch.models.network.checkpoint import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.touch_model import TouchModel
@@ -80,7 +80,7 @@ def test_validation_predicts_what_the_model_predicts(samples, small, precision: 
     small = small.replace(precision=precision)
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=2))
-    model = TouchModel(NetworkEstimator([Member(small, fold(net))]), {"name": "toy", "sha256": ""})
+    model = TouchModel(NetworkEstimator(small, fold(net)), {"name": "toy", "sha256": ""})
     (prediction,) = model.predict(samples[50].cloud, [samples[50].grasp])
     assert_allclose(prediction.value.vector(), predict_set(net, data, np.array([50]))[0], atol=atol)
 
@@ -89,7 +89,7 @@ def test_what_was_trained_on_is_familiar(samples, small) -> None:
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=1))
     model = TouchModel(
-        NetworkEstimator([Member(small, fold(net), LengthRangeCheck.fit(data.lengths))]), {"name": "toy", "sha256": ""}
+        NetworkEstimator(small, fold(net), LengthRangeCheck.fit(data.lengths)), {"name": "toy", "sha256": ""}
     )
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert not any("unfamiliar" in prediction.flags for prediction in predictions)

@@ -90,7 +90,7 @@ def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:
     samples = make_samples(4, 8)
     calibration, _ = ContactPredictor(samples, labels_of(samples), FEW_TREES).calibration
     assert calibration.tracker is not None
-    assert_array_equal(calibration.tracker.worth[NEW], calibration.groups["new"].worth)
+    assert_array_equal(calibration.tracker.difference_shrinkage[NEW], calibration.groups["new"].difference_shrinkage)
     undated = [replace(sample, stamp_ns=0) for sample in samples]
     other, _ = ContactPredictor(undated, labels_of(undated), FEW_TREES).calibration
     assert other.tracker is None

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from calibrated_models import FACTS, make_calibration, save_calibrated_network
 from contact_model_builders import small_estimator
+from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
@@ -22,6 +23,7 @@ from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.novelty import Fallback
+from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import P2_RANGES
@@ -69,7 +71,7 @@ def everything(model: TouchModel) -> np.ndarray:
     for sample in SAMPLES[:3]:
         history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
     found = []
-    for adapted in ({}, {"tare": TARE}, {"history": history.at(SAMPLES[3].stamp_ns, same_object=True)}):
+    for adapted in ({}, {"tare": TARE}, {"history": history.snapshot(SAMPLES[3].stamp_ns, same_object=True)}):
         for sample in SAMPLES[5::8]:
             (one,) = model.predict(sample.cloud, [sample.grasp], **adapted)
             found += [one.value.vector(), one.lower.vector(), one.upper.vector()]
@@ -106,14 +108,13 @@ def test_model_and_calibration_at_once_are_those_one_after_the_other(card: Path,
         assert (once.parent / path.name).read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize("full", ["toy.safetensors", "toy.trust.safetensors", "toy.json"])
-def test_a_full_disk_leaves_the_calibrated_model_before(card: Path, full: str) -> None:
-    before = {path.name: path.read_bytes() for path in card.parent.iterdir()}
-    card.with_name(f"{full}.part").symlink_to("/dev/full")
-    other = make_calibration(seed=1)
-    with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
-        save_contact(card.parent, "toy", small_estimator(), {"summary": "another"}, (other, FACTS))
-    assert {path.name: path.read_bytes() for path in card.parent.iterdir()} == before
+def test_a_full_disk_leaves_the_calibrated_model_before(card: Path) -> None:
+    before, other = {path.name: path.read_bytes() for path in card.parent.iterdir()}, make_calibration(seed=1)
+    for full in before:
+        card.with_name(f"{full}.part").symlink_to("/dev/full")
+        with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
+            save_contact(card.parent, "toy", small_estimator(), {"summary": "another"}, (other, FACTS))
+        assert {path.name: path.read_bytes() for path in card.parent.iterdir()} == before
 
 
 def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> None:
@@ -125,7 +126,8 @@ def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> 
 
 def test_a_calibration_of_a_network_brings_its_fallback(tmp_path: Path) -> None:
     card = Path(save_calibrated_network(tmp_path))
-    fallback = Fallback(small_estimator().novelty, np.linspace(1000.0, 3000.0, 50))
+    sizes = np.array([object_sizes(sample.cloud.xyz) for sample in SAMPLES])
+    fallback = Fallback.fit(sizes, np.tile(np.linspace(1000.0, 3000.0, 50), (len(SAMPLES), 1)))
     add_calibration(card, make_calibration(), FACTS, fallback)
     calibration, found = load_calibration(card, read_card(card))
     assert isinstance(calibration, Calibration)
@@ -133,68 +135,69 @@ def test_a_calibration_of_a_network_brings_its_fallback(tmp_path: Path) -> None:
         assert_array_equal(found.to_tensors()[name], array)
     sample = SAMPLES[0]
     (prediction,) = load_model(card).predict(sample.cloud, [sample.grasp])
-    inside = fallback.novelty.in_distribution_score(np.asarray(_sizes(sample))) >= 0.5
+    inside = fallback.score(sizes[0]) >= 0.5
     assert ("unfamiliar" in prediction.flags) is not inside
 
 
-def _sizes(sample) -> np.ndarray:
-    from foretouch.models.contact.features import ContactScene
-
-    return ContactScene(sample.cloud.xyz).object_features
-
-
-@pytest.mark.parametrize("which", ["toy.safetensors", "toy.trust.safetensors"])
-def test_absent_or_replaced_files_are_named(card: Path, which: str) -> None:
-    path = card.with_name(which)
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(ModelError, match=rf"{which}: sha256: .* of toy.json; damaged or replaced"):
-        load_model(card)
-    path.unlink()
-    with pytest.raises(ModelError, match=rf"{which}: no such weights; toy.json names them"):
-        load_model(card)
+def test_absent_or_replaced_files_are_named(card: Path) -> None:
+    for which in ("toy.safetensors", "toy.trust.safetensors"):
+        path = card.with_name(which)
+        original = path.read_bytes()
+        path.write_bytes(original[:-1] + bytes([original[-1] ^ 1]))
+        with pytest.raises(ModelError, match=rf"{which}: sha256: .* of toy.json; damaged or replaced"):
+            load_model(card)
+        path.unlink()
+        with pytest.raises(ModelError, match=rf"{which}: no such weights; toy.json names them"):
+            load_model(card)
+        path.write_bytes(original)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "calibration", "rule"),
-    [
-        ("mean", None, False, "toy.safetensors: mean: is missing"),
-        ("kernel/scale", np.zeros(88), False, "toy.safetensors: kernel/scale, decay: a value is not above 0"),
-        ("forest_E_MF/leaf", np.zeros(3, np.int32), False, "toy.safetensors: forest_E_MF/forest: its arrays"),
-        ("novelty/known", np.zeros((9, 3), np.float32), False, "toy.safetensors: novelty/known: shape"),
-        ("rest", None, True, "toy.trust.safetensors: rest: is missing"),
-        ("new/within", np.zeros(50), True, "toy.trust.safetensors: new/within: holds a value"),
-        ("known/between", np.ones((50, 49)), True, "toy.trust.safetensors: known/between: shape"),
-    ],
-)
-def test_what_does_not_fit_is_named_with_file_and_field(
-    card: Path, name: str, value, calibration: bool, rule: str
-) -> None:
-    rewrite(card, name, value, calibration=calibration)
-    with pytest.raises(ModelError, match=rule):
-        load_model(card)
+def test_what_does_not_fit_is_named_with_file_and_field(card: Path) -> None:
+    files = {path: path.read_bytes() for path in card.parent.iterdir()}
+
+    def check(rule: str, name: str, value: Any) -> None:
+        for path, content in files.items():
+            path.write_bytes(content)
+        rewrite(card, name, value, calibration=".trust." in rule)
+        with pytest.raises(ModelError, match=rule):
+            load_model(card)
+
+    every_case(
+        [
+            ("toy.safetensors: mean: is missing", "mean", None),
+            ("toy.safetensors: kernel/scale, decay: a value is not above 0", "kernel/scale", np.zeros(56)),
+            ("toy.safetensors: forest_E_MF/forest: its arrays", "forest_E_MF/leaf", np.zeros(3, np.int32)),
+            ("toy.safetensors: novelty/known: shape", "novelty/known", np.zeros((9, 3))),
+            ("toy.trust.safetensors: rest: is missing", "rest", None),
+            ("toy.trust.safetensors: new/within: holds a value", "new/within", np.zeros(50)),
+            ("toy.trust.safetensors: known/between: shape", "known/between", np.ones((50, 49))),
+        ],
+        check,
+    )
 
 
-@pytest.mark.parametrize(
-    ("changes", "rule"),
-    [
-        ({"weights": ...}, "toy.json: weights: is missing"),
-        ({"calibration": "yes"}, "toy.json: calibration: 'yes' is of type str"),
-        ({"calibration": {}}, "toy.json: calibration.weights: is missing"),
-        ({"calibration": {"weights": "x.safetensors"}}, "toy.json: calibration.sha256: is missing"),
-        ({"ranges": {"e_th": [9.0, 1.0]}}, "toy.json: ranges: .*e_th"),
-        ({"ranges": {"e_xx": [1.0, 9.0]}}, "toy.json: ranges: e_xx: unknown"),
-        ({"ranges": 5}, "toy.json: ranges: 5 is of type int"),
-        ({"kind": "contacts"}, "toy.json: kind: 'contacts' is none of"),
-    ],
-)
-def test_a_card_that_cannot_be_right_is_refused_by_field(card: Path, changes: dict[str, Any], rule: str) -> None:
-    edit(card, **changes)
-    with pytest.raises(ModelError, match=rule):
-        load_model(card)
+def test_a_card_that_cannot_be_right_is_refused_by_field(card: Path) -> None:
+    original = card.read_text()
 
+    def check(rule: str, changes: dict[str, Any]) -> None:
+        card.write_text(original)
+        edit(card, **changes)
+        with pytest.raises(ModelError, match=rule):
+            load_model(card)
 
-def test_weights_are_looked_for_beside_the_card_only(card: Path) -> None:
-    edit(card, weights="../../elsewhere/toy.safetensors")
+    every_case(
+        [
+            ("toy.json: weights: is missing", {"weights": ...}),
+            ("toy.json: calibration: 'yes' is of type str", {"calibration": "yes"}),
+            ("toy.json: calibration.weights: is missing", {"calibration": {}}),
+            ("toy.json: calibration.sha256: is missing", {"calibration": {"weights": "x.safetensors"}}),
+            ("toy.json: ranges: .*e_th", {"ranges": {"e_th": [9.0, 1.0]}}),
+            ("toy.json: ranges: e_xx: unknown", {"ranges": {"e_xx": [1.0, 9.0]}}),
+            ("toy.json: ranges: 5 is of type int", {"ranges": 5}),
+            ("toy.json: kind: 'contacts' is none of", {"kind": "contacts"}),
+        ],
+        check,
+    )
+    card.write_text(original)
+    edit(card, weights="../../elsewhere/toy.safetensors")  # weights are looked for beside the card only
     assert load_model(card).name == "toy"

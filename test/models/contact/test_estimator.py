@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contact model: forests in distribution, the kernel out of it, and grasps of one call independent of each other."""
+"""The contact model: forests on known objects, the kernel and its gain on new ones, and what it calls unfamiliar."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_model_builders import labels_of, named, scaled, small_estimator
+from contact_model_builders import FEW_TREES, labels_of, moved, scaled, small_estimator
+from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from foretouch.errors import CloudError, ModelError
+from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import ContactScene
-from foretouch.models.novelty import SHAPE_FEATURES, SizeNoveltyDetector
+from foretouch.models.contact.features import CHECKED, CONDITIONS, HandFrameFeatures
+from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, columns
-from foretouch.types import Cloud, Grasp
+from foretouch.types import Cloud
 
 SAMPLES = make_samples(5, 10)
 
@@ -27,75 +30,32 @@ def estimator() -> ContactEstimator:
     return small_estimator()
 
 
-def span(estimator: ContactEstimator, low: float, high: float) -> ContactEstimator:
+def with_span(estimator: ContactEstimator, low: float, high: float) -> ContactEstimator:
     """The same with scores of 1 up to the distance `low`, and of 0 from `high`."""
-    novelty = estimator.novelty
-    return replace(
-        estimator, novelty=SizeNoveltyDetector(novelty.centre, novelty.scale, novelty.known, np.array([low, high]))
-    )
+    return replace(estimator, novelty=replace(estimator.novelty, span=np.array([low, high])))
 
 
-def by_forests(estimator: ContactEstimator, rows: np.ndarray) -> np.ndarray:
-    """The mean of the forest of all values and those of each modality, in counts."""
-    found = np.empty((len(rows), 50))
-    together = estimator.forests["together"].predict(rows)
+def test_forests_predict_known_objects_the_gain_of_the_kernel_new_ones_and_a_blend_between(estimator) -> None:
+    cloud, grasp = scaled(SAMPLES[3].cloud, 1.1), SAMPLES[3].grasp
+    rows = HandFrameFeatures(cloud.xyz).describe([grasp])
+    inputs, novelty = rows[:, len(CONDITIONS) :], estimator.novelty
+    sizes = rows[:, len(CONDITIONS) : len(CONDITIONS) + len(novelty.centre)]
+    distance = float(np.linalg.norm((sizes - novelty.centre) @ novelty.turn - novelty.known, axis=1).min())
+    gain = np.array([0.25, 0.5, 0.0, 1.0])
+    kernel = estimator.kernel.predict(inputs) * np.repeat(gain, [1, 1, 24, 24])
+    together, forests = estimator.forests["together"].predict(inputs), np.empty((1, 50))
     for name in MODALITIES:
         index = columns([name])
-        found[:, index] = 0.5 * together[:, index] + 0.5 * estimator.forests[name].predict(rows)
-    return found * estimator.deviation + estimator.mean
+        forests[:, index] = (together[:, index] + estimator.forests[name].predict(inputs)) / 2.0
 
+    def check(share: float) -> None:
+        low, high = (2 * distance, 3 * distance) if share == 1.0 else (0.0, distance / (1.0 - share))
+        found = replace(with_span(estimator, low, high), generalisation_gain=gain).estimate(cloud, [grasp])
+        wanted = (share * forests + (1.0 - share) * kernel) * estimator.deviation + estimator.mean
+        assert_allclose(found.counts, wanted, rtol=1e-9)
+        assert found.in_distribution.tolist() == [share >= 0.5]
 
-def by_kernel(estimator: ContactEstimator, rows: np.ndarray) -> np.ndarray:
-    return estimator.kernel.predict(rows) * estimator.deviation + estimator.mean
-
-
-def test_forests_predict_in_distribution_and_the_kernel_out_of_it(estimator) -> None:
-    sample = SAMPLES[3]
-    rows = ContactScene(sample.cloud.xyz).describe([sample.grasp])
-    far = float(np.abs(estimator.novelty.known).max()) * 100.0
-    known = span(estimator, far, 2 * far).estimate(sample.cloud, [sample.grasp])
-    new = span(estimator, -2.0, -1.0).estimate(sample.cloud, [sample.grasp])
-    assert_allclose(known.counts, by_forests(estimator, rows))
-    assert_allclose(new.counts, by_kernel(estimator, rows))
-    assert (known.in_distribution.tolist(), new.in_distribution.tolist()) == ([True], [False])
-
-
-@pytest.mark.parametrize(("share", "inside"), [(0.25, False), (0.5, True), (0.75, True)])
-def test_between_the_two_it_blends_and_the_flag_turns_at_a_half(estimator, share: float, inside: bool) -> None:
-    sample = SAMPLES[3]
-    scene = ContactScene(sample.cloud.xyz)
-    novelty = estimator.novelty
-    sizes = (named(scene.object_features, *SHAPE_FEATURES) - novelty.centre) / novelty.scale
-    distance = np.sort(np.abs(novelty.known - sizes).sum(axis=1))[:3].mean()
-    one = span(estimator, 0.0, distance / (1.0 - share) * (1.0 + 1e-9))  # so that the score is this share
-    found = one.estimate(sample.cloud, [sample.grasp])
-    rows = scene.describe([sample.grasp])
-    wanted = share * by_forests(estimator, rows) + (1.0 - share) * by_kernel(estimator, rows)
-    assert_allclose(found.counts, wanted, atol=1e-4)
-    assert found.in_distribution.tolist() == [inside]
-
-
-def test_it_predicts_its_training_samples(estimator) -> None:
-    found = np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in SAMPLES])
-    actual = labels_of(SAMPLES)
-    skill = 1.0 - ((found - actual) ** 2).mean(axis=0) / actual.var(axis=0)
-    assert all(skill[columns([name])].mean() > 0.2 for name in MODALITIES)
-
-
-def test_a_house_is_out_of_distribution_and_gets_about_the_mean(estimator) -> None:
-    house = scaled(SAMPLES[0].cloud, 100.0)
-    found = estimator.estimate(house, [Grasp(np.array([2.5, 0, 1.2]), np.array([-2.5, 0, 1.2]), np.eye(3))])
-    assert not found.in_distribution.any()
-    assert (np.abs(found.counts[0] - estimator.mean) < 0.05 * estimator.deviation).all()
-
-
-def test_a_grasp_does_not_depend_on_those_beside_it(estimator) -> None:
-    cloud = SAMPLES[7].cloud
-    grasps = [sample.grasp for sample in SAMPLES]
-    together = estimator.estimate(cloud, grasps).counts
-    assert_array_equal(together, np.concatenate([estimator.estimate(cloud, [one]).counts for one in grasps]))
-    assert_array_equal(estimator.estimate(cloud, grasps[::-1]).counts[::-1], together)
-    assert len(np.unique(together[:, 0])) > 10  # it looks at the grasp
+    every_case([0.0, 0.25, 0.51, 0.75, 1.0], check)
 
 
 def test_no_grasp_gives_nothing_and_no_cloud_is_refused(estimator) -> None:
@@ -105,38 +65,123 @@ def test_no_grasp_gives_nothing_and_no_cloud_is_refused(estimator) -> None:
         estimator.estimate(Cloud(np.full((20, 3), np.nan, np.float32)), [SAMPLES[0].grasp])
 
 
+def test_it_predicts_its_training_samples(estimator) -> None:
+    found = np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in SAMPLES])
+    actual = labels_of(SAMPLES)
+    skill = 1.0 - ((found - actual) ** 2).mean(axis=0) / actual.var(axis=0)
+    assert all(skill[columns([name])].mean() > 0.2 for name in MODALITIES)
+
+
 def test_tensors_give_it_back_to_the_bit(estimator) -> None:
     again = ContactEstimator.from_tensors(estimator.to_tensors(), P1_RANGES)
-    for one in SAMPLES[::9]:
-        assert_array_equal(
-            again.estimate(one.cloud, [one.grasp]).counts, estimator.estimate(one.cloud, [one.grasp]).counts
-        )
     assert again.ranges is P1_RANGES
+    for one in SAMPLES[::9]:
+        before, after = (which.estimate(one.cloud, [one.grasp]) for which in (estimator, again))
+        assert_array_equal(after.counts, before.counts)
+        assert_array_equal(after.in_distribution, before.in_distribution)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "rule"),
-    [
-        ("mean", None, "^mean: is missing"),
-        ("deviation", np.ones(49), "^deviation: .* of another shape"),
-        ("mean", np.full(50, np.nan), "^mean: .* not finite"),
-        ("forest_E_TH/leaf", None, "^forest_E_TH/leaf: is missing"),
-        ("forest_together/value", lambda a: a[:, :49], "^forest_together: does not fit 88 features and 50 values"),
-        (
-            "forest_PDC_MF/feature",
-            lambda a: np.where(a >= 0, 88, a).astype(np.int16),
-            "^forest_PDC_MF: does not fit 88",
-        ),
-        ("kernel/known", None, "^kernel/known: is missing"),
-        ("kernel/weight", lambda a: a[:, :49], "^kernel: does not fit 88 features and 50 values"),
-        ("novelty/span", np.array([1.0, 0.0]), "^novelty/known, span: "),
-    ],
-)
-def test_damage_is_refused_by_part_and_name(estimator, name: str, value: Any, rule: str) -> None:
-    tensors = estimator.to_tensors()
-    if value is None:
-        del tensors[name]
-    else:
+def test_damage_is_refused_by_part_and_name(estimator) -> None:
+    def check(rule: str, name: str, value: Any) -> None:
+        tensors = dict(estimator.to_tensors())
         tensors[name] = value(tensors[name]) if callable(value) else value
-    with pytest.raises(ModelError, match=rule):
-        ContactEstimator.from_tensors(tensors, P2_RANGES)
+        if value is None:
+            del tensors[name]
+        with pytest.raises(ModelError, match=f"^{rule}"):
+            ContactEstimator.from_tensors(tensors, P2_RANGES)
+
+    every_case(
+        [
+            ("mean: is missing", "mean", None),
+            ("deviation: .* of another shape", "deviation", np.ones(49)),
+            ("mean: .* not finite", "mean", np.full(50, np.nan)),
+            ("generalisation_gain: is missing", "generalisation_gain", None),
+            ("generalisation_gain: .* of another shape", "generalisation_gain", np.full(3, 0.5)),
+            (r"generalisation_gain: a value is not in \[0, 1\]", "generalisation_gain", np.full(4, 1.5)),
+            ("forest_E_TH/leaf: is missing", "forest_E_TH/leaf", None),
+            ("forest_together: does not fit 56 features and 50", "forest_together/value", lambda a: a[:, :49]),
+            (
+                "forest_PDC_MF: does not fit 56",
+                "forest_PDC_MF/feature",
+                lambda a: np.where(a < 0, a, 56).astype(a.dtype),
+            ),
+            ("kernel/known: is missing", "kernel/known", None),
+            ("kernel: does not fit 56 features and 50 values", "kernel/weight", lambda a: a[:, :49]),
+            (r"novelty/low: shape \(3,\) is not \(5,\)", "novelty/low", lambda a: a[:3]),
+            ("novelty/high: .* not finite", "novelty/high", lambda a: a * np.nan),
+            ("novelty/known, span: ", "novelty/span", np.array([1.0, 0.0])),
+        ],
+        check,
+    )
+
+
+def test_grasps_of_one_call_do_not_depend_on_each_other(estimator) -> None:
+    cloud, grasps = SAMPLES[7].cloud, [sample.grasp for sample in SAMPLES]
+    together = estimator.estimate(cloud, grasps).counts
+    assert_array_equal(together, np.concatenate([estimator.estimate(cloud, [one]).counts for one in grasps]))
+    assert len(np.unique(together[:, 0])) > 10  # it looks at the grasp
+
+
+def test_a_roll_and_a_shift_change_neither_prediction_nor_flag(estimator) -> None:
+    R, shift = Rotation.from_euler("z", 90.0, degrees=True).as_matrix(), np.array([0.02, 0.05, -0.1])
+    for one in SAMPLES[::5]:
+        before = estimator.estimate(one.cloud, [one.grasp])
+        cloud = Cloud((one.cloud.xyz.reshape(-1, 3).astype(np.float64) @ R.T + shift).astype(np.float32))
+        after = estimator.estimate(cloud, [moved(one.grasp, R, shift)])
+        assert_allclose(after.counts, before.counts, atol=0.5 * estimator.deviation.max())  # float32 may turn a split
+        assert np.median(np.abs(after.counts - before.counts)) < 1e-3
+        assert_array_equal(after.in_distribution, before.in_distribution)
+
+
+def turned_by(degrees: float, one) -> tuple[Cloud, list]:
+    """Cloud and grasp, seen by a camera that is tilted against them."""
+    R = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    centre = np.asarray(one.cloud.xyz.reshape(-1, 3).mean(axis=0), np.float64)
+    shift = centre - R @ centre
+    xyz = (one.cloud.xyz.reshape(-1, 3).astype(np.float64) @ R.T + shift).astype(np.float32)
+    return Cloud(xyz), [moved(one.grasp, R, shift)]
+
+
+def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
+    flagged = {"half the range": 0, "far away": 0, "few points": 0, "another approach": 0, "as trained": 0}
+    for one in SAMPLES[::5]:
+        xyz = one.cloud.xyz.reshape(-1, 3)
+        centre = xyz.mean(axis=0)
+        places = {"half the range": -0.55 * centre, "far away": 1.5 * centre}
+        for name, shift in places.items():
+            grasp = moved(one.grasp, np.eye(3), shift.astype(np.float64))
+            flagged[name] += not estimator.estimate(Cloud(xyz + shift), [grasp]).in_distribution[0]
+        few = Cloud(xyz[np.random.default_rng(0).permutation(len(xyz))[: len(xyz) // 10]])
+        flagged["few points"] += not estimator.estimate(few, [one.grasp]).in_distribution[0]
+        flagged["another approach"] += not estimator.estimate(*turned_by(80.0, one)).in_distribution[0]
+        flagged["as trained"] += not estimator.estimate(one.cloud, [one.grasp]).in_distribution[0]
+    assert flagged.pop("as trained") <= 2
+    assert set(flagged.values()) == {10}
+
+
+def test_scores_of_rows_are_those_of_each(estimator) -> None:
+    rows = describe_samples(SAMPLES)
+    detector = NoveltyDetector.fit(rows, [one.object for one in SAMPLES])
+    one_by_one = np.concatenate([detector.scores(row[None]) for row in rows])
+    assert_array_equal(detector.scores(rows), one_by_one)
+    assert detector.low[0] > 0.0  # distance
+    assert CHECKED[:2] == CONDITIONS
+
+
+def test_copies_of_half_the_points_are_learnt_too() -> None:
+    """Forests that saw them predict nearly the same for a thinned cloud."""
+    config = FEW_TREES.replace(trees=20, thinned=0.5)
+    labels, objects = labels_of(SAMPLES), [one.object for one in SAMPLES]
+    rows = describe_samples(SAMPLES)
+    copies = thinned_samples(SAMPLES, config)
+    assert copies is not None
+    assert thinned_samples(SAMPLES, FEW_TREES) is None
+    for copy, one in zip(copies, SAMPLES, strict=True):
+        assert copy.cloud.size == round(0.5 * one.cloud.size)
+    with_copies = fit_contact(rows, labels, objects, config, describe_samples(copies))
+    without = fit_contact(rows, labels, objects, config)
+    others = describe_samples(thinned_samples(SAMPLES, config.replace(seed=5)))
+    moves = [np.abs(one.predict_rows(others)[0] - one.predict_rows(rows)[0]).mean() for one in (with_copies, without)]
+    assert moves[0] < moves[1]
+    predictor = ContactPredictor(SAMPLES, labels, config)
+    assert_array_equal(predictor.estimator.predict_rows(rows)[0], with_copies.predict_rows(rows)[0])

@@ -11,7 +11,6 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -97,17 +96,14 @@ class Record(NamedTuple):
 Walked: TypeAlias = Iterator[Record | Damage]
 
 
-@contextmanager
-def mapped(path: Path) -> Iterator[memoryview]:
-    """The bytes of a file, read from the disk on access; raises a `FileError` if it cannot be read."""
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(open_regular(path))
+def mapped(path: Path) -> memoryview:
+    """The bytes of a file, read from the disk on access, until their last view is gone; raises a `FileError`."""
+    try:
+        with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
-            data = stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)) if size else b""
-        except OSError as err:
-            raise FileError(path, err.strerror or str(err)) from err
-        yield stack.enter_context(memoryview(data))
+            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b"")
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
 
 
 def magic_damage(data: memoryview) -> Damage | None:
@@ -219,14 +215,7 @@ def _content(data: memoryview, opcode: int, start: int, end: int) -> Any:
 
 
 class Declarations:
-    """What the records of a file declare; later ones replace earlier ones.
-
-    Attributes:
-        schemas: By number.
-        channels: By number.
-        about: Versions, hand and camera, as text.
-        counts: The message counts; None before the first.
-    """
+    """What the records of a file declare; later ones replace earlier ones."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}

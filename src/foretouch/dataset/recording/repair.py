@@ -18,27 +18,31 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.dataset.disk import disk_errors, sync_folder
-from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.files import disk_errors, sync_folder
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
-    IN_SUMMARY,
     MAGIC,
     Chunk,
     Damage,
     Declarations,
-    Record,
     RecordedMessage,
     mapped,
     next_chunk,
-    summary_of,
     walk,
     walk_on,
 )
-from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
+from foretouch.dataset.recording.sample_codec import (
+    ABOUT,
+    COUNTS,
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    decode_sample,
+    is_intact,
+    sample_types,
+)
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import DatasetError, FileError, VersionError
 
@@ -65,8 +69,7 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """Repair every recording of a dataset that needs it, or a single file.
 
     Raises:
-        FileError: If another process records into the dataset, it is no recording or of another version, or the disk has
-            no space for the repaired file.
+        FileError: If another process records into it, it is no recording or of another version, or the disk is full.
     """
     path = Path(path)
     recorded_files(path)  # refuses other folders, before a lock file is created there
@@ -84,10 +87,10 @@ def _repair_file(path: Path) -> RepairReport:
     part = path.with_name(f"{path.name}.repairing")
     part.unlink(missing_ok=True)
     try:
-        with mapped(path) as data:
-            if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
-                raise FileError(path, "is no MCAP file, and holds no part of one")
-            _Repair(data, McapFile(part), report).run()
+        data = mapped(path)
+        if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
+            raise FileError(path, "is no MCAP file, and holds no part of one")
+        _Repair(data, found.declared, McapFile(part), report).run()
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -113,11 +116,11 @@ def _replace(path: Path, repaired: Path) -> Path:
 class _Repair:
     """Copies the intact parts of a file into a new one."""
 
-    def __init__(self, data: memoryview, file: McapFile, report: RepairReport) -> None:
+    def __init__(self, data: memoryview, declared: Declarations, file: McapFile, report: RepairReport) -> None:
         self._data = data
         self._file = file
         self._report = report
-        self._declared = _declarations(data)
+        self._declared = declared
         self._topics: dict[int, str] = {}  # by the channel of the original
         self._pending: list[Message] = []
         self._written: Counter[str] = Counter()
@@ -140,7 +143,7 @@ class _Repair:
             self._file.abandon()
 
     def _declare(self) -> None:
-        definition = Definitions().text(SAMPLE_TYPE)  # the file's own copy may be damaged
+        definition = sample_types().text(SAMPLE_TYPE)  # the file's own copy may be damaged
         self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, definition)
         for number, channel in sorted(self._declared.channels.items()):
             schema = self._declared.schemas.get(channel.schema_id)
@@ -181,23 +184,6 @@ class _Repair:
                 dropped[_LOST] += lost
             result.topics[topic] = TopicCounts(written + dropped.total(), written, dropped, old.lost)
         return result
-
-
-def _declarations(data: memoryview) -> Declarations:
-    """From the records of a file that are intact, its verified chunks and its verified summary."""
-    declared = Declarations()
-    verified: list[Record | Damage] = []
-    for item in walk_on(data):
-        if isinstance(item, Record):
-            declared.add(item)
-            if isinstance(item.content, Chunk) and item.content.intact(data):
-                verified += walk(data, item.content.start, item.content.end, IN_CHUNK)
-    ends = summary_of(data)
-    verified += [] if isinstance(ends, Damage) else walk(data, *ends, IN_SUMMARY)
-    for item in verified:
-        if isinstance(item, Record):
-            declared.add(item)
-    return declared
 
 
 def salvaged(data: memoryview, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:

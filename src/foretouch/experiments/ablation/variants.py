@@ -25,7 +25,7 @@ from foretouch.learning.training.contact import (
 )
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, by_modality
-from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
+from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.tactile import MODALITIES, columns
@@ -52,7 +52,7 @@ def _predict(estimator: ContactEstimator, rows: Float64) -> _Components:
     for name in MODALITIES:
         separate[:, columns([name])] = estimator.forests[name].predict(inputs)
     joint = estimator.forests[TOGETHER].predict(inputs)
-    kernel = estimator.kernel.predict(inputs) * (1.0 if estimator.claim is None else by_modality(estimator.claim))
+    kernel = estimator.kernel.predict(inputs) * by_modality(estimator.generalisation_gain)
     counts = [part * estimator.deviation + estimator.mean for part in (joint, separate, kernel)]
     return _Components(counts[0], counts[1], counts[2], estimator.novelty.scores(rows))
 
@@ -86,7 +86,7 @@ def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
 
 
 TRACKER_EDITS: Final[dict[str, Callable[[TrackerParameters], TrackerParameters]]] = {
-    "no shrinkage": lambda parameters: replace(parameters, worth=np.ones((2, TOUCH_SIZE))),
+    "no shrinkage": lambda parameters: replace(parameters, difference_shrinkage=np.ones((2, TOUCH_SIZE))),
     "diagonal B": _diagonal,
 }
 """By name of the variant, changes of the full model's tracker, which only matter after touches."""

@@ -50,12 +50,17 @@ POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
 MODELS: Final = (POINTNET, SRGAN)
 
-_SUPERVISED: Final = {"reading": "as_printed", "weight_unlabeled": 0.0, "weight_fake": 0.0, "gradient_penalty": 0.0}
+_SUPERVISED: Final = {
+    "loss_variant": "as_printed",
+    "weight_unlabeled": 0.0,
+    "weight_fake": 0.0,
+    "gradient_penalty": 0.0,
+}
 
 
 def _srgan(matching: float, contrast: float, penalty: float, rate: float = 3e-3, decay: float = 0.0) -> dict[str, Any]:
     loss = {"weight_unlabeled": matching, "weight_fake": contrast, "gradient_penalty": penalty}
-    return {"learning_rate": rate, "weight_decay": decay, "loss": {"reading": "srgan", **loss}}
+    return {"learning_rate": rate, "weight_decay": decay, "loss": {"loss_variant": "srgan", **loss}}
 
 
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
@@ -84,8 +89,8 @@ Their learning rate is 0.003 unless the name contains another one."""
 AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
     SRGAN: {
-        f"P2, {reading}": {"batch_norm": "per_source", "loss": {"reading": reading}}
-        for reading in ("as_printed", "contrast", "srgan")
+        f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
+        for variant in ("as_printed", "contrast", "srgan")
     },
 }
 """P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by

@@ -132,8 +132,8 @@ class _Predictions:
 
 def _predict(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     card = read_card(card_path)
-    if card["kind"] in ("network", "ensemble") and card.get("calibration") is None:
-        return _by_networks(card_path, card, samples)
+    if card["kind"] == "network" and card.get("calibration") is None:
+        return _by_network(card_path, samples)
     return _by_model(card_path, samples)
 
 
@@ -156,23 +156,18 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     return _Predictions(counts, half_width, unfamiliar, list(MODALITIES), model.ranges, trained_on)
 
 
-def _by_networks(card_path: Path, card: Mapping[str, Any], samples: Sequence[GraspSample]) -> _Predictions:
-    """Predict by networks that may cover only some of the modalities, all samples of one network at once."""
+def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+    """Predict by a network that may cover only some of the modalities, all samples at once."""
     from foretouch.learning.data.training_set import predict_set
     from foretouch.models.network.checkpoint import load_network
 
-    members = [card_path]
-    if card["kind"] == "ensemble":
-        members = [card_path.with_name(Path(str(name)).name) for name in card["members"]]
-    loaded = [load_network(member) for member in members]
+    net, card = load_network(card_path)
     counts = np.full((len(samples), TOUCH_SIZE), np.nan)
-    for net, _ in loaded:
-        prepared = datasets.TrainingSet.build(samples, net.config)
-        counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
-    named = {output for net, _ in loaded for output in net.config.outputs}
-    trained_on = frozenset(str(member["data"].get("sha256")) for _, member in loaded)
-    modalities = [name for name in MODALITIES if name in named]
-    return _Predictions(counts, None, 0, modalities, loaded[0][0].config.ranges, trained_on)
+    prepared = datasets.TrainingSet.build(samples, net.config)
+    counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
+    modalities = [name for name in MODALITIES if name in net.config.outputs]
+    trained_on = frozenset([str(card["data"].get("sha256"))])
+    return _Predictions(counts, None, 0, modalities, net.config.ranges, trained_on)
 
 
 def _fitted(data: datasets.Dataset, parts: Sequence[datasets.SplitPart], baseline: Baseline, seed: int) -> Float64:

@@ -158,11 +158,11 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
-    worth = _slopes(differences, actual) * (shrinkage if new else 1.0)
+    slope = _slopes(differences, actual) * (shrinkage if new else 1.0)
     spread = np.maximum((residuals**2).mean(axis=0), _LEAST_DEVIATION**2)
     freedom = len(residuals) - len(owners)
     within = (
-        np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
+        np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
         if freedom
         else spread
     )
@@ -175,7 +175,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
         most[columns(["PDC_TH", "PDC_MF"])] = _MOST_SHARE
         factor = np.sqrt(np.minimum(1.0, most * within / np.diag(between)))
         between = between * np.outer(factor, factor)
-    return CalibrationGroup(between, within, worth, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
+    return CalibrationGroup(between, within, slope, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
 
 
 def _centred(values: Float64, owners: Sequence[npt.NDArray[np.bool_]]) -> Float64:

@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the contact model: forests by scikit-learn, and a kernel whose ridge and claim are chosen on objects left out."""
+"""Fit the contact model: forests by scikit-learn, and a kernel whose ridge and gain are chosen on objects left out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError, DatasetError
-from foretouch.learning.data import Fold, Indices, labels_of, object_folds, predict_folds
+from foretouch.learning.data import Fold, Indices, labels_of, predict_folds
 from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
-from foretouch.learning.training.claims import choose_claims, same_object
+from foretouch.learning.training.generalisation import choose_ridge, same_object
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
-from foretouch.models.contact.features import ContactScene
-from foretouch.models.contact.hand_features import CONDITIONS, HandScene
-from foretouch.models.contact.hand_novelty import HandNoveltyDetector
+from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
+from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
-from foretouch.models.novelty import SizeNoveltyDetector, standardisation
+from foretouch.models.novelty import standardisation
+from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -50,14 +50,7 @@ class ContactConfig(Settings):
         minimum=1e-3,
     )
     object_effect: float = setting(
-        1.0,
-        "Variance of what is an object's own over that of the kernel, for features in the hand's frame",
-        minimum=0.0,
-    )
-    features: str = setting(
-        "hand",
-        "Frame of the features; camera fits a model like contact-v1: no restraint on new objects, no object effect",
-        choices=("hand", "camera"),
+        1.0, "Variance of what is an object's own, beside its shape, over that of the kernel", minimum=0.0
     )
     seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
@@ -68,20 +61,27 @@ class ContactConfig(Settings):
             raise ConfigError("ContactConfig.ridges: [] must hold at least one value")
 
 
-def describe_samples(samples: Sequence[GraspSample], features: str = "hand") -> Float64:
-    """(S, F) float64 features of each sample's grasp, in the frame of the hand or of the camera.
+def describe_samples(samples: Sequence[GraspSample]) -> Float64:
+    """(S, F) float64 features of each sample's grasp.
 
     Raises:
         DatasetError: If a cloud cannot be used.
     """
-    if features == "hand":
-        return np.concatenate([_scene(sample, HandScene).describe([sample.grasp]) for sample in samples])
-    return np.concatenate([_scene(sample, ContactScene).describe([sample.grasp]) for sample in samples])
+    return np.concatenate(
+        [_of(sample, lambda one: HandFrameFeatures(one.cloud.xyz).describe([one.grasp])) for sample in samples]
+    )
 
 
 def describe_objects(samples: Sequence[GraspSample]) -> Float64:
-    """(S, F) float64 `ContactScene.object_features` of each sample's cloud; raises as `describe_samples`."""
-    return np.array([_scene(sample, ContactScene).object_features for sample in samples])
+    """(S, 8) float64 `object_sizes` of each sample's cloud; raises as `describe_samples`."""
+    return np.array([_of(sample, lambda one: object_sizes(one.cloud.xyz)) for sample in samples])
+
+
+def _of(sample: GraspSample, describe: Callable[[GraspSample], Float64]) -> Float64:
+    try:
+        return describe(sample)
+    except CloudError as err:
+        raise DatasetError(f"{sample.id}: {err}") from err
 
 
 def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> list[GraspSample] | None:
@@ -95,16 +95,6 @@ def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> li
         kept = rng.permutation(finite)[: max(round(config.thinned * len(finite)), min(len(finite), _FEWEST_POINTS))]
         copies.append(replace(sample, cloud=sample.cloud.take(np.sort(kept))))
     return copies
-
-
-Scene = TypeVar("Scene", ContactScene, HandScene)
-
-
-def _scene(sample: GraspSample, scene: type[Scene]) -> Scene:
-    try:
-        return scene(sample.cloud.xyz)
-    except CloudError as err:
-        raise DatasetError(f"{sample.id}: {err}") from err
 
 
 def fit_contact(
@@ -129,20 +119,16 @@ def fit_contact(
     if not (span := np.ptp(labels, axis=0)).all():
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
-    hand = config.features == "hand"
-    inputs = rows[:, len(CONDITIONS) :] if hand else rows
-    if hand:
-        ridge, claim = choose_claims(inputs, scaled, objects, config.decay, config.object_effect, config.ridges)
-    else:
-        ridge, claim = _choose_ridge(inputs, scaled, objects, config), None
+    inputs = rows[:, len(CONDITIONS) :]
+    ridge, gain = choose_ridge(inputs, scaled, objects, config.decay, config.object_effect, config.ridges)
     return ContactEstimator(
         forests=fit_forests(rows, labels, config, thinned),
-        kernel=_kernel(inputs, scaled, objects, ridge, config.decay, config.object_effect if hand else 0.0),
-        novelty=HandNoveltyDetector.fit(rows, objects) if hand else SizeNoveltyDetector.fit(rows),
+        kernel=_kernel(inputs, scaled, objects, ridge, config),
+        novelty=NoveltyDetector.fit(rows, objects),
         mean=mean,
         deviation=deviation,
+        generalisation_gain=gain,
         ranges=config.ranges,
-        claim=claim,
     )
 
 
@@ -150,7 +136,7 @@ def fit_forests(
     rows: Float64, labels: Float64, config: ContactConfig, thinned: Float64 | None = None
 ) -> dict[str, Forest]:
     """The forests of `fit_contact` alone, by name; arguments as there."""
-    first = len(CONDITIONS) if config.features == "hand" else 0
+    first = len(CONDITIONS)
     grown, leaf = rows[:, first:], config.leaf
     targets = (labels - labels.mean(axis=0)) / labels.std(axis=0)
     if thinned is not None:
@@ -180,45 +166,19 @@ def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
 
 
 def _kernel(
-    rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float, decay: float, effect: float
+    rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float, config: ContactConfig
 ) -> KernelRegression:
-    centre, scale = standardisation(rows)
-    known = (rows - centre) / scale
-    kernel = laplacian(known, known, decay)
-    if effect:
-        kernel += effect * same_object(objects)
-    weight = _ridge_weights(kernel, scaled, ridge)
-    return KernelRegression(
-        centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(decay, np.float64)
-    )
-
-
-def _choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], config: ContactConfig) -> float:
-    """The ridge of least squared error on objects left out, each modality weighing the same: the rule of `contact-v1`.
-
-    One ridge for all values: chosen for each value, it overfits a handful of objects. With a single object the largest
-    is taken.
-    """
-    if len(set(objects)) < 2:
-        return max(config.ridges)
-    errors = np.zeros((len(config.ridges), TOUCH_SIZE))
-    for fold in object_folds(objects):
-        centre, scale = standardisation(rows[fold.train])
-        known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
-        mean = scaled[fold.train].mean(axis=0)
-        kernel, cross = laplacian(known, known, config.decay), laplacian(test, known, config.decay)
-        for k, ridge in enumerate(config.ridges):
-            weight = _ridge_weights(kernel, scaled[fold.train] - mean, ridge)
-            errors[k] += ((cross @ weight + mean - scaled[fold.test]) ** 2).sum(axis=0)
-    total = sum(errors[:, columns([name])].mean(axis=1) for name in MODALITIES)
-    return config.ridges[int(np.argmin(total))]
-
-
-def _ridge_weights(kernel: Float64, scaled: Float64, ridge: float) -> Float64:
-    """(S, M) solution of (K + ridge I) weight = scaled."""
     from scipy.linalg import cho_factor, cho_solve
 
-    return np.asarray(cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), scaled), np.float64)
+    centre, scale = standardisation(rows)
+    known = (rows - centre) / scale
+    kernel = laplacian(known, known, config.decay)
+    if config.object_effect:
+        kernel += config.object_effect * same_object(objects)
+    weight = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), scaled)
+    return KernelRegression(
+        centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(config.decay, np.float64)
+    )
 
 
 class ContactPredictor:
@@ -232,9 +192,9 @@ class ContactPredictor:
 
     def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
         self.rest, self.rest_recorded = rest_level(train)
-        self.rows = describe_samples(train, config.features)
+        self.rows = describe_samples(train)
         copies = thinned_samples(train, config)
-        self._thinned = None if copies is None else describe_samples(copies, config.features)
+        self._thinned = None if copies is None else describe_samples(copies)
         self._train, self._labels, self._config = list(train), labels, config
         self._resting = resting_labels(train, labels, self.rest)
         self._predicted: dict[str, tuple[Float64, np.bool_]] = {}  # by the id of a sample
@@ -311,7 +271,7 @@ class ContactPredictor:
         """Predictions before any touch and at rest level; each sample is described only once."""
         new = [sample for sample in samples if sample.id not in self._predicted]
         if new:
-            pairs = zip(*self.estimator.predict_rows(describe_samples(new, self._config.features)), strict=True)
+            pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
             self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
         found = [self._predicted[sample.id] for sample in samples]
         counts = np.array([counts for counts, _ in found]).reshape(len(found), TOUCH_SIZE)

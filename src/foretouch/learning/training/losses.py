@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Losses of the supervised networks and of the SR-GAN: P2's equations 1 to 5 in three readings.
+"""Losses of the supervised networks and of the SR-GAN: P2's equations 1 to 5 in three variants.
 
 P2 prints for the discriminator (x_L labelled, x_U unlabelled, x_F fake, f features before the grasp joins)::
 
@@ -10,7 +10,7 @@ P2 prints for the discriminator (x_L labelled, x_U unlabelled, x_F fake, f featu
     L_G         = sum_i |f(x_F,i) - f(x_U,i)|² / n                           eq. 5
 
 Its text contradicts eq. 4 (L_fake "tries to make the features of the unlabeled data and the fake data as dissimilar
-as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the original SR-GAN work"). Hence `reading`:
+as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the original SR-GAN work"). Hence `loss_variant`:
 
     as_printed  eqs. 3, 4, 5 to the letter: fake clouds enter no loss of the discriminator
     contrast    eqs. 3 and 5; L_fake pushes f(x_U) and f(x_F) apart by a contrast of bounded slope. The negative of
@@ -37,22 +37,22 @@ _LEAST_ROOT: Final = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class SrganLossConfig(Settings):
-    """Reading of the losses, and P2's weights."""
+    """Variant of the losses, and P2's weights."""
 
-    reading: str = setting(
-        "contrast", "Reading of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "srgan")
+    loss_variant: str = setting(
+        "contrast", "Variant of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "srgan")
     )
     distance: str = setting(
-        "reading",
+        "loss_variant",
         "Distance between the i-th samples of both batches (eqs. 3 to 5), or between the batches' means (SR-GAN)",
-        choices=("reading", "per_sample", "batch_mean"),
+        choices=("loss_variant", "per_sample", "batch_mean"),
     )
     across_features: str = setting(
         "sum", "Squared distance: |v|² of the printed equations, or its mean over features", choices=("sum", "mean")
     )
     contrast: str = setting(
         "sqrt",
-        "Contrast of unlabelled and fake features in the reading `contrast`: -mean sqrt(|Δ| + 1), -mean log(|Δ| + 1), "
+        "Contrast of unlabelled and fake features in the variant `contrast`: -mean sqrt(|Δ| + 1), -mean log(|Δ| + 1), "
         "-mean |Δ|, or -mean |Δ| / (|Δ| + 1), whose value is bounded, too",
         choices=("sqrt", "log", "abs", "ratio"),
     )
@@ -66,14 +66,14 @@ class SrganLossConfig(Settings):
     @property
     def pairs(self) -> bool:
         """Whether samples are compared in pairs rather than by the batches' means."""
-        if self.distance == "reading":
-            return self.reading != "srgan"
+        if self.distance == "loss_variant":
+            return self.loss_variant != "srgan"
         return self.distance == "per_sample"
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features f(x) of the three sources, (B, F) each; `fake` may be None for the reading `as_printed`."""
+    """Features f(x) of the three sources, (B, F) each; `fake` may be None for the variant `as_printed`."""
 
     labeled: Tensor
     unlabeled: Tensor
@@ -149,7 +149,7 @@ def discriminator_loss(
     Args:
         labeled: Result of `labeled_loss`.
         features: Features of the discriminator; those of the fake clouds detached from the generator.
-        config: Reading and weights.
+        config: Variant and weights.
         penalty: Result of `gradient_penalty`, if it is used.
         context: The processes that share the batch.
 
@@ -157,7 +157,7 @@ def discriminator_loss(
         DatasetError: If samples are compared in pairs and the batches differ in size.
     """
     unlabeled = _matching(features.labeled, features.unlabeled, config, context)
-    fake = unlabeled if config.reading == "as_printed" else _contrast(features, config, context)  # eq. 4 is eq. 3
+    fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config, context)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
     if penalty is not None:
@@ -174,7 +174,7 @@ def generator_loss(
     Args:
         fake: (B, F) features that depend on the generator.
         unlabeled: (B, F) features of real clouds, detached.
-        config: Reading and distance.
+        config: Variant and distance.
         context: The processes that share the batch.
     """
     total = _matching(fake, unlabeled, config, context)
@@ -214,7 +214,7 @@ def gradient_penalty(
 def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """Feature matching of two batches: squared distance (eqs. 3 and 5), or mean|Δ| of the SR-GAN."""
     delta = _difference(a, b, config, context)
-    if config.reading == "srgan":
+    if config.loss_variant == "srgan":
         return delta.abs().mean()
     squared = delta.square()
     return (squared.sum(dim=1) if config.across_features == "sum" else squared.mean(dim=1)).mean()
@@ -223,9 +223,9 @@ def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, context: Distribute
 def _contrast(features: Features, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
     if features.fake is None:
-        raise DatasetError(f"losses: the reading {config.reading} requires the features of fake clouds")
+        raise DatasetError(f"losses: the variant {config.loss_variant} requires the features of fake clouds")
     far = _difference(features.unlabeled, features.fake, config, context).abs()
-    kind = "sqrt" if config.reading == "srgan" else config.contrast
+    kind = "sqrt" if config.loss_variant == "srgan" else config.contrast
     if kind == "sqrt":
         return -(far + 1.0).sqrt().mean()
     if kind == "log":

@@ -180,7 +180,7 @@ class SrganTrainer(trainer.Trainer):
 
         Where fake clouds enter no loss (`as_printed`), their features are not computed.
         """
-        if self.config.loss.reading == "as_printed":
+        if self.config.loss.loss_variant == "as_printed":
             if self.config.batch_norm == "frozen":
                 known, other = self.net.features(torch.cat([labelled, unlabelled])).chunk(2)
                 return loss_terms.Features(known, other, None)

@@ -64,7 +64,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
     parameters = TrackerParameters.from_calibration(
         (np.where(own, new.between, 0.0), np.where(own, known.between, 0.0)),
         (new.within, known.within),
-        (new.worth, known.worth),
+        (new.difference_shrinkage, known.difference_shrinkage),
         np.ones(len(MODALITIES)),
     )
     replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)

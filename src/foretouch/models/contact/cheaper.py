@@ -9,16 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ModelError
-from foretouch.models.contact import hand_features
+from foretouch.models.contact import features
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.regressors import Forest
 from foretouch.models.touch_model import Estimate
 from foretouch.types import Cloud, Float64, Grasp
 
-_AROUND = [
-    k for k, name in enumerate(hand_features.FEATURES) if name.startswith(("g1_", "g2_")) and "_depth" not in name
-]
+_AROUND = [k for k, name in enumerate(features.FEATURES) if name.startswith(("g1_", "g2_")) and "_depth" not in name]
 """Columns that describe the points around each contact."""
 
 
@@ -44,36 +41,30 @@ def first_trees(forest: Forest, count: int) -> Forest:
 
 
 @dataclass(frozen=True, eq=False)
-class WithoutSurroundings(ContactEstimator):
+class GlobalFeaturesOnly(ContactEstimator):
     """A contact model that does not look at the points around the contacts: it takes their means in training.
 
     The object, the hand and the place of the grasp on the object are described as before.
     """
 
     @classmethod
-    def of(cls, estimator: ContactEstimator) -> WithoutSurroundings:
-        """From a fitted model.
-
-        Raises:
-            ModelError: If its features are in the camera's frame.
-        """
-        if estimator.claim is None:
-            raise ModelError("contact: features in the camera's frame need the surroundings of the contacts")
+    def of(cls, estimator: ContactEstimator) -> GlobalFeaturesOnly:
+        """From a fitted model."""
         return cls(**{name: getattr(estimator, name) for name in estimator.__dataclass_fields__})
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        scene = _PlainScene(cloud.xyz)
+        scene = _GlobalFeatures(cloud.xyz)
         return Estimate(*self.predict_rows(scene.describe(grasps)))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
         """As `ContactEstimator.predict_rows`."""
         plain = rows.copy()
-        plain[:, _AROUND] = self.kernel.centre[np.array(_AROUND) - len(hand_features.CONDITIONS)]
+        plain[:, _AROUND] = self.kernel.centre[np.array(_AROUND) - len(features.CONDITIONS)]
         return super().predict_rows(plain)
 
 
-class _PlainScene(hand_features.HandScene):
+class _GlobalFeatures(features.HandFrameFeatures):
     """Describes no surroundings: these columns are 0."""
 
     def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:

@@ -7,10 +7,7 @@
 
 Forests predict best on objects that were trained on, and worse than the mean of the training labels on others.
 The kernel's parameters are selected on objects left out, so that it predicts only what generalises, and its estimate is
-multiplied by λ, the share of it that held on them (`learning.training.claims`).
-
-`contact-v1` has no λ, describes a grasp by 88 features in the camera's frame (`features`) instead of those in the
-hand's (`hand_features`), and detects new objects by sizes alone.
+multiplied by the generalisation gain λ, the share of it that held on them (`learning.training.generalisation`).
 
 Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests,
 kernel and novelty detector; `<name>.trust.safetensors` the calibration.
@@ -30,11 +27,11 @@ import numpy.typing as npt
 from foretouch.errors import ConfigError, ModelError, quoted
 from foretouch.models.calibration import Calibration, calibration_file, load_calibration
 from foretouch.models.card import card_text, new_card
-from foretouch.models.contact import features, hand_features
-from foretouch.models.contact.hand_novelty import HandNoveltyDetector
+from foretouch.models.contact.features import CONDITIONS, FEATURES, HandFrameFeatures
+from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
-from foretouch.models.novelty import IN_DISTRIBUTION, SizeNoveltyDetector
+from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
@@ -42,7 +39,7 @@ from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
 
-_CLAIM: Final = "claim"  # its tensor distinguishes the two kinds of features
+_ARRAYS: Final = {"mean": (TOUCH_SIZE,), "deviation": (TOUCH_SIZE,), "generalisation_gain": (len(MODALITIES),)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,50 +52,37 @@ class ContactEstimator:
         novelty: Fitted to the training objects.
         mean, deviation: (50,) float64 of the training labels [counts], which standardise the outputs of forests and
             kernel.
+        generalisation_gain: (4,) float64 in [0, 1], λ of each modality.
         ranges: Ranges outside which a predicted value is flagged.
-        claim: (4,) float64 in [0, 1], λ of each modality; None if features are in the camera's frame, as in
-            `contact-v1`.
     """
 
     forests: Mapping[str, Forest]
     kernel: KernelRegression
-    novelty: SizeNoveltyDetector | HandNoveltyDetector
+    novelty: NoveltyDetector
     mean: Float64
     deviation: Float64
+    generalisation_gain: Float64
     ranges: TactileRanges = P2_RANGES
-    claim: Float64 | None = None
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        scene = (features.ContactScene if self.claim is None else hand_features.HandScene)(cloud.xyz)
-        return Estimate(*self.predict_rows(scene.describe(grasps)))
+        return Estimate(*self.predict_rows(HandFrameFeatures(cloud.xyz).describe(grasps)))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
-        """Predict from feature rows, each of which may be of another object.
-
-        Args:
-            rows: (K, F) of `HandScene.describe`, or of `ContactScene.describe` if `claim` is None.
+        """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
 
         Returns:
             (K, 50) [counts], and (K,) whether the object is in distribution.
         """
         scores = self.novelty.scores(rows)
         weight = scores[:, None]
-        inputs = rows if self.claim is None else rows[:, len(hand_features.CONDITIONS) :]
-        unknown = self.kernel.predict(inputs)
-        if self.claim is not None:
-            unknown = unknown * self._claim
+        inputs = rows[:, len(CONDITIONS) :]
+        unknown = self.kernel.predict(inputs) * self._gain
         scaled = weight * self._trees(inputs) + (1.0 - weight) * unknown
         return scaled * self.deviation + self.mean, scores >= IN_DISTRIBUTION
 
-    @property
-    def inputs(self) -> int:
-        """F, the number of columns that forests and kernel see."""
-        hand = len(hand_features.FEATURES) - len(hand_features.CONDITIONS)
-        return len(features.FEATURES) if self.claim is None else hand
-
-    def _trees(self, rows: Float64) -> Float64:
-        both = self._compiled.predict(rows)  # modalities are in the order of their columns
+    def _trees(self, inputs: Float64) -> Float64:
+        both = self._compiled.predict(inputs)  # modalities are in the order of their columns
         return (both[:, :TOUCH_SIZE] + both[:, TOUCH_SIZE:]) / 2.0
 
     @cached_property
@@ -106,17 +90,15 @@ class ContactEstimator:
         return CompiledForests([self.forests[name] for name in (TOGETHER, *MODALITIES)])
 
     @cached_property
-    def _claim(self) -> Float64:
-        """(50,) `claim` of each value."""
-        return np.ones(TOUCH_SIZE) if self.claim is None else by_modality(self.claim)
+    def _gain(self) -> Float64:
+        return by_modality(self.generalisation_gain)
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""
         parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty}
         parts |= {f"forest_{name}": forest for name, forest in self.forests.items()}
         tensors = {f"{part}/{key}": value for part, one in parts.items() for key, value in one.to_tensors().items()}
-        claim = {} if self.claim is None else {_CLAIM: self.claim}
-        return tensors | {"mean": self.mean, "deviation": self.deviation} | claim
+        return tensors | {name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]], ranges: TactileRanges) -> ContactEstimator:
@@ -125,28 +107,23 @@ class ContactEstimator:
         Raises:
             ModelError: Names the array that is missing or damaged.
         """
-        for name in ("mean", "deviation"):
-            if name not in tensors or tensors[name].shape != (TOUCH_SIZE,) or not np.isfinite(tensors[name]).all():
-                raise ModelError(f"{name}: is missing, of another shape, or not finite")
-        claim = tensors.get(_CLAIM)
-        if claim is not None and (claim.shape != (len(MODALITIES),) or not ((claim >= 0.0) & (claim <= 1.0)).all()):
-            raise ModelError(f"{_CLAIM}: shape {claim.shape} is not ({len(MODALITIES)},), or a value is not in [0, 1]")
+        for name, shape in _ARRAYS.items():
+            if name not in tensors or tensors[name].shape != shape or not np.isfinite(tensors[name]).all():
+                raise ModelError(f"{name}: is missing, of another shape than {shape}, or not finite")
+        arrays = {name: tensors[name] for name in _ARRAYS}
+        gain = arrays["generalisation_gain"]
+        if not ((gain >= 0.0) & (gain <= 1.0)).all():
+            raise ModelError("generalisation_gain: a value is not in [0, 1]")
+        inputs = len(FEATURES) - len(CONDITIONS)
         forests = {name: read_part(Forest, tensors, f"forest_{name}/") for name in (TOGETHER, *MODALITIES)}
-        kernel = read_part(KernelRegression, tensors, "kernel/")
-        detector: type[SizeNoveltyDetector | HandNoveltyDetector]
-        detector = SizeNoveltyDetector if claim is None else HandNoveltyDetector
-        novelty = read_part(detector, tensors, "novelty/")
-        found = cls(forests, kernel, novelty, tensors["mean"], tensors["deviation"], ranges, claim)
-        found._check()
-        return found
-
-    def _check(self) -> None:
-        for name, forest in self.forests.items():
+        for name, forest in forests.items():
             size = TOUCH_SIZE if name == TOGETHER else len(columns([name]))
-            if forest.output_size != size or forest.feature.max() >= self.inputs:
-                raise ModelError(f"forest_{name}: does not fit {self.inputs} features and {size} values")
-        if self.kernel.known.shape[1] != self.inputs or self.kernel.weight.shape[1] != TOUCH_SIZE:
-            raise ModelError(f"kernel: does not fit {self.inputs} features and {TOUCH_SIZE} values")
+            if forest.output_size != size or forest.feature.max() >= inputs:
+                raise ModelError(f"forest_{name}: does not fit {inputs} features and {size} values")
+        kernel = read_part(KernelRegression, tensors, "kernel/")
+        if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != TOUCH_SIZE:
+            raise ModelError(f"kernel: does not fit {inputs} features and {TOUCH_SIZE} values")
+        return cls(forests, kernel, read_part(NoveltyDetector, tensors, "novelty/"), ranges=ranges, **arrays)
 
 
 def by_modality(values: Float64) -> Float64:

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features of an object and a grasp, the inputs of the contact model.
+"""Features of an object and a grasp in the frame of the hand: independent of where the camera is, and of density.
 
-    cloud ─► object: position, size, slenderness ───────────────┐
-    grasp ─► position, width, orientation of the hand ──────────┼─► one row for each grasp
-    points around each contact ─► slope, size of the pad ───────┘
+    cloud ─► object: sizes along its principal axes, visible height ─────────┐
+    grasp ─► width, place on the object, the object in the hand's frame ─────┼─► one row for each grasp
+    points around each contact ─► slope, size and place of the pad's patch ──┘
 
-The slope of the surface at a contact is given in the frame of the finger: z in closing direction, x along the finger
-(the hand's X with the sign that points away from the camera), y = z x x. On simulated objects that are not in the
-training data the slopes generalise; sizes and positions identify the training object.
+All lengths and directions are in the frame of the hand (x away from the camera, z from the second contact to the
+first), along the object's principal axes, or along the optical axis: where the object is in the picture, and how the
+camera is rolled, changes none of them. All are means, moments, quantiles or shares of points, which thinning does not
+shift; points around a contact weigh less the farther they are, so that no point enters or leaves by a step.
+
+The camera is assumed to look down on the table, as in the public recordings (`foretouch.types.ASSUMED_TABLE`): heights
+are along the optical axis, and `approach` and `rise` are the directions of the hand relative to it.
 """
 
 from collections.abc import Sequence
@@ -15,54 +19,70 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
-from foretouch.errors import CloudError
-from foretouch.models.novelty import OBJECT_FEATURES
-from foretouch.types import Float64, Grasp
+from foretouch.kernels import Kernel
+from foretouch.models.object_shape import principal_axes, usable_points
+from foretouch.types import Float64, Grasp, stacked
+
+_GRID = (np.float64, np.int64, np.int32)
+_sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
+_describe_contacts = Kernel(
+    "describe_contacts", np.float64, int, *_GRID, np.float64, np.float64, np.float64, int, np.float64
+)
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
 _PAD: Final = 0.02  # about the size of a pad [m]
 _FEWEST: Final = 4  # points that determine a slope
-_MINIMUM_POINTS: Final = 8
-_LOW_HIGH: Final = (0.01, 0.99)
+_LOW_HIGH: Final = (0.02, 0.98)
+_QUARTERS: Final = (0.25, 0.5, 0.75, 0.98)
+_SQUARES: Final = np.array([_PAD, *_RADII_M]) ** 2
+_CELL: Final = 0.01  # edge of the cells in which points around a contact are searched [m]
+_MOST_CELLS: Final = 64  # along one axis
+_UPPER: Final = np.array([0, 1, 2, 4, 5, 8])  # of a flat (3, 3)
+_SYMMETRIC: Final = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a flat (3, 3) from its upper triangle
+_STEP: Final = 0.002  # about the distance of points: no object is thinner [m]
+_NOTHING: Final = 1e-12  # a smaller share of the points is none
+
+OBJECT_FEATURES: Final = (
+    *(f"spread_{k}" for k in (1, 2, 3)),
+    *(f"extent_{k}" for k in (1, 2, 3)),
+    *(f"radius_q{round(100 * q)}" for q in _QUARTERS),
+    "height",
+)
+"""Sizes of the object alone, by which novelty is detected."""
+
+CONDITIONS: Final = ("distance", "spacing")
+"""Distances of the object from the camera and of its points from each other. No prediction depends on them."""
+
+CHECKED: Final = (*CONDITIONS, *OBJECT_FEATURES, "width", "approach", "rise")
+"""The first columns of a row, by which novelty is detected."""
 
 _GRASP_FEATURES: Final = (
-    *(f"{point}_{axis}" for point in ("g1", "g2", "mid") for axis in "xyz"),
-    *(f"{point}_from_centre_{axis}" for point in ("g1", "g2") for axis in "xyz"),
-    *("width", "offset", "along", "along_abs"),
-    *(f"r{i}{j}" for i in range(3) for j in range(3)),
-    *(f"{side}_{axis}" for side in ("low", "high", "centre") for axis in ("hand_x", "hand_y", "hand_z")),
+    *("width", "approach", "rise", "offset", "along", "along_y"),
+    *(f"{what}_hand_{axis}" for what in ("centre", "spread") for axis in "xyz"),
+    *("oblique_hand_xy", "oblique_hand_xz", "oblique_hand_yz"),
+    *("g1_depth", "g2_depth"),
 )
 _CONTACT_FEATURES: Final = (
-    *("share", "pad_spread_1", "pad_spread_2", "pad_spread_3", "gap", "pad_x", "pad_y", "pad_z"),
+    *("share", "roughness", "pad_x", "pad_y", "pad_z"),
     *(f"slope_{round(r * 1000)}mm_{axis}" for r in _RADII_M for axis in "xyz"),
 )
 
 FEATURES: Final = (
+    *CONDITIONS,
     *OBJECT_FEATURES,
     *_GRASP_FEATURES,
     *(f"{contact}_{name}" for contact in ("g1", "g2") for name in _CONTACT_FEATURES),
 )
-"""Names of all columns of `ContactScene.describe`."""
+"""Names of all columns of `HandFrameFeatures.describe`."""
 
 SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
 
 
-def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
-    """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
-    points = np.asarray(xyz, np.float64).reshape(-1, 3)
-    if not np.isfinite(points).all():
-        points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < _MINIMUM_POINTS:
-        raise CloudError(f"cloud: {len(points)} finite points are fewer than {_MINIMUM_POINTS}")
-    if (points == points[0]).all():
-        raise CloudError(f"cloud: all {len(points)} finite points are in one place")
-    return points
-
-
-class ContactScene:
+class HandFrameFeatures:
     """One object's points, prepared to describe grasps on it.
 
     Args:
@@ -77,91 +97,140 @@ class ContactScene:
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
         self._points = usable_points(xyz)
-        self._centre, centred = centred_columns(self._points)
-        self._centred = centred.T.copy()
-        spreads, axes = _principal(self._centred)
-        self._axis = axes[:, 2] * (1.0 if axes[np.abs(axes[:, 2]).argmax(), 2] >= 0.0 else -1.0)
-        columns = self._points.T.copy()
-        distance = distances(centred)
+        self._centre, self._columns = centred_columns(self._points)
+        centred = self._centred = self._columns.T.copy()
+        self._covariance = centred.T @ centred / len(centred)
+        spreads, axes = principal_axes(self._covariance)
+        self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
+        along = [quantiles(column, _LOW_HIGH) for column in (centred @ axes).T.copy()]
+        low, high = quantiles(self._points[:, 2], _LOW_HIGH)
+        self._top = low  # nearest to the camera
+        extents = [end - start for start, end in along]
         self.object_features: Float64 = np.concatenate(
-            [
-                self._centre,
-                columns.max(axis=1) - columns.min(axis=1),
-                spreads,
-                [distance.max(), np.log(len(self._points))],
-                self._axis,
-                quantiles(distance, (0.25, 0.5, 0.75)),
-            ]
+            [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
         )
-
-    @cached_property
-    def _along(self) -> list[float]:
-        """Ends of the object along its axis, from its centre [m]."""
-        return quantiles(self._centred @ self._axis, _LOW_HIGH)
+        away = np.sqrt((self._centre**2).sum())
+        self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(centred))])
 
     @cached_property
     def _tree(self) -> cKDTree:
-        """Of all points; built only when a grasp is described."""
-        return cKDTree(self._points)
+        """Of all points; built only when a grasp is described, and not balanced, which would take most of the time."""
+        return cKDTree(self._points, leafsize=32, compact_nodes=False, balanced_tree=False)
+
+    @cached_property
+    def _powers(self) -> Float64:
+        """(N, 10): 1, x, y, z, xx, xy, xz, yy, yz, zz of the points from the centre."""
+        products = (self._centred[:, :, None] * self._centred[:, None, :]).reshape(-1, 9)[:, _UPPER]
+        return np.column_stack([np.ones(len(products)), self._centred, products])
+
+    @cached_property
+    def _grid(self) -> tuple[Float64, Float64, npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+        """The points as (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts of the cells."""
+        low, high = self._columns.min(axis=1), self._columns.max(axis=1)
+        edge = max(_CELL, float((high - low).max()) / _MOST_CELLS)
+        grid, cells = np.append(low, 1.0 / edge), ((high - low) / edge).astype(np.int64) + 1
+        starts, columns = np.empty(cells.prod() + 1, np.int32), np.empty_like(self._columns)
+        _sort_into_cells(
+            self._centred, len(self._centred), grid, cells, np.empty(len(self._centred), np.int32), starts, columns
+        )
+        return columns, grid, cells, starts
 
     def describe(self, grasps: Sequence[Grasp]) -> Float64:
-        """(K, len(FEATURES)) float64: one row for each grasp; finite for any grasp."""
-        rows = [np.concatenate([self.object_features, self._grasp(grasp), *self._contacts(grasp)]) for grasp in grasps]
-        return np.array(rows).reshape(len(grasps), len(FEATURES))
+        """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp."""
+        if not grasps:
+            return np.empty((0, len(FEATURES)))
+        g1, g2, hand = stacked(grasps)
+        away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
+        hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
+        objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))
+        second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
+        contacts = self._contacts(np.concatenate([g1, g2]), np.concatenate([second, hand]))
+        return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
 
-    def _grasp(self, grasp: Grasp) -> Float64:
-        offset = grasp.midpoint - self._centre
-        low, high = self._along
-        along = (offset @ self._axis - low) / max(high - low, 1e-9) - 0.5
-        in_hand = (self._points - grasp.midpoint) @ grasp.rotation
-        return np.concatenate(
+    def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
+        """(K, len(_GRASP_FEATURES))."""
+        middle = (g1 + g2) / 2.0
+        offset = middle - self._centre
+        turned = (self._covariance[None, :, :, None] * hand[:, None, :, :]).sum(axis=2)
+        spread = np.sqrt(np.maximum((hand * turned).sum(axis=1), 0.0))
+        centre = _into(hand, -offset)
+        # Not the principal axis itself, which turns by any angle where an object is as wide as long.
+        oblique = [(hand[:, :, i] * turned[:, :, j]).sum(axis=1) for i, j in ((0, 1), (0, 2), (1, 2))]
+        return np.column_stack(
             [
-                *(grasp.g1, grasp.g2, grasp.midpoint),
-                *(grasp.g1 - self._centre, grasp.g2 - self._centre),
-                [grasp.width_m, float(np.linalg.norm(offset)), along, abs(along)],
-                grasp.rotation.reshape(-1),
-                np.quantile(in_hand, _LOW_HIGH, axis=0).reshape(-1),
-                in_hand.mean(axis=0),
+                np.sqrt(((g1 - g2) ** 2).sum(axis=1)),
+                hand[:, 2, 0],
+                hand[:, 2, 2],
+                np.sqrt((offset**2).sum(axis=1)),
+                np.sqrt((offset[:, :, None] * self._inverse * offset[:, None, :]).sum(axis=(1, 2))),
+                centre[:, 1] / np.maximum(spread[:, 1], _STEP),
+                centre,
+                spread,
+                *(one / np.trace(self._covariance) for one in oblique),
+                g1[:, 2] - self._top,
+                g2[:, 2] - self._top,
             ]
         )
 
-    def _contacts(self, grasp: Grasp) -> tuple[Float64, Float64]:
-        along_finger = grasp.rotation[:, 0]
-        if along_finger @ self._centre < 0.0:
-            along_finger = -along_finger
-        closing = grasp.rotation[:, 2]
-        return self._contact(grasp.g1, along_finger, -closing), self._contact(grasp.g2, along_finger, closing)
+    def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
+        """(K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
 
-    def _contact(self, contact: Float64, along_finger: Float64, closing: Float64) -> Float64:
-        index = self._tree.query_ball_point(contact, max(_RADII_M))
-        frame = np.stack([along_finger, np.cross(closing, along_finger), closing], axis=1)
-        near = (self._points[index] - contact) @ frame
-        distance = np.linalg.norm(near, axis=1)
-        slopes = [_slope(near[distance < radius]) for radius in _RADII_M]
-        gap = float(distance.min()) if len(near) else float(self._tree.query(contact)[0])
-        pad = near[distance < _PAD]
-        spreads, mean = np.zeros(3), np.zeros(3)
-        if len(pad):
-            mean = pad.mean(axis=0)
-            spreads = _principal(pad - mean)[0]
-        return np.concatenate([[len(pad) / len(self._points)], spreads, [gap], mean, *slopes])
+        The compiled function leaves out contacts at points that are in one plane to 1e-7 m, such as on a face at one
+        step of the depth: there the features depend on rounding, and are computed by NumPy in a fixed order.
+        """
+        rows = np.empty((len(contacts), len(_CONTACT_FEATURES)))
+        columns, *grid = self._grid
+        at, fingers = contacts - self._centre, np.ascontiguousarray(fingers)
+        _describe_contacts(columns, columns.shape[1], *grid, _SQUARES, at, fingers, len(at), rows)
+        flat = np.flatnonzero(np.isnan(rows[:, 0]))
+        if flat.size:
+            rows[flat] = self._summed(contacts[flat], fingers[flat])
+        return rows
+
+    def _summed(self, contacts: Float64, fingers: Float64) -> Float64:
+        """`_contacts` by NumPy.
+
+        Points around a contact are summed once, in the camera's frame, however many grasps share it.
+        """
+        unique, back = np.unique(contacts, axis=0, return_inverse=True)
+        back = back.reshape(-1)
+        near = self._tree.query_ball_point(unique, max(_RADII_M), return_sorted=True)
+        pad, *patches = np.array(
+            [self._sums(at, one) for at, one in zip(unique - self._centre, near, strict=True)]
+        ).swapaxes(0, 1)
+        share, mean, spreads, _ = _moments(pad, unique - self._centre)
+        found = [share[back], spreads[back, 0], *_into(fingers, mean[back]).T]
+        for patch in patches:
+            *_, spreads, axes = _moments(patch, unique - self._centre)
+            normal = _into(fingers, axes[back][:, :, 0])
+            flat = 1.0 - spreads[:, 0] / np.maximum(spreads[:, 1], _NOTHING)
+            # Not the normal itself, whose sign turns where it is across the finger.
+            slope = (flat[back] * np.abs(normal[:, 2]))[:, None] * normal * np.where(normal[:, 2:] > 0.0, -1.0, 1.0)
+            found += list(np.where(patch[back, -1:] < _FEWEST, 0.0, slope).T)
+        return np.column_stack(found)
+
+    def _sums(self, contact: Float64, index: list[int]) -> Float64:
+        """(4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""
+        powers = self._powers[index]
+        offset = powers[:, 1:4] - contact
+        weight = np.maximum(1.0 - (offset * offset).sum(axis=1) / _SQUARES[:, None], 0.0)
+        return np.column_stack([weight @ powers / len(self._points), np.count_nonzero(weight, axis=1)])
 
 
-def _slope(near: Float64) -> Float64:
-    """(3,) unit normal of points in the finger's frame, against the closing direction; 0 for too few points."""
-    if len(near) < _FEWEST:
-        return np.zeros(3)
-    _, axes = _principal(near - near.mean(axis=0))
-    normal = axes[:, 0]
-    return np.asarray(-normal if normal[2] > 0.0 else normal, np.float64)
+def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float64, Float64]:
+    """Of (U, 11) sums around (U, 3) contacts, both from the object's centre.
+
+    Returns:
+        (U,) weights, (U, 3) means from the contact, (U, 3) standard deviations along the principal axes, ascending, and
+        (U, 3, 3) these axes as columns. All are zero, and the axes those of the frame, where there is no weight.
+    """
+    total = sums[:, 0]
+    scaled = sums[:, 1:10] / np.maximum(total, _NOTHING)[:, None]
+    mean = scaled[:, :3]
+    covariance = scaled[:, 3:][:, _SYMMETRIC].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
+    return total, np.where((total > 0.0)[:, None], mean - contacts, 0.0), *principal_axes(covariance)
 
 
-def _principal(centred: Float64) -> tuple[Float64, Float64]:
-    """`principal_axes` of points around their mean."""
-    return principal_axes(centred.T @ centred / len(centred))
-
-
-def principal_axes(covariance: Float64) -> tuple[Float64, Float64]:
-    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
-    values, axes = np.linalg.eigh(covariance)
-    return np.sqrt(np.maximum(values, 0.0)), axes
+def _into(frames: Float64, vectors: Float64) -> Float64:
+    """(K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
+    return np.asarray((frames * vectors[:, :, None]).sum(axis=1), np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of networks, and prediction by one network with 50 outputs or by several that predict a part of them each.
+"""Files of networks, and prediction by a network with all four modalities.
 
 cloud ─ sample, unit sphere ─ features (once) ─┐
 K grasps ─ unit sphere ────────────────────────┴─ head, in blocks ─► K x 50 counts ─► fallback on novel objects
@@ -21,81 +21,62 @@ from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.calibration import load_calibration
-from foretouch.models.card import card_text, combined_sha256, new_card, read_card, write_text
-from foretouch.models.contact.features import ContactScene
+from foretouch.models.card import card_text, new_card, read_card
 from foretouch.models.files import file_beside, packed, read_tensors, replace_files
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.networks import TouchNet
-from foretouch.models.network.preparation import PreparedCloud, prepare_cloud, prepare_grasps
+from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback
+from foretouch.models.object_shape import object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
+from foretouch.types import TOUCH_SIZE, Cloud, Grasp
 
 if TYPE_CHECKING:
     from foretouch.models.network.folding import FoldedNetwork
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
-    """One network of a model."""
-
-    config: ModelConfig  # its inputs and outputs
-    network: FoldedNetwork  # its folded weights
-    lengths: LengthRangeCheck | None = None  # ranges over its training samples; None if its card holds none
-
-
 class NetworkEstimator:
-    """Networks that together predict all four modalities; immutable, so threads may share it.
-
-    Args:
-        members: One network with all outputs, or several with a part of them each.
-        fallback: For objects unlike those of training; None if it was not stored.
-
-    Attributes:
-        ranges: Of each modality, those of the network that predicts it.
+    """A network that predicts all four modalities; immutable, so threads may share it.
 
     Raises:
-        ModelError: If a modality is predicted by no member, or by two.
+        ModelError: If a modality is not predicted.
     """
 
-    def __init__(self, members: Sequence[Member], fallback: Fallback | None = None) -> None:
-        self._members = tuple(members)
-        self._fallback = fallback
-        limits = {}
-        for modality in MODALITIES:
-            predictors = [member for member in members if modality in member.config.outputs]
-            if len(predictors) != 1:
-                raise ModelError(f"outputs: {modality} is predicted by {len(predictors)} networks, not by one")
-            limits[modality.lower()] = predictors[0].config.ranges.of(modality)
-        self.ranges = TactileRanges(**limits)
+    config: ModelConfig
+    network: FoldedNetwork
+    lengths: LengthRangeCheck | None = None  # ranges over its training samples; None if its card holds none
+    fallback: Fallback | None = None  # for objects unlike those of training; None if it was not stored
+
+    def __post_init__(self) -> None:
+        missing = [name for name in MODALITIES if name not in self.config.outputs]
+        if missing:
+            raise ModelError(f"outputs: {', '.join(missing)}: not predicted by this network")
+
+    @property
+    def ranges(self) -> TactileRanges:
+        """Ranges outside which a predicted value is flagged."""
+        return self.config.ranges
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`.
 
         Out of distribution where a length leaves its range or the object's sizes are novel.
         """
-        counts, in_distribution = np.zeros((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
-        for member in self._members:
-            prepared = prepare_cloud(cloud, member.config)
-            counts[:, columns(member.config.outputs)] = _run(member, prepared, grasps)
-            if member.lengths is not None:
-                in_distribution &= member.lengths.within(grasp_lengths(prepared, grasps))
-        if self._fallback is not None:
-            counts, inside = self._fallback.fade(counts, ContactScene(cloud.xyz).object_features[None])
+        counts, in_distribution = np.empty((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
+        prepared = prepare_cloud(cloud, self.config)
+        features = self.network.features(torch.from_numpy(prepared.points))
+        inputs = torch.from_numpy(prepare_grasps(grasps, prepared.frame, self.config))
+        counts[:, columns(self.config.outputs)] = self.network.regress(features, inputs).numpy().astype(np.float64)
+        if self.lengths is not None:
+            in_distribution &= self.lengths.within(grasp_lengths(prepared, grasps))
+        if self.fallback is not None:
+            counts, inside = self.fallback.fade(counts, object_sizes(cloud.xyz)[None])
             in_distribution &= inside
         return Estimate(counts, in_distribution)
-
-
-def _run(member: Member, prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
-    """(K, M) predictions of one network [counts]."""
-    import torch
-
-    features = member.network.features(torch.from_numpy(prepared.points))
-    inputs = prepare_grasps(grasps, prepared.frame, member.config)
-    return member.network.regress(features, torch.from_numpy(inputs)).numpy().astype(np.float64)
 
 
 def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[str, Any]) -> Path:
@@ -125,26 +106,6 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
     return card_path
 
 
-def save_ensemble(folder: str | Path, name: str, members: Sequence[str | Path], summary: str = "") -> Path:
-    """Write the card of an ensemble of networks, such as one network for each modality as in the papers.
-
-    Args:
-        folder: Of the card, and of the cards of its members.
-        name: Of the ensemble.
-        members: Cards of its networks.
-        summary: One line.
-
-    Raises:
-        ModelError: If a member's card cannot be read.
-        FileError: If the card cannot be written.
-    """
-    names, hashes = [Path(member).name for member in members], [read_card(member)["sha256"] for member in members]
-    card = new_card(name, "ensemble", summary=summary, members=names, sha256=combined_sha256(hashes))
-    path = Path(folder) / f"{name}.json"
-    write_text(path, card_text(card))
-    return path
-
-
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """The model of one network, with its calibration.
 
@@ -152,21 +113,13 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
         ModelError: As `load_network`; if a file of the calibration is damaged, or a modality is not predicted.
     """
     calibration, fallback = load_calibration(card_path, card)
-    member, _ = _load_member(card_path)
-    return TouchModel(_estimator(card, [member], fallback), card, calibration)
-
-
-def load_ensemble(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
-    """The model of several networks; it has no calibration.
-
-    Raises:
-        ModelError: As `load_network`; if a member was replaced, or a modality is not predicted exactly once.
-    """
-    loaded = [_load_member(file_beside(card_path, member, "members")) for member in card["members"]]
-    found = combined_sha256([sha256 for _, sha256 in loaded])
-    if found != card["sha256"]:
-        raise ModelError(f"{card_path}: sha256: {card['sha256']} is not {found} of its members; one was replaced")
-    return TouchModel(_estimator(card, [member for member, _ in loaded]), card)
+    net, card = load_network(card_path)
+    try:
+        lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])
+        estimator = NetworkEstimator(net.config, fold(net), lengths, fallback)
+    except ModelError as err:
+        raise ModelError(f"{card_path}: {err}") from err
+    return TouchModel(estimator, card, calibration)
 
 
 def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
@@ -191,23 +144,6 @@ def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
     _check_tensors(weights, net.state_dict(), tensors)
     net.load_state_dict(tensors, assign=True)
     return net.eval(), card
-
-
-def _load_member(card_path: Path) -> tuple[Member, str]:
-    """A folded network and the hash of its weights."""
-    net, card = load_network(card_path)
-    try:
-        lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])
-    except ModelError as err:
-        raise ModelError(f"{card_path}: {err}") from err
-    return Member(net.config, fold(net), lengths), card["sha256"]
-
-
-def _estimator(card: Mapping[str, Any], members: list[Member], fallback: Fallback | None = None) -> NetworkEstimator:
-    try:
-        return NetworkEstimator(members, fallback)
-    except ModelError as err:
-        raise ModelError(f"{card['name']}: {err}") from err
 
 
 def _check_tensors(path: Path, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:

@@ -278,6 +278,7 @@ def _descend(
     problem: ContactProblem, command: Command, gap: Float64, start: Float64, tolerance: float, max_iterations: int
 ) -> _End:
     """Step until the tolerance is met or the iterations are spent."""
+    gap, start = np.ascontiguousarray(gap), np.ascontiguousarray(start)  # for the compiled function
     spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
     if command.force_n is None:
         pressure, given = start.copy(), float(command.depth_m or 0.0)
@@ -287,7 +288,7 @@ def _descend(
     safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
     limits = safe_length, tolerance, max_iterations
     n, by_force = gap.shape[0], int(command.force_n is not None)
-    _layer_descent(np.ascontiguousarray(gap), spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
+    _layer_descent(gap, spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
     if not end[3]:
         raise MemoryError("layer_descent")
     return _End(pressure, float(end[0]), int(end[1]), float(end[2]))

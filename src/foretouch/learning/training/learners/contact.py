@@ -59,15 +59,13 @@ class ContactLearner(Learner[ContactRun]):
         self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
     ) -> Path:
         """As `Learner.save`, all files or none."""
-        facts = {**facts, "config": self.config.contact.to_mapping()}
-        if self._estimator.claim is not None:
-            facts["limits"] = [*facts.get("limits", []), *hand_limits(self._estimator.claim)]
+        limits = [*facts.get("limits", []), *_limits(self._estimator.generalisation_gain)]
+        facts = {**facts, "config": self.config.contact.to_mapping(), "limits": limits}
         return save_contact(folder, name, self._estimator, facts, calibration)
 
 
-def hand_limits(claim: Float64) -> list[str]:
-    """Limits of a model whose features are in the hand's frame, for its card."""
-    shares = ", ".join(f"{name} {value:.2f}" for name, value in zip(MODALITIES, claim, strict=True))
+def _limits(gain: Float64) -> list[str]:
+    shares = ", ".join(f"{name} {value:.2f}" for name, value in zip(MODALITIES, gain, strict=True))
     return [
         f"Unfamiliar objects get the mean of the training labels and this share of what the kernel predicts beyond it: {shares}.",
         "The camera is taken to look along the vertical: grasps that approach from elsewhere than the camera are unfamiliar.",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernel of a contact model may claim of an object that it was not fitted to.
+"""How far the kernel of a contact model holds on objects that it was not fitted to: its generalisation gain.
 
 The kernel predicts each training object from the others. What held there is a share λ of its predicted differences from
 the mean, one for each modality: the slope of the actual differences over the predicted ones, where every object weighs
@@ -32,10 +32,10 @@ def same_object(objects: Sequence[str] | Names) -> Float64:
     return np.asarray(index[:, None] == index, np.float64)
 
 
-def choose_claims(
+def choose_ridge(
     rows: Float64, scaled: Float64, objects: Sequence[str], decay: float, effect: float, ridges: Sequence[float]
 ) -> tuple[float, Float64]:
-    """The ridge of least error on objects left out, each object and modality weighing the same, and what to claim.
+    """The ridge of least error on objects left out, each object and modality weighing the same, and its gain there.
 
     Args:
         rows: (S, F) features.
@@ -46,7 +46,7 @@ def choose_claims(
         ridges: Candidates.
 
     Returns:
-        The ridge, and (4,) shares λ of the modalities; of a single object the largest ridge and zeros.
+        The ridge, and (4,) gains λ of the modalities; of a single object the largest ridge and zeros.
     """
     if len(set(objects)) < 2:
         return max(ridges), np.zeros(len(MODALITIES))

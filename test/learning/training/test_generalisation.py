@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a kernel may claim of new objects: shares known by hand, and that heavy objects do not decide."""
+"""The gain of a kernel on new objects: shares known by hand, and that heavy objects do not decide."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from foretouch.learning.training.claims import choose_claims, same_object, shrunken_slope
+from foretouch.learning.training.generalisation import choose_ridge, same_object, shrunken_slope
 
 RIDGES = (0.03, 0.3, 3.0, 30.0)
 
@@ -22,18 +22,18 @@ def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tupl
     return rows, (labels - labels.mean(axis=0)) / labels.std(axis=0), objects
 
 
-def test_what_carries_over_is_claimed_and_what_does_not_rarely(rng) -> None:
-    """A slope that is zero exceeds its own standard error, above which something is claimed, in one of six draws."""
-    claims = {share: [choose_claims(*made(rng, share), 2.0, 1.0, RIDGES) for _ in range(30)] for share in (0.0, 1.0)}
-    assert all(ridge < max(RIDGES) and (claim > 0.7).all() for ridge, claim in claims[1.0])
-    assert np.mean([claim > 0.3 for _, claim in claims[0.0]]) < 0.35  # 120 draws, four of a set not independent
+def test_what_generalises_has_a_gain_and_what_does_not_rarely(rng) -> None:
+    """A slope that is zero exceeds its own standard error, above which there is a gain, in one of six draws."""
+    found = {share: [choose_ridge(*made(rng, share), 2.0, 1.0, RIDGES) for _ in range(30)] for share in (0.0, 1.0)}
+    assert all(ridge < max(RIDGES) and (gain > 0.7).all() for ridge, gain in found[1.0])
+    assert np.mean([gain > 0.3 for _, gain in found[0.0]]) < 0.35  # 120 draws, four of a set not independent
 
 
-def test_a_single_object_claims_nothing(rng) -> None:
+def test_of_a_single_object_there_is_none(rng) -> None:
     rows, labels, _ = made(rng, 1.0)
-    ridge, claim = choose_claims(rows, labels, ["only"] * len(rows), 2.0, 1.0, RIDGES)
+    ridge, gain = choose_ridge(rows, labels, ["only"] * len(rows), 2.0, 1.0, RIDGES)
     assert ridge == max(RIDGES)
-    assert_array_equal(claim, np.zeros(4))
+    assert_array_equal(gain, np.zeros(4))
 
 
 def test_slope_and_jackknife_by_hand() -> None:
@@ -41,7 +41,7 @@ def test_slope_and_jackknife_by_hand() -> None:
     assert shrunken_slope(np.array([1.0, 2.0, 3.0]), np.array([2.0, 2.0, 2.0])) == pytest.approx(1.0 - 1.0 / 12.0)
 
 
-def test_one_object_that_disagrees_with_all_ends_the_claim() -> None:
+def test_one_object_that_disagrees_with_all_ends_it() -> None:
     agreeing = shrunken_slope(np.full(8, 0.5), np.full(8, 1.0))
     assert agreeing == pytest.approx(0.5)
     heavy = np.append(np.zeros(7), 4.0)
@@ -55,8 +55,8 @@ def test_each_object_weighs_the_same(rng) -> None:
     rows, labels, objects = made(rng, 1.0)
     far = labels.copy()
     far[np.array(objects) == "o0"] *= 30.0
-    assert_allclose(choose_claims(rows, labels, objects, 2.0, 1.0, (1.0,))[1], 1.0, atol=0.3)
-    assert (choose_claims(rows, far, objects, 2.0, 1.0, (1.0,))[1] < 1.0).any()
+    assert_allclose(choose_ridge(rows, labels, objects, 2.0, 1.0, (1.0,))[1], 1.0, atol=0.3)
+    assert (choose_ridge(rows, far, objects, 2.0, 1.0, (1.0,))[1] < 1.0).any()
 
 
 def test_same_object() -> None:

@@ -2,8 +2,7 @@
 """Novelty detection: whether a cloud and a grasp, in the frame of the hand, resemble those that a model was trained on.
 
 The sizes of a cloud are compared with those of the nearest training cloud, by a distance that counts less what varies
-between clouds of one object: its pose, and what is seen of it. (The number of points, by which
-`novelty.SizeNoveltyDetector` also judges, is not among the sizes.) Conditions under which the training data say nothing
+between clouds of one object: its pose, and what is seen of it. Conditions under which the training data say nothing
 are unfamiliar too: another distance of the camera, too few points, another width or direction of the hand.
 """
 
@@ -17,7 +16,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
-from foretouch.models.contact.hand_features import CHECKED, OBJECT_FEATURES
+from foretouch.models.contact.features import CHECKED, OBJECT_FEATURES
 from foretouch.models.files import TensorRecord
 from foretouch.models.novelty import standardisation
 from foretouch.types import Float64
@@ -33,7 +32,7 @@ _LIMITED_COLUMNS: Final = [CHECKED.index(name) for name in _LIMITED]
 
 
 @dataclass(frozen=True, eq=False)
-class HandNoveltyDetector(TensorRecord):
+class NoveltyDetector(TensorRecord):
     """Sizes of S training clouds, and the limits of the conditions in `CHECKED`."""
 
     centre: Float64  # (11,) float64, mean of the sizes
@@ -81,11 +80,8 @@ class HandNoveltyDetector(TensorRecord):
         return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
 
     def _check(self) -> None:
-        size, limits = len(_SIZES), len(_LIMITED)
-        shapes = {"centre": (size,), "turn": (size, size), "known": (len(self.known), size), "span": (2,)}
-        for name, shape in {**shapes, "low": (limits,), "high": (limits,)}.items():
-            found = getattr(self, name)
-            if found.shape != shape or not np.isfinite(found).all():
-                raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
+        size, limits = len(_SIZES), (len(_LIMITED),)
+        self._require({"centre": (size,), "turn": (size, size), "known": (-1, size), "span": (2,)})
+        self._require({"low": limits, "high": limits})
         if not len(self.known) or not self.span[0] < self.span[1]:
             raise ModelError("known, span: no cloud, or a span that is empty")

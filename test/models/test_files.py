@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of models: exact round trip, replaced or damaged files are detected, and files are replaced all or none."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from foretouch.checked_files import file_sha256
+from foretouch.errors import FileError, ModelError
+from foretouch.models.files import packed, read_tensors, replace_files
+
+TENSORS = {
+    "matrix": np.arange(12.0).reshape(3, 4).T,  # not contiguous
+    "scalar": np.array(2.5),
+    "half": np.linspace(-1, 1, 5).astype(np.float16),
+    "places": np.array([-1, 7], np.int32),
+    "none": np.empty((0, 3), np.float32),
+}
+
+
+def write(path: Path) -> str:
+    content, sha256 = packed(TENSORS)
+    path.write_bytes(content)
+    return sha256
+
+
+def test_arrays_come_back_to_the_bit(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    sha256 = write(path)
+    found = read_tensors(path, sha256, "a.json")
+    assert sha256 == file_sha256(path)
+    assert set(found) == set(TENSORS)
+    for name, array in TENSORS.items():
+        assert (found[name].dtype, found[name].shape) == (array.dtype, array.shape)
+        assert_array_equal(found[name], array)
+
+
+def test_the_same_arrays_make_the_same_bytes() -> None:
+    assert packed(TENSORS) == packed(dict(reversed(TENSORS.items())))
+
+
+def test_an_absent_file_is_named_with_the_card(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"gone.safetensors: no such weights; a.json names them"):
+        read_tensors(tmp_path / "gone.safetensors", "0" * 64, "a.json")
+
+
+def test_another_file_is_detected_by_its_hash(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    sha256 = write(path)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=rf"a.safetensors: sha256: .* is not {sha256} of a.json; damaged or replaced"):
+        read_tensors(path, sha256, "a.json")
+
+
+def test_a_file_of_another_kind_is_damaged_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    for content in (b"", b"\x80\x04K\x01.", b"\xff" * 100, b"\x02\x00\x00\x00\x00\x00\x00\x00{}junk"):
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match=r"a.safetensors: damaged: ") as caught:
+            read_tensors(path, file_sha256(path), "a.json")
+        assert "\n" not in str(caught.value)
+
+
+def test_only_the_files_are_left_in_folders_that_are_made(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "er"
+    replace_files({folder / "a": b"1", folder / "b": b"2"})
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a": b"1", "b": b"2"}
+
+
+def test_others_may_read_what_the_umask_lets_them(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        replace_files({tmp_path / "a": b"1"})
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o640
+
+
+def test_a_full_disk_at_the_last_file_leaves_all_of_them(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    replace_files({one: b"old", two: b"old"})
+    (tmp_path / "two.part").symlink_to("/dev/full")
+    with pytest.raises(FileError, match=r"two: cannot be written, the one before is kept: No space left"):
+        replace_files({one: b"new", two: b"new"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"one": b"old", "two": b"old"}
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(FileError, match=r"file/a: cannot be written.*Not a directory|File exists"):
+        replace_files({tmp_path / "file" / "a": b"1"})
