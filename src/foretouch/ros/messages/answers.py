@@ -47,18 +47,9 @@ class TouchAnswer:
     model: str = ""  # its name
     model_sha256: str = ""
 
-    @property
-    def status(self) -> int:
-        """OK if any prediction is, else that of the first."""
-        return self._summary.status
-
-    @property
-    def reason(self) -> str:
-        """Of the status."""
-        return self._summary.reason
-
     @cached_property
-    def _summary(self) -> Refusal:
+    def summary(self) -> Refusal:
+        """OK without a reason if any prediction is, else the refusal of the first."""
         refused = [one for one in self.outcomes if isinstance(one, Refusal)]
         return refused[0] if refused and len(refused) == len(self.outcomes) else Refusal(Status.OK, "")
 
@@ -78,7 +69,8 @@ class TouchAnswer:
     def message(self) -> TouchPredictionArray:
         """The message of all."""
         predictions = [self.prediction(k) for k in range(len(self.outcomes))]
-        return TouchPredictionArray(header=self.header, predictions=predictions, status=self.status, reason=self.reason)
+        status, reason = self.summary
+        return TouchPredictionArray(header=self.header, predictions=predictions, status=status, reason=reason)
 
     def encoded(self) -> bytes:
         """The message of all as the middleware sends it."""
@@ -93,9 +85,9 @@ class TouchAnswer:
             gap = -(at + len(names)) % _DOUBLES
             parts += (names, bytes(gap), numbers, tail)
             at += len(names) + gap + len(numbers) + len(tail)
-        end = _text(self.reason)
-        end = end[: 4 + len(self.reason.encode()) + 1]  # nothing follows
-        return b"".join((_LITTLE_ENDIAN, *parts, struct.pack("<B3x", self.status), end))
+        status, reason = self.summary
+        end = _text(reason)[: 4 + len(reason.encode()) + 1]  # nothing follows
+        return b"".join((_LITTLE_ENDIAN, *parts, struct.pack("<B3x", status), end))
 
     @cached_property
     def _begin(self) -> bytes:

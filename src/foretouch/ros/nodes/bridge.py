@@ -105,6 +105,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definitions.text(kind).encode())
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
             self._served[name] = _Served(topic, channel)
+            self._closing.callback(channel.close)
 
     def _start(self) -> None:
         foxglove, config = foxglove_sdk(), self.config
@@ -138,8 +139,6 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self.url = ""
 
     def _teardown(self) -> None:
-        for one in self._served.values():
-            one.channel.close()
         self._served.clear()
 
     def notes(self) -> dict[str, str]:

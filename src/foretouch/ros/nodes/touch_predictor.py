@@ -17,8 +17,8 @@ and everything that is published is brought back (see `output_frame` and `framed
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from copy import copy
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
@@ -42,10 +42,16 @@ from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.framed_request import Latest, in_cloud_frame
-from foretouch.ros.touch.grasp_sampler import refused_goal, sample_grasps
+from foretouch.ros.touch.grasp_actions import (
+    PLANNER_ACTION,
+    planner_action_class,
+    planner_feedback,
+    planner_result,
+    refused_goal,
+    sample_grasps,
+)
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.planner_action import PLANNER_ACTION, planner_action_class, planner_feedback, planner_result
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
@@ -81,7 +87,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)]
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
-        self._closing = ExitStack()  # of what `_setup` made
         self._predictor: Predictor | None = None
         self._adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
@@ -112,12 +117,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._threads = ThreadPool(self, _PARALLEL_REQUESTS)
         closing.callback(self._threads.close)
         group = ReentrantCallbackGroup()
-        for kind, name, callback in (
-            (PredictTouch, "predict_touch", self._predict_touch),
-            (Trigger, "forget_touches", self._forget_touches),
-            (Trigger, "forget_history", self._forget_history),
-        ):
-            closing.callback(self.destroy_service, self.create_service(kind, name, callback, callback_group=group))
+        self.serve(PredictTouch, "predict_touch", self._predict_touch, group)
+        self.serve(Trigger, "forget_touches", self._forget_touches, group)
+        self.serve(Trigger, "forget_history", self._forget_history, group)
         self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, refused_goal)
         if self._planner_action is not None:
             self._offer(self._planner_action, PLANNER_ACTION, self._sample_grasp_poses, self._planner_failure)
@@ -128,20 +130,17 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self, kind: Any, name: str, execute: Callable[[Any], Any], failure: Callable[[RefusalError], Any]
     ) -> None:
         """Make the server of an action; a goal with an internal error is aborted."""
-
-        def aborted(arguments: tuple[Any, ...], reason: str) -> Any:
-            (goal_handle,) = arguments
-            if goal_handle.is_active:
-                goal_handle.abort()
-            return failure(RefusalError(Status.FAILED, reason))
-
-        guarded, accept = self.internal_errors.guarded(name, execute, aborted), lambda _: CancelResponse.ACCEPT
-        group = ReentrantCallbackGroup()
-        action = ActionServer(self, kind, name, guarded, cancel_callback=accept, callback_group=group)
+        action = ActionServer(
+            self,
+            kind,
+            name,
+            self.internal_errors.guarded(name, execute, partial(_aborted, failure)),
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
         self._closing.callback(action.destroy)
 
     def _teardown(self) -> None:
-        self._closing.close()
         self._frame = self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
         self._tables.clear()
 
@@ -190,7 +189,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
             self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)
-        return message.status, message.reason
+        return message.summary
 
     def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
         """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
@@ -274,19 +273,18 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The service.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        arrived, header = time.monotonic(), request.cloud.header
-
-        def work() -> TouchPredictionArray:
-            try:
-                return self._answer_request(request, arrived)
-            except RefusalError as refusal:
-                status, reason = refusal.status, refusal.reason
-            except Exception as err:  # noqa: BLE001  the answer names the request's cloud
-                status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
-            return TouchPredictionArray(header=header, status=status, reason=reason)
-
+        work = partial(self._answer_or_refuse_request, request, time.monotonic())
         response.touch = await _configured(self._threads).run(work)
         return response
+
+    def _answer_or_refuse_request(self, request: Any, arrived: float) -> TouchPredictionArray:
+        try:
+            return self._answer_request(request, arrived)
+        except RefusalError as refusal:
+            status, reason = refusal.status, refusal.reason
+        except Exception as err:  # noqa: BLE001  the answer names the request's cloud
+            status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
+        return TouchPredictionArray(header=request.cloud.header, status=status, reason=reason)
 
     def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
         config = self.config
@@ -311,22 +309,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The actions.
 
     async def _sample_grasps(self, goal_handle: Any) -> Any:
-        def work() -> Any:
-            return self._sample(goal_handle, goal_handle.request, goal_handle.publish_feedback)
-
+        work = partial(self._sample, goal_handle, goal_handle.request, goal_handle.publish_feedback)
         return await self._finished(goal_handle, work, refused_goal)
 
     async def _sample_grasp_poses(self, goal_handle: Any) -> Any:
+        return await self._finished(goal_handle, partial(self._sample_poses, goal_handle), self._planner_failure)
+
+    def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
-
-        def work() -> Any:
-            count = min(self.config.planner_action_count, self.config.max_grasps)
-            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
-            sampled = self._sample(goal_handle, goal, lambda _: None)
-            goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
-            return planner_result(self._planner_action)
-
-        return await self._finished(goal_handle, work, self._planner_failure)
+        count = min(self.config.planner_action_count, self.config.max_grasps)
+        goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
+        sampled = self._sample(goal_handle, goal, lambda _: None)
+        goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
+        return planner_result(self._planner_action)
 
     def _planner_failure(self, refusal: RefusalError) -> Any:
         return planner_result(self._planner_action, refusal)
@@ -370,6 +365,13 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     ) -> Sequence[TouchPrediction]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
         return list(_configured(self._predictor).end(message, answer).predictions)
+
+
+def _aborted(failure: Callable[[RefusalError], Any], arguments: tuple[Any, ...], reason: str) -> Any:
+    (goal_handle,) = arguments
+    if goal_handle.is_active:
+        goal_handle.abort()
+    return failure(RefusalError(Status.FAILED, reason))
 
 
 def _configured(part: _T | None) -> _T:

@@ -89,7 +89,7 @@ class DirectInput:
         return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
 
 
-class DirectTopics:
+class _DirectTopics:
     """The connected publishers and subscriptions of a process. Thread-safe."""
 
     def __init__(self) -> None:
@@ -124,11 +124,11 @@ class DirectTopics:
             one.ids |= {publisher.id for publisher in self._publishers if one.matches(publisher)}
 
 
-_of_context: weakref.WeakKeyDictionary[Context, DirectTopics] = weakref.WeakKeyDictionary()
+_of_context: weakref.WeakKeyDictionary[Context, _DirectTopics] = weakref.WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def direct_topics(context: Context) -> DirectTopics:
+def direct_topics(context: Context) -> _DirectTopics:
     """The connections of a context of rclpy, of which a process usually has one."""
     with _lock:
-        return _of_context.setdefault(context, DirectTopics())
+        return _of_context.setdefault(context, _DirectTopics())

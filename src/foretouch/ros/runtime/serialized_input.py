@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from foretouch.ros.runtime.losses import Losses
+from foretouch.ros.runtime.diagnostics import Losses
 
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
