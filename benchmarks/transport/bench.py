@@ -55,10 +55,14 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rates", type=float, nargs="*", default=[30.0, 60.0], help="clouds a second [Hz]")
     parser.add_argument("--processes", nargs="*", choices=["one", "three"], default=["one", "three"])
     parser.add_argument("--label", default="now", help="name of these rows in the results; older ones of that name go")
-    parser.add_argument("--source", type=Path, default=ROOT / "src", help="folder `src` of the nodes, such as that of a release")
+    parser.add_argument(
+        "--source", type=Path, default=ROOT / "src", help="folder `src` of the nodes, such as that of a release"
+    )
     parser.add_argument("--model", default="default")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME:=VALUE", help="parameters of all nodes")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="table to which the rows are added (default: the committed one)")
+    parser.add_argument(
+        "--out", type=Path, default=RESULTS, help="table to which the rows are added (default: the committed one)"
+    )
     parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
     return parser.parse_args()
 
@@ -253,7 +257,14 @@ def _ended_children_s() -> float:
 
 def write_table(rows: Sequence[dict[str, Any]]) -> None:
     """All runs as a table of the README."""
-    columns = ("", "rate [Hz]", "lost", "p50, p95 [ms]", "CPU a cloud, of which computation [ms]", "cores used by others")
+    columns = (
+        "",
+        "rate [Hz]",
+        "lost",
+        "p50, p95 [ms]",
+        "CPU a cloud, of which computation [ms]",
+        "cores used by others",
+    )
     lines = [
         (f"{row['processes']} process{'es' if row['processes'] == 'three' else ''}, {row['label']}", row["rate_hz"],
          f"{row['lost']} of {row['sent']}", f"{float(row['p50_ms']):.1f}, {float(row['p95_ms']):.1f}",
@@ -275,7 +286,9 @@ def draw(rows: Sequence[dict[str, Any]]) -> None:
         axes.barh(range(len(rows)), widths, 0.62, lefts, color=colour, label=name, edgecolor="white", linewidth=0.4)
         lefts += widths
     for place, row in enumerate(rows):
-        text = f" p50 {float(row['p50_ms']):.0f}, p95 {float(row['p95_ms']):.0f} ms, {row['lost']} of {row['sent']} lost"
+        text = (
+            f" p50 {float(row['p50_ms']):.0f}, p95 {float(row['p95_ms']):.0f} ms, {row['lost']} of {row['sent']} lost"
+        )
         text += f", {float(row['cpu_ms']):.0f} ms CPU"
         axes.text(lefts[place] + 0.005 * longest, place, text, va="center", fontsize=8)
     names = {"one": "one process", "three": "three processes"}
