@@ -422,7 +422,7 @@ def labels() -> Reader:
     def read(request: Any) -> None:
         now_s = next(numbers) * 0.1
         hand.add("executed", executed_message(), now_s)
-        hand.assembler.label(_decode_label(request), now_s)
+        hand.assembler.matcher.add_label(_decode_label(request), now_s)
         hand.assembler.poll(now_s)
 
     return [label_request()], read

@@ -94,7 +94,7 @@ class RecordingSession:
     def label(self, label: Label) -> tuple[str, str]:
         """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
         with self._assembler_lock:
-            return self._assembler.label(label, time.monotonic())
+            return self._assembler.matcher.add_label(label, time.monotonic())
 
     def close(self) -> None:
         """Write all messages received so far, complete pending grasps, and close the file."""
@@ -190,7 +190,8 @@ class RecordingSession:
         since_s, before = self._sizes[0]
         accounts = self.writer.counts.topics
         with self._assembler_lock:
-            results, anomalies = +self._assembler.results, self._assembler.anomalies + self._unreadable
+            results = +self._assembler.results
+            anomalies = self._assembler.readings.anomalies + self._assembler.rejected_clouds + self._unreadable
             sensors = self._assembler.sensor_states(now)
         self.status = SessionStatus(
             accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
