@@ -290,8 +290,8 @@ def test_a_data_set_holds_stamps_sessions_and_tares(tmp_path: Path, capsys: pyte
     assert main(["simulate", str(path), "-n", "6", "-o", str(out), "--workers", "1", "--no-sheet", "--json", *few]) == 0
     ran = {effect["name"] for effect in json.loads(capsys.readouterr().out)["effects"] if effect["ran"]}
     assert ran >= {"calendar", "level_drift", "warm_up", "level_shift", "tares"}
-    with open_samples(out) as stored:
-        samples = [record.sample for record in stored.records()]
+    stored = open_samples(out)
+    samples = [record.sample for record in stored.records()]
     assert (np.diff([sample.stamp_ns for sample in samples]) > 0).all()
     assert [sample.extra["session"] for sample in samples] == [0, 0, 0, 1, 1, 1]
     assert [sample.tare is not None for sample in samples] == [True, False, False] * 2
