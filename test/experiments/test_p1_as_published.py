@@ -8,7 +8,7 @@ import pytest
 from experiment_samples import make_collection
 
 from foretouch.experiments import find_experiment
-from foretouch.learning.training.learners import load_run_config
+from foretouch.learning.training.run_config import load_run_config
 
 
 @pytest.fixture(scope="module")
