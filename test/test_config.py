@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from every_case import every_case
 
 from foretouch.config import Settings, load_yaml, parse_overrides, setting, setting_infos
 from foretouch.errors import ConfigError
@@ -39,26 +40,29 @@ def test_updated_keeps_what_is_not_named() -> None:
     assert (changed.count, changed.inner.range_m, changed.inner.mode) == (5, 1.0, "near")
 
 
-@pytest.mark.parametrize(
-    ("mapping", "message"),
-    [
-        ({"inner": {"rnage_m": 3}}, r"f\.yaml: inner\.rnage_m: unknown setting; known: range_m, mode"),
-        ({"inner.range_m": 17}, r"range_m: 17.0 is above 16.0 m"),
-        ({"inner.range_m": "near"}, "'near' is not a number"),
-        ({"inner.range_m": float("nan")}, "nan is not finite"),
-        ({"inner.mode": "middle"}, "'middle' is none of near, far"),
-        ({"count": 2.0}, "2.0 is not a whole number"),
-        ({"count": True}, "True is not a whole number"),
-        ({"count": None}, "count: is empty"),
-        ({"point": 1.0}, "1.0 is not a list"),
-        ({"point": [1, "x"]}, r"point\[1\]: 'x' is not a number"),
-        ({"inner": 5}, "inner: 5 is not a group"),
-        ({"inner": 5, "inner.range_m": 1}, "a value and a group at once"),
-    ],
-)
-def test_refusals_name_field_value_and_rule(mapping: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        Outer.from_mapping(mapping, "f.yaml")
+def test_refusals_name_field_value_and_rule() -> None:
+    def check(message: str, mapping: dict[str, Any]) -> None:
+        with pytest.raises(ConfigError, match=message):
+            Outer.from_mapping(mapping, "f.yaml")
+
+    cases = [
+        (r"f\.yaml: inner\.rnage_m: unknown setting; known: range_m, mode", {"inner": {"rnage_m": 3}}),
+        (r"range_m: 17.0 is above 16.0 m", {"inner.range_m": 17}),
+        (r"range_m: 0.0 is below 0.1 m", {"inner.range_m": 0}),
+        (r"range_m: a whole number of 1329 bits", {"inner.range_m": 10**400}),
+        ("'near' is not a number", {"inner.range_m": "near"}),
+        ("nan is not finite", {"inner.range_m": float("nan")}),
+        ("'middle' is none of near, far", {"inner.mode": "middle"}),
+        ("2.0 is not a whole number", {"count": 2.0}),
+        ("True is not a whole number", {"count": True}),
+        ("count: is empty", {"count": None}),
+        ("1.0 is not a list", {"point": 1.0}),
+        (r"point\[1\]: 'x' is not a number", {"point": [1, "x"]}),
+        ("inner: 5 is not a group", {"inner": 5}),
+        ("inner is a value and a group at once", {"inner": 5, "inner.range_m": 1}),
+        ("inner is a value and a group at once", {"inner": 5} | {"inner.mode": {"a": 1}}),
+    ]
+    every_case(cases, check)
 
 
 def test_infos_carry_what_ros_parameters_need() -> None:
@@ -85,18 +89,18 @@ def test_lists_of_groups_and_absent_groups() -> None:
     assert setting_infos(Scene) == []
 
 
-@pytest.mark.parametrize(
-    ("mapping", "message"),
-    [
-        ({"items": {"range_m": 1}}, "items: .* is not a list"),
-        ({"items": [{"range_m": 1}, 3]}, r"items\[1\]: 3 is not a group"),
-        ({"items": [{"rnage": 1}]}, r"items\[0\]\.rnage: unknown setting"),
-        ({"light": {"range_m": 99}}, "99.0 is above"),
-    ],
-)
-def test_groups_in_lists_are_checked(mapping: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        Scene.from_mapping(mapping)
+def test_groups_in_lists_are_checked() -> None:
+    def check(message: str, mapping: dict[str, Any]) -> None:
+        with pytest.raises(ConfigError, match=message):
+            Scene.from_mapping(mapping)
+
+    cases = [
+        ("items: .* is not a list", {"items": {"range_m": 1}}),
+        (r"items\[1\]: 3 is not a group", {"items": [{"range_m": 1}, 3]}),
+        (r"items\[0\]\.rnage: unknown setting", {"items": [{"rnage": 1}]}),
+        ("99.0 is above", {"light": {"range_m": 99}}),
+    ]
+    every_case(cases, check)
 
 
 def test_a_field_without_setting_is_our_own_mistake() -> None:
@@ -114,19 +118,17 @@ def test_overrides_are_yaml_values() -> None:
         parse_overrides(["a"])
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [("- 1\n", "holds a list"), ("a: [", "not YAML"), ("!!python/object/apply:os.getcwd []", "not YAML")],
-)
-def test_yaml_refusals_are_one_line_with_the_file(tmp_path: Path, text: str, message: str) -> None:
+def test_yaml_refusals_are_one_line_with_the_file(tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=message) as caught:
-        load_yaml(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
 
+    def check(message: str, text: str) -> None:
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=message) as caught:
+            load_yaml(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
 
-def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    cases = [("holds a list", "- 1\n"), ("not YAML", "a: ["), ("not YAML", "!!python/object/apply:os.getcwd []")]
+    every_case(cases, check)
     with pytest.raises(ConfigError, match=r"none\.yaml: No such file"):
         load_yaml(tmp_path / "none.yaml")

@@ -94,7 +94,7 @@ def test_touch(model: TouchModel) -> None:
 def test_pipeline_of_an_object(pipeline: Pipeline) -> None:
     def check(case: ObjectCase) -> None:
         try:
-            result = pipeline.run_object(case.cloud, case.plane)
+            result = pipeline.run(case.cloud, case.plane)
         except ForetouchError as err:
             assert re.search(case.predicted, str(err))  # noqa: PT017
             return

@@ -79,7 +79,8 @@ def main():
             for _ in range(4):
                 pool.submit(time.sleep, 100.0)
             print("started", flush=True)
-            time.sleep(100.0)
+            while True:  # a signal just before a sleep takes effect after it
+                time.sleep(0.1)
     except KeyboardInterrupt as err:
         print(signal_number(err))
 if __name__ == "__main__":

@@ -1,27 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.errors import CloudError, GraspError, TactileError
 from foretouch.types import Cloud, Grasp, Plane, Touch
 
 
-def test_cloud_refuses_another_dtype() -> None:
-    with pytest.raises(CloudError, match="float64 is not float32"):
-        Cloud(np.zeros((4, 3)))
+def test_what_breaks_a_rule_is_refused() -> None:
+    def check(message: str, error: type[Exception], make: Callable[[], object]) -> None:
+        with pytest.raises(error, match=message):
+            make()
 
-
-@pytest.mark.parametrize("shape", [(3,), (4, 2), (2, 2, 2, 3)])
-def test_cloud_refuses_another_shape(shape: tuple[int, ...]) -> None:
-    with pytest.raises(CloudError, match="neither"):
-        Cloud(np.zeros(shape, np.float32))
-
-
-def test_cloud_refuses_colours_of_other_pixels() -> None:
-    with pytest.raises(CloudError, match="is not that of xyz"):
-        Cloud(np.zeros((4, 3), np.float32), np.zeros((5, 3), np.uint8))
+    zeros, eye = np.zeros, np.eye(3)
+    cases = [
+        ("float64 is not float32", CloudError, lambda: Cloud(zeros((4, 3)))),
+        *(("neither", CloudError, lambda s=s: Cloud(zeros(s, np.float32))) for s in ((3,), (4, 2), (2, 2, 2, 3))),
+        ("is not that of xyz", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((5, 3), np.uint8))),
+        ("int64 is not uint8", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((4, 3), np.int64))),
+        ("zero length", CloudError, lambda: Plane.from_coefficients([0, 0, 0, 1])),
+        ("not four finite numbers", CloudError, lambda: Plane.from_coefficients([0, 0, 1])),
+        ("not four finite numbers", CloudError, lambda: Plane.from_coefficients([0, 0, np.nan, 1])),
+        ("offset of .* is not finite", CloudError, lambda: Plane.from_coefficients([0.0, 0.0, 1e-10, 1e300])),
+        ("offset of .* is not finite", CloudError, lambda: Plane.from_coefficients([0.0, 0.0, 1e-200, 1e300])),
+        (r"g2: .* is not finite", GraspError, lambda: Grasp(zeros(3), np.array([np.inf, 0, 0]), eye)),
+        ("both contacts", GraspError, lambda: Grasp(np.ones(3), np.ones(3), eye)),
+        (r"g1: shape \(2,\)", GraspError, lambda: Grasp(zeros(2), np.ones(3), eye)),
+        (r"e_th: shape \(23,\)", TactileError, lambda: Touch(1.0, 1.0, zeros(23), zeros(24))),
+        (r"touch: shape \(49,\)", TactileError, lambda: Touch.from_vector(zeros(49))),
+    ]
+    every_case(cases, check)
 
 
 def test_take_by_mask_equals_take_by_index(rng: np.random.Generator) -> None:
@@ -41,23 +53,9 @@ def test_plane_is_normalised_with_its_offset() -> None:
     np.testing.assert_allclose(plane.coefficients, [0, 0, 1, -1.25])
     np.testing.assert_allclose(plane.height(np.array([[5.0, 6.0, 1.5]])), [0.25])
 
-
-@pytest.mark.parametrize("bad", [[0, 0, 0, 1], [0, 0, 1], [0, 0, np.nan, 1]])
-def test_plane_refuses_what_is_no_plane(bad: list[float]) -> None:
-    with pytest.raises(CloudError, match="plane"):
-        Plane.from_coefficients(bad)
-
-
-@pytest.mark.parametrize("scale", [5e-324, 1e-310, 1e-161, 1e-155, 1e155, 1e200, 3e307])
-def test_plane_of_any_scale_is_normalised(scale: float) -> None:
-    plane = Plane.from_coefficients(np.array([1.0, -2.0, 2.0, 3.0]) * scale)
-    np.testing.assert_allclose(plane.coefficients, np.array([1.0, -2.0, 2.0, 3.0]) / 3.0, rtol=1e-13)
-
-
-@pytest.mark.parametrize("normal", [1e-10, 1e-200])
-def test_plane_refuses_an_offset_that_is_not_finite(normal: float) -> None:
-    with pytest.raises(CloudError, match=r"plane: the offset of .* is not finite"):
-        Plane.from_coefficients([0.0, 0.0, normal, 1e300])
+    for scale in (5e-324, 1e-310, 1e-161, 1e-155, 1e155, 1e200, 3e307):
+        plane = Plane.from_coefficients(np.array([1.0, -2.0, 2.0, 3.0]) * scale)
+        np.testing.assert_allclose(plane.coefficients, np.array([1.0, -2.0, 2.0, 3.0]) / 3.0, rtol=1e-13)
 
 
 def test_grasp_midpoint_and_width() -> None:
@@ -66,24 +64,9 @@ def test_grasp_midpoint_and_width() -> None:
     assert grasp.width_m == pytest.approx(0.05)
 
 
-def test_grasp_refuses_a_contact_that_is_not_finite() -> None:
-    with pytest.raises(GraspError, match=r"g2: .* is not finite"):
-        Grasp(np.zeros(3), np.array([np.inf, 0, 0]), np.eye(3))
-
-
-def test_grasp_refuses_zero_width() -> None:
-    with pytest.raises(GraspError, match="both contacts"):
-        Grasp(np.ones(3), np.ones(3), np.eye(3))
-
-
 def test_touch_vector_is_thumb_first_and_returns() -> None:
     vector = np.arange(50.0)
     touch = Touch.from_vector(vector)
     assert (touch.pdc_th, touch.pdc_mf) == (0.0, 1.0)
     assert (touch.e_th[0], touch.e_mf[0], touch.e_mf[-1]) == (2.0, 26.0, 49.0)
     np.testing.assert_array_equal(touch.vector(), vector)
-
-
-def test_touch_refuses_23_electrodes() -> None:
-    with pytest.raises(TactileError, match=r"e_th: shape \(23,\)"):
-        Touch(1.0, 1.0, np.zeros(23), np.zeros(24))

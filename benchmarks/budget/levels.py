@@ -10,12 +10,13 @@ import argparse
 import json
 from pathlib import Path
 
+from benchmarks.common import ROOT
 from foretouch.experiments.framework.manifest import read_results
 from foretouch.models import load_model
 from foretouch.tactile import MODALITIES
 
 KEPT = ("10 trees", "no surroundings", "touchnet-v1")
-TARGET = Path(__file__).parents[2] / "src/foretouch/models/levels.json"
+TARGET = ROOT / "src/foretouch/models/levels.json"
 
 
 def entry(row: dict, base: dict) -> dict:

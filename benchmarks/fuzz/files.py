@@ -19,7 +19,7 @@ from benchmarks.recorder.kill import IDENTITY, made_sample
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml
 from foretouch.dataset.bag import Recording
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import sealed
 from foretouch.dataset.recording import HOLD, REST, RecordingConfig, RecordingWriter, SampleRecord, TouchSeries
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, sample_digest

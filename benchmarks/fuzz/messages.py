@@ -54,7 +54,7 @@ from foretouch.ros.nodes.monitor import View
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.grasp_sampler import sample_grasps
+from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
@@ -422,7 +422,7 @@ def labels() -> Reader:
     def read(request: Any) -> None:
         now_s = next(numbers) * 0.1
         hand.add("executed", executed_message(), now_s)
-        hand.assembler.label(_decode_label(request), now_s)
+        hand.assembler.matcher.add_label(_decode_label(request), now_s)
         hand.assembler.poll(now_s)
 
     return [label_request()], read
@@ -432,7 +432,7 @@ _CONFIGS = {
     "segmentation": ("foretouch.ros.nodes.segmentation", "SegmentationNodeConfig"),
     "grasp": ("foretouch.ros.nodes.grasp", "GraspNodeConfig"),
     "touch_predictor": ("foretouch.ros.touch.config", "TouchPredictorConfig"),
-    "recorder": ("foretouch.ros.recorder.config", "RecorderConfig"),
+    "recorder": ("foretouch.ros.nodes.recorder", "RecorderConfig"),
     "camera": ("foretouch.ros.nodes.camera", "CameraNodeConfig"),
     "hand": ("foretouch.ros.nodes.hand", "HandConfig"),
 }

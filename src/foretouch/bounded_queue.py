@@ -61,21 +61,14 @@ class BoundedQueue(Generic[_Item]):
     def get(self, timeout_s: float | None = None) -> _Item | None:
         """Remove and return the oldest item; None if there was none in time, or the queue is closed and empty."""
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)
-            if not self._items:
-                return None
-            self._changed.notify_all()
-            return self._pop()
+            self._wait(timeout_s)
+            return self._pop() if self._items else None
 
     def get_all(self, timeout_s: float | None = None) -> list[_Item]:
         """Remove and return all items, after waiting for the first as `get` does."""
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)
-            items = list(self._items)
-            self._items.clear()
-            self._size = 0
-            self._changed.notify_all()
-            return items
+            self._wait(timeout_s)
+            return [self._pop() for _ in range(len(self._items))]
 
     def close(self, discard: str = "") -> None:
         """Drop what is put from now on, and release blocked threads.
@@ -102,9 +95,13 @@ class BoundedQueue(Generic[_Item]):
     def _has_room(self, size: int) -> bool:
         return self.capacity is None or self._size + size <= self.capacity
 
+    def _wait(self, timeout_s: float | None) -> None:
+        self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)
+
     def _pop(self) -> _Item:
         item = self._items.popleft()
         self._size -= self._size_of(item)
+        self._changed.notify_all()
         return item
 
     def _drop(self, item: _Item, reason: str) -> None:

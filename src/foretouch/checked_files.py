@@ -10,6 +10,8 @@ import json
 import os
 import stat
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, Final
@@ -27,18 +29,25 @@ _Version = tuple[int, int, int, int, int]
 _hashes: dict[Path, tuple[_Version, str]] = {}
 
 
+@contextmanager
+def _named(path: str | Path) -> Iterator[None]:
+    """Errors of the system within the block as a `FileError`."""
+    try:
+        yield
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    except ValueError as err:
+        raise FileError(path, f"is no name of a file: {err}") from err
+
+
 def open_regular(path: str | Path) -> BufferedReader:
     """Open a regular file for reading.
 
     Raises:
         FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
     """
-    try:
+    with _named(path):
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO is opened without its writer
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
-    except ValueError as err:
-        raise FileError(path, f"is no name of a file: {err}") from err
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
@@ -49,14 +58,11 @@ def open_regular(path: str | Path) -> BufferedReader:
 
 def require_existing(path: str | Path) -> Path:
     """The path of something that exists; a `FileError` if it does not, or if no file can have this name."""
-    try:
-        Path(path).stat()
-    except FileNotFoundError as err:
-        raise FileError(path, "does not exist") from err
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
-    except ValueError as err:
-        raise FileError(path, f"is no name of a file: {err}") from err
+    with _named(path):
+        try:
+            Path(path).stat()
+        except FileNotFoundError as err:
+            raise FileError(path, "does not exist") from err
     return Path(path)
 
 
@@ -87,18 +93,12 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
         size = os.fstat(file.fileno()).st_size
         if limit is not None and size > limit:
             raise FileError(path, f"{size} bytes exceed {limit}", field="size")
-        try:
+        with _named(path):
             return file.read()
-        except OSError as err:
-            raise FileError(path, err.strerror or str(err)) from err
 
 
 def read_json(path: str | Path) -> Any:
-    """The document in a JSON file.
-
-    Raises:
-        FileError: As `read_bytes` and `parse_json`.
-    """
+    """The document in a JSON file; a `FileError` as `read_bytes`, or if it is no JSON that `parse_json` accepts."""
     content = read_bytes(path, TEXT_LIMIT)
     try:
         return parse_json(content.decode("utf-8"))
@@ -117,9 +117,10 @@ def parse_json(text: str | bytes) -> Any:
         document = json.loads(text)
     except RecursionError:
         raise ValueError(f"more than {_DEPTH} nested levels") from None
-    level = [document]
+    level = [document] if isinstance(document, dict | list) else []
     for _ in range(_DEPTH + 1):
-        level = [one for group in level if isinstance(group, dict | list) for one in _members(group)]
+        groups = (one.values() if isinstance(one, dict) else one for one in level)
+        level = [one for group in groups for one in group if isinstance(one, dict | list)]
         if not level:
             break
     else:
@@ -127,12 +128,6 @@ def parse_json(text: str | bytes) -> Any:
     if (b"\\ud" if isinstance(text, bytes) else "\\ud") in text.lower():  # type: ignore[operator]
         json.dumps(document, ensure_ascii=False).encode()
     return document
-
-
-def _members(group: dict[Any, Any] | list[Any]) -> list[Any]:
-    """The lists and objects in a list or object."""
-    values = group.values() if isinstance(group, dict) else group
-    return [value for value in values if isinstance(value, dict | list)]
 
 
 def file_sha256(path: str | Path) -> str:
@@ -150,10 +145,8 @@ def file_sha256(path: str | Path) -> str:
         known = _hashes.get(path)
         if known is not None and known[0] == version:
             return known[1]
-        try:
+        with _named(path):
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as err:
-            raise FileError(path, err.strerror or str(err)) from err
     if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) > _SETTLED_NS:
         _hashes[path] = (version, digest)
     return digest

@@ -60,9 +60,8 @@ def setting(
     read_only: bool = False,
 ) -> Any:
     """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
-    bounds = {"minimum": minimum, "maximum": maximum, "choices": choices}
-    metadata = {"description": description, "unit": unit, **bounds, "read_only": read_only}
-    return dataclasses.field(default=default, metadata=metadata)
+    limits = {"minimum": minimum, "maximum": maximum, "choices": choices, "read_only": read_only}
+    return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -82,10 +81,10 @@ class Settings:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
-        """Settings from plain data, such as a YAML document; keys may be nested or dotted.
+        """Settings from plain data, such as a YAML document; keys may be nested or dotted, absent ones keep defaults.
 
         Args:
-            mapping: Setting names to values. Absent settings keep their defaults.
+            mapping: Setting names to values.
             source: Origin of the data, for error messages.
 
         Raises:
@@ -131,7 +130,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     except FileError as err:
         raise ConfigError(str(err)) from err
     try:
-        document = parse_yaml(content.decode("utf-8"))
+        document = _parse_yaml(content.decode("utf-8"))
     except ValueError as err:
         raise ConfigError(f"{shown(path)}: not YAML: {shown(' '.join(str(err).split()), 500)}") from err
     if document is None:
@@ -141,7 +140,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     return document
 
 
-def parse_yaml(text: str) -> Any:
+def _parse_yaml(text: str) -> Any:
     """The document in a YAML text, loaded safely.
 
     Raises:
@@ -194,7 +193,7 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
         if not equals or not key:
             raise ConfigError(f"{shown(pair)}: is not key=value")
         try:
-            result[key] = parse_yaml(text)
+            result[key] = _parse_yaml(text)
         except ValueError as err:
             raise ConfigError(f"{shown(key)}: {quoted(text)} is not a YAML value") from err
     return result
@@ -250,49 +249,41 @@ def _checked(info: SettingInfo, value: Any, owner: str) -> Any:
 
 def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
     if info.type is float and isinstance(value, int) and not isinstance(value, bool):
-        value = _as_float(value, name)
+        try:
+            value = float(value)
+        except OverflowError:
+            rule = f"a whole number of {value.bit_length()} bits is no number that can be used"
+            raise ConfigError(f"{name}: {rule}") from None
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
         kinds = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
         raise ConfigError(f"{name}: {quoted(value)} is not {kinds.get(info.type, info.type.__name__)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}: {value} is not finite")
-    number = value if isinstance(value, (int, float)) else 0.0
-    unit = f" {info.unit}" if info.unit else ""
-    if info.minimum is not None and number < info.minimum:
-        raise ConfigError(f"{name}: {quoted(value)} is below {info.minimum}{unit}")
-    if info.maximum is not None and number > info.maximum:
-        raise ConfigError(f"{name}: {quoted(value)} is above {info.maximum}{unit}")
+    if isinstance(value, int | float):
+        unit = f" {info.unit}" if info.unit else ""
+        if info.minimum is not None and value < info.minimum:
+            raise ConfigError(f"{name}: {quoted(value)} is below {info.minimum}{unit}")
+        if info.maximum is not None and value > info.maximum:
+            raise ConfigError(f"{name}: {quoted(value)} is above {info.maximum}{unit}")
     if info.choices and value not in info.choices:
         raise ConfigError(f"{name}: {quoted(value)} is none of {', '.join(map(str, info.choices))}")
     return value
-
-
-def _as_float(value: int, name: str) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        raise ConfigError(
-            f"{name}: a whole number of {value.bit_length()} bits is no number that can be used"
-        ) from None
 
 
 def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
     """Convert dotted keys to nested mappings."""
     result: dict[str, Any] = {}
     for key, value in mapping.items():
-        *parents, leaf = str(key).split(".")
+        path = str(key).split(".")
         group = result
-        for parent in parents:
-            group = group.setdefault(parent, {})
+        for name in path if isinstance(value, Mapping) else path[:-1]:
+            group = group.setdefault(name, {})
             if not isinstance(group, dict):
-                raise ConfigError(f"{source}: {shown(key)}: {shown(parent)} is a value and a group at once")
+                raise ConfigError(f"{source}: {shown(key)}: {shown(name)} is a value and a group at once")
         if isinstance(value, Mapping):
-            existing = group.setdefault(leaf, {})
-            if not isinstance(existing, dict):
-                raise ConfigError(f"{source}: {shown(key)}: is a value and a group at once")
-            existing.update(_nested(value, source))
+            group.update(_nested(value, source))
         else:
-            group[leaf] = value
+            group[path[-1]] = value
     return result
 
 

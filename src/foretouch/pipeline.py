@@ -7,7 +7,6 @@ Each step is one method over the public function of its package, so that the sam
 bit-equal output wherever it is run.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -22,7 +21,8 @@ from foretouch.grasp import GeoGraspConfig, GraspPlan, HeldGrasp, hand_rotation,
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History
-from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.timing import timed
+from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class PipelineResult:
     reason: str  # why, in words; "" for "ok"
     scene: SegmentedScene | None  # none where the cloud holds only an object
     targets: tuple[TargetResult, ...]  # the objects to grasp with their predictions, best first
-    ms: dict[str, float]  # wall time of `segment`, `grasp`, `touch` and `total` [ms]
+    ms: dict[str, float]  # wall time of the steps `segment`, `grasp`, `touch` that ran, and `total` [ms]
 
 
 class Pipeline:
@@ -196,32 +196,31 @@ class Pipeline:
             return predictions
         return [replace(one, flags=(*one.flags, *target.flags)) for one in predictions]
 
-    def run(self, cloud: Cloud) -> PipelineResult:
-        """From a cloud of the whole scene to predicted touch."""
-        began = time.perf_counter()
-        scene = self.segment(cloud)
-        ms = {"segment": (time.perf_counter() - began) * 1e3}
-        if not scene.targets:
-            return PipelineResult(scene.status, scene.reason, scene, (), {**ms, "total": ms["segment"]})
-        return self._run_targets(scene.targets, scene, ms)
+    def run(self, cloud: Cloud, plane: Plane | None = None) -> PipelineResult:
+        """From a cloud to predicted touch.
 
-    def run_object(self, cloud: Cloud, plane: Plane = ASSUMED_TABLE) -> PipelineResult:
-        """From a cloud that holds only one object, and the table in the cloud's frame, to predicted touch."""
-        return self._run_targets((FoundObject("1", cloud, plane),), None, {})
-
-    def _run_targets(
-        self, targets: Sequence[FoundObject], scene: SegmentedScene | None, ms: dict[str, float]
-    ) -> PipelineResult:
-        results = []
-        ms = {**ms, "grasp": 0.0, "touch": 0.0}
+        Args:
+            cloud: Of the whole scene, or of one object if the table is given.
+            plane: The table, in the cloud's frame.
+        """
+        ms: dict[str, float] = {}
+        scene: SegmentedScene | None = None
+        targets: tuple[FoundObject, ...]
+        results: list[TargetResult] = []
+        if plane is not None:
+            targets = (FoundObject("1", cloud, plane),)
+        else:
+            with timed(ms, "segment"):
+                scene = self.segment(cloud)
+            targets = scene.targets
         for target in targets:
-            began = time.perf_counter()
-            plan = self.plan(target)
-            planned = time.perf_counter()
-            results.append(TargetResult(target, plan, tuple(self.predict(target, plan.grasps))))
-            ms["grasp"] += (planned - began) * 1e3
-            ms["touch"] += (time.perf_counter() - planned) * 1e3
+            with timed(ms, "grasp"):
+                plan = self.plan(target)
+            with timed(ms, "touch"):
+                results.append(TargetResult(target, plan, tuple(self.predict(target, plan.grasps))))
         ms["total"] = sum(ms.values())
-        ok = any(one.predictions for one in results)
-        first = results[0].plan
-        return PipelineResult("ok" if ok else first.status, "" if ok else first.reason, scene, tuple(results), ms)
+        status, reason = ("no_target", "") if scene is None else (scene.status, scene.reason)
+        if results:
+            ok, first = any(one.predictions for one in results), results[0].plan
+            status, reason = ("ok", "") if ok else (first.status, first.reason)
+        return PipelineResult(status, reason, scene, tuple(results), ms)

@@ -50,14 +50,14 @@ def process_pool(
     try:
         yield pool
     except BaseException:
-        pool.terminate(set(active_children()) - before)
+        pool._end(set(active_children()) - before)  # noqa: SLF001  of this module
         raise
     finally:
         pool.shutdown()
 
 
 class _Pool(ProcessPoolExecutor):
-    def terminate(self, children: Iterable[BaseProcess]) -> None:
+    def _end(self, children: Iterable[BaseProcess]) -> None:
         """End now, with the processes."""
         results: Any = self._result_queue
         self.shutdown(wait=False, cancel_futures=True)

@@ -33,13 +33,6 @@ def _cloud(source: SyntheticCamera, config: RealSenseConfig) -> Cloud:
         stream.close()
 
 
-def test_points_are_those_of_the_scene_bit_for_bit(images: list[DepthImage], config: RealSenseConfig) -> None:
-    cloud = _cloud(SyntheticCamera(images[:1]), config)
-    assert cloud.rgb is None
-    assert cloud.frame_id == "camera_depth_optical_frame"
-    assert np.array_equal(cloud.xyz, images[0].cloud().xyz, equal_nan=True)
-
-
 @pytest.mark.parametrize("align", ["none", "colour_to_depth", "depth_to_colour"])
 def test_points_are_those_of_the_librarys_own_pointcloud(
     align: str, images: list[DepthImage], config: RealSenseConfig
@@ -57,20 +50,6 @@ def test_points_are_those_of_the_librarys_own_pointcloud(
     assert np.array_equal(seen, theirs[..., 2] > 0.0)
     assert seen.mean() > 0.5
     assert np.abs(ours[seen] - theirs[seen]).max() <= 2.4e-7  # an ulp of 2 m
-
-
-def test_colour_comes_with_its_pixels(images: list[DepthImage], config: RealSenseConfig) -> None:
-    cloud = _cloud(SyntheticCamera(images[:1]), config.replace(align="colour_to_depth"))
-    assert cloud.rgb is not None
-    same = (cloud.rgb == images[0].rgb).all(axis=-1)[images[0].depth_mm > 0]
-    assert same.mean() > 0.98  # the library rounds to the neighbour now and then
-
-
-def test_depth_brought_to_colour_is_in_the_colour_frame(images: list[DepthImage], config: RealSenseConfig) -> None:
-    cloud = _cloud(SyntheticCamera(images[:1]), config.replace(align="depth_to_colour"))
-    assert cloud.frame_id == "camera_color_optical_frame"
-    assert cloud.rgb is not None
-    assert np.array_equal(cloud.rgb, images[0].rgb)
 
 
 def test_colour_outlives_its_frame(images: list[DepthImage], config: RealSenseConfig) -> None:
@@ -93,26 +72,27 @@ def test_a_stamp_is_the_time_of_feeding_or_of_arrival(images: list[DepthImage], 
         assert before - 500 <= cloud.stamp_ns <= time.time_ns()
 
 
-def test_a_size_that_is_not_offered_is_named_with_those_that_are(
-    source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_points_frame_and_colour_of_each_alignment(images: list[DepthImage], config: RealSenseConfig) -> None:
+    image = images[0]
+    plain, coloured, turned = (
+        _cloud(SyntheticCamera([image]), config.replace(align=align))
+        for align in ("none", "colour_to_depth", "depth_to_colour")
+    )
+    assert (plain.rgb, plain.frame_id) == (None, "camera_depth_optical_frame")
+    assert np.array_equal(plain.xyz, image.cloud().xyz, equal_nan=True)
+    assert coloured.rgb is not None
+    # The library rounds to the neighbour now and then.
+    assert (coloured.rgb == image.rgb).all(axis=-1)[image.depth_mm > 0].mean() > 0.98
+    assert turned.frame_id == "camera_color_optical_frame"
+    assert np.array_equal(turned.rgb, image.rgb)
+
+
+def test_a_refused_stream_leaves_the_device_free(source: SyntheticCamera, config: RealSenseConfig) -> None:
     with pytest.raises(CameraError, match="depth stream: 640x480@30 is not offered; offered: 424x240@30"):
         FrameStream(source.find(), config.replace(width=640, height=480))
-
-
-def test_closing_twice_and_opening_again_is_fine(source: SyntheticCamera, config: RealSenseConfig) -> None:
     for _ in range(3):
         stream = FrameStream(source.find(), config)
         assert _next(source, stream) is not None
         stream.close()
         stream.close()
-
-
-def test_a_refused_stream_leaves_the_device_free(source: SyntheticCamera, config: RealSenseConfig) -> None:
-    wrong = config.replace(width=640, height=480)
-    with pytest.raises(CameraError):
-        FrameStream(source.find(), wrong)
-    stream = FrameStream(source.find(), config)
-    assert _next(source, stream) is not None
-    stream.close()
     assert RealSenseCamera(config, source).status.opened == 0

@@ -44,15 +44,12 @@ def test_frames_may_be_made_one_by_one(config: RealSenseConfig) -> None:
     assert asked[:2] == [0, 0]  # once for the size of the device, then as the first frame
 
 
-def test_a_frame_of_another_size_is_refused(images: list[DepthImage]) -> None:
+def test_no_frames_and_a_frame_of_another_size_are_refused(images: list[DepthImage]) -> None:
     small = random_scene(np.random.default_rng(2), 212, 120).render()
     source = SyntheticCamera([images[0], small])
     source.feed()
     with pytest.raises(CameraError, match=r"synthetic frame 1: shape \(120, 212\) is not \(240, 424\)"):
         source.feed()
-
-
-def test_no_frames_are_refused() -> None:
     with pytest.raises(CameraError, match="no frames to feed"):
         SyntheticCamera([])
 

@@ -51,7 +51,7 @@ def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call: Call
 def test_grasp_of_an_object_equals_the_core(call: Call, files: Path) -> None:
     (record,) = call("grasp", files / "object.pcd", "--plane", "0,0,1,-1.27", "--json").records
     cloud = read_cloud(files / "object.pcd")
-    (result,) = Pipeline().run_object(cloud, ASSUMED_TABLE).targets
+    (result,) = Pipeline().run(cloud, ASSUMED_TABLE).targets
     assert record["status"] == result.plan.status
     np.testing.assert_array_equal(record["grasps"][0]["g1"], result.plan.grasps[0].g1)
     np.testing.assert_array_equal(record["grasps"][0]["rotation"], result.plan.grasps[0].rotation.reshape(9))

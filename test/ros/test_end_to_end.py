@@ -17,7 +17,7 @@ from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Plane
+from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
@@ -115,7 +115,7 @@ def test_a_folder_of_objects_gets_one_answer_a_file_behind_the_segmentation(
     assert len(items) == 2
     for number, (message, item) in enumerate(zip(received, items, strict=True), 1):
         assert item.cloud.stamp_ns == number * STAMP_STEP_NS
-        assert_same(message, item.cloud, pipeline.run_object(item.cloud, Plane.from_coefficients(coefficients)))
+        assert_same(message, item.cloud, pipeline.run(item.cloud, Plane.from_coefficients(coefficients)))
 
 
 def test_clouds_without_an_object_are_answered_with_the_reason(graph, tmp_path, clouds, model_card):
@@ -144,7 +144,7 @@ def test_real_samples_get_one_answer_each_equal_to_the_pipeline(graph, real_data
     items = list(open_source(folder, frame_id=FRAME))
     assert len(received) == len(items) == 50
     for message, item in zip(received[:10], items[:10], strict=True):
-        assert_same(message, item.cloud, pipeline.run_object(item.cloud))
+        assert_same(message, item.cloud, pipeline.run(item.cloud, ASSUMED_TABLE))
 
 
 def write_foreign(path, clouds):

@@ -11,7 +11,7 @@ import launch_stubs
 import pytest
 from every_case import every_case
 
-from foretouch.ros.recorder.config import RecorderConfig
+from foretouch.ros.nodes.recorder import RecorderConfig
 
 FOLDER = Path(__file__).parents[2] / "launch"
 ARGUMENTS = {

@@ -14,8 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.output_frame import read_hand_eye
-from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.costs import COSTS
+from foretouch.ros.touch.config import COSTS, TouchPredictorConfig
 from foretouch_msgs.msg import Status, TouchPrediction
 
 pytestmark = pytest.mark.ros

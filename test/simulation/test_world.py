@@ -13,16 +13,3 @@ def test_a_stream_is_seeded_by_scene_name_slot_and_attempt() -> None:
     np.testing.assert_array_equal(SampleKey(5, 7, 2).stream("noise").random(4), expected)
     keys = [SampleKey(0, 0), SampleKey(1, 0), SampleKey(0, 1), SampleKey(0, 0, 1)]
     assert len({key.stream(name).random() for key in keys for name in ("noise", "holes", "noise ")}) == 12
-
-
-def test_streams_are_independent() -> None:
-    key = SampleKey(3, 1)
-    a, b = key.stream("a").standard_normal(20_000), key.stream("b").standard_normal(20_000)
-    assert abs(np.corrcoef(a, b)[0, 1]) < 0.03  # 4 standard errors
-
-
-def test_a_repeat_draws_anew_only_where_it_is_asked_to() -> None:
-    first, again = SampleKey(0, 1), SampleKey(0, 1, repeat=1)
-    assert first.stream("noise", again=True).random() == first.stream("noise").random()
-    assert again.stream("noise").random() == first.stream("noise").random()
-    assert again.stream("noise", again=True).random() != first.stream("noise").random()

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
-from foretouch.dataset.disk import disk_errors, new_folder
+from foretouch.dataset.files import disk_errors, new_folder
 from foretouch.dataset.pairing import (
     AssembledSample,
     AssemblerConfig,
@@ -159,7 +159,7 @@ def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterat
     yield from _samples(assembler.poll(now_s, ending=True), result)
     result.left_out += assembler.rejected_clouds
     result.left_out["cloud without grasps"] += assembler.clouds_without_grasps
-    result.left_out["grasps without their cloud"] += assembler.plans_without_cloud
+    result.left_out["grasps without their cloud"] += assembler.matcher.plans
 
 
 def _samples(assembled: list[AssembledSample | RejectedGrasp], result: ImportResult) -> Iterator[SampleRecord]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
-from foretouch.dataset.disk import new_folder
+from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
 from foretouch.types import GraspSample
@@ -95,11 +95,7 @@ def is_sample_set(path: str | Path) -> bool:
 
 
 def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
-    """Open a dataset for reading.
-
-    Args:
-        path: In any readable format.
-        unfinished: Whether to read recordings that were cut off, as far as they are intact.
+    """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.

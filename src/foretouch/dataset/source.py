@@ -27,11 +27,7 @@ SourceKind = Literal["clouds", "samples", "recording"]
 
 
 class SourceItem:
-    """One entry of a source, read on request.
-
-    Attributes:
-        name: The file or folder it comes from; for a recording, its path and the number of the message.
-    """
+    """One entry of a source, read on request; `name` is its file or folder, or recording and number of the message."""
 
     def __init__(self, name: str, load: Callable[[], Cloud | GraspSample]) -> None:
         self.name = name
@@ -39,11 +35,7 @@ class SourceItem:
 
     @cached_property
     def value(self) -> Cloud | GraspSample:
-        """The cloud or the sample.
-
-        Raises:
-            ForetouchError: If it cannot be read.
-        """
+        """The cloud or the sample; a `ForetouchError` if it cannot be read."""
         return self._load()
 
     @property
@@ -67,11 +59,6 @@ class Source:
     frame_id: str = ""  # for clouds without a frame
     entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset
     count: int = 0  # number of entries, or of messages that the recording declares
-
-    @property
-    def segmented(self) -> bool:
-        """Whether the kind guarantees that each cloud holds one object and nothing else."""
-        return self.kind == "samples"
 
     def __len__(self) -> int:
         return self.count

@@ -19,8 +19,7 @@ import pyarrow as pa
 
 from foretouch import __version__
 from foretouch.checked_files import file_sha256
-from foretouch.dataset.disk import new_folder
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.record import DISCARDED, id_number, numbered_id
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest

@@ -31,17 +31,6 @@ def test_cells_stand_on_the_origin_and_not_on_the_cloud():
     np.testing.assert_array_equal(voxel_grid(xyz, 1.0).cell, [3, 2, 1, 0])
 
 
-def test_mean_agrees_with_a_dictionary_of_cells(rng):
-    xyz = rng.uniform(-0.1, 0.1, (500, 3)).astype(np.float32)
-    values = rng.normal(size=(500, 4))
-    grid = voxel_grid(xyz, 0.03)
-    cells: dict[tuple[int, ...], list[int]] = {}
-    for i, key in enumerate(np.floor(xyz.astype(float) / 0.03).astype(int)):
-        cells.setdefault(tuple(key[::-1]), []).append(i)
-    expected = [values[cells[key]].mean(axis=0) for key in sorted(cells)]
-    np.testing.assert_allclose(grid.mean(values), expected, atol=1e-12)
-
-
 def test_nan_spreads_to_its_cell_and_column_only():
     grid = voxel_grid(np.array([[0.1, 0, 0], [0.2, 0, 0], [1.5, 0, 0]], np.float32), 1.0)
     mean = grid.mean(np.array([[np.nan, 1.0], [2.0, 3.0], [4.0, 5.0]]))
@@ -60,7 +49,7 @@ def _bumpy(rng, n=1500):
     )
 
 
-def test_agrees_with_a_tree_and_one_covariance_at_a_time(rng):
+def test_normals_agree_with_one_covariance_at_a_time_and_look_at_the_sensor(rng):
     xyz = _bumpy(rng)
     query = rng.choice(len(xyz), 200, replace=False)
     normals, curvature = normals_and_curvature(xyz, query, 0.03)
@@ -70,12 +59,7 @@ def test_agrees_with_a_tree_and_one_covariance_at_a_time(rng):
         values, vectors = np.linalg.eigh(np.cov(near.T))
         assert abs(normal @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
         assert k == pytest.approx(values[0] / values.sum(), rel=1e-6)
-
-
-def test_normals_look_at_the_sensor(rng):
-    xyz = _bumpy(rng)
-    normals, _ = normals_and_curvature(xyz, np.arange(len(xyz)))
-    assert (np.einsum("ij,ij->i", normals, xyz) <= 0).all()
+        assert normal @ xyz[i] <= 0.0
 
 
 def test_turns_with_the_cloud(rng):
@@ -121,14 +105,6 @@ def test_no_plane_no_normal():
     every_case(cases, check)
 
 
-def test_counts_what_would_have_no_normal(rng):
-    lonely = rng.uniform(0.5, 3.0, (40, 3))
-    pairs = np.repeat(rng.uniform(-3.0, -0.5, (10, 3)), 2, axis=0) + rng.uniform(0, 0.01, (20, 3))
-    xyz = rng.permutation(np.concatenate([_bumpy(rng), lonely, pairs])).astype(np.float32)
-    normals, _ = normals_and_curvature(xyz, np.arange(len(xyz)))
-    assert count_without_normal(xyz) == np.count_nonzero(np.isnan(normals[:, 0])) >= 55
-
-
 def test_empty_and_tiny_clouds():
     none = np.zeros((0, 3), np.float32)
     normals, curvature = normals_and_curvature(none, np.zeros(0, np.int64))
@@ -141,19 +117,9 @@ def test_empty_and_tiny_clouds():
         np.testing.assert_array_equal(mean_neighbour_distance(np.ones((n, 3), np.float32), 50), np.zeros(n))
 
 
-def test_agrees_with_scipys_tree(rng):
-    xyz = rng.normal(0.0, 0.05, (900, 3)).astype(np.float32)
-    distances = cKDTree(xyz).query(xyz, 51)[0]
-    for k in (1, 7, 50):
-        np.testing.assert_allclose(mean_neighbour_distance(xyz, k), distances[:, 1 : k + 1].mean(axis=1), rtol=1e-6)
-    mean = distances[:, 1:].mean(axis=1)
-    assert np.count_nonzero(inlier_mask(xyz) != (mean <= mean.mean() + np.std(mean, ddof=1))) == 0
-    order = rng.permutation(900)
-    np.testing.assert_array_equal(mean_neighbour_distance(xyz[order], 20), mean_neighbour_distance(xyz, 20)[order])
-    np.testing.assert_array_equal(inlier_mask(xyz), inlier_mask(np.ascontiguousarray(xyz[:, [1, 2, 0]])))
-
-
-def test_fewer_points_than_neighbours_average_all_others():
+def test_fewer_points_than_neighbours_average_all_others(rng):
+    cloud = rng.normal(0.0, 0.05, (400, 3)).astype(np.float32)
+    np.testing.assert_array_equal(inlier_mask(cloud), inlier_mask(np.ascontiguousarray(cloud[:, [1, 2, 0]])))
     xyz = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0]], np.float32)
     np.testing.assert_array_equal(mean_neighbour_distance(xyz, 50), np.array([2.0, 1.5, 2.5], np.float32))
 

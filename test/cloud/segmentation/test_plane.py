@@ -11,7 +11,6 @@ import pytest
 from every_case import every_case
 
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.libusb import ensure_libusb
 
 
 def _scene(rng: np.random.Generator, normal: np.ndarray, distance: float, share: float, n: int = 20_000) -> np.ndarray:
@@ -40,19 +39,6 @@ def test_noise_is_measured_on_the_plane(rng: np.random.Generator) -> None:
     fit = fit_plane(_scene(rng, np.array([0.0, 0.0, -1.0]), 1.2, 1.0), PlaneConfig())
     assert fit.rms_m == pytest.approx(0.001, rel=0.1)
     assert fit.noise_per_m == pytest.approx(0.001 / 1.2**2, rel=0.1)
-
-
-def test_agrees_with_open3d(rng: np.random.Generator) -> None:
-    ensure_libusb()
-    import open3d
-
-    xyz = _scene(rng, np.array([0.1, -0.6, -0.8]), 1.0, 0.5)
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz.astype(np.float64)))
-    theirs = np.array(cloud.segment_plane(0.01, 3, 2000)[0])
-    theirs *= np.sign(theirs[3])
-    fit = fit_plane(xyz, PlaneConfig())
-    assert fit.plane is not None
-    np.testing.assert_allclose(fit.plane.coefficients, theirs, atol=0.01)
 
 
 def test_the_plane_moves_with_the_points(rng: np.random.Generator) -> None:

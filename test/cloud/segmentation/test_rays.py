@@ -86,15 +86,6 @@ def test_every_damaged_pixel_of_the_sample_and_of_the_objects_is_counted() -> No
     assert max(np.abs(one.cloud.xyz).max() for one in found.objects) < 3.0
 
 
-def test_a_flat_cloud_with_one_damaged_pixel_is_a_table() -> None:
-    columns, rows = np.meshgrid(np.linspace(-0.4, 0.4, 212), np.linspace(-0.3, 0.3, 120))
-    xyz = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(np.float32)
-    xyz[60, 100, 0] = 1e20
-    found = _strictly(Cloud(xyz))
-    assert found.status == "no_object"
-    np.testing.assert_allclose(found.plane.coefficients, [0.0, 0.0, -1.0, 1.0], atol=1e-6)
-
-
 def test_a_share_of_damaged_pixels_leaves_the_rays_and_the_table(rng: np.random.Generator) -> None:
     for share in (0.05, 0.3):
         xyz = _scene()
@@ -118,14 +109,9 @@ def test_an_image_that_no_camera_makes_is_refused(rng: np.random.Generator) -> N
     assert (found.status, "field of view of 120" in found.reason) == ("bad_cloud", True)
 
 
-def test_a_rotated_image_is_on_rays() -> None:
-    turned = np.rot90(_scene(), axes=(0, 1))
-    found = _strictly(Cloud(np.ascontiguousarray(turned)))
-    assert found.status == "ok"
-    assert found.counts["off_ray"] == 0
-
-
-def test_pixels_on_one_line_do_not_matter() -> None:
+def test_a_rotated_image_and_pixels_on_one_line_are_on_rays() -> None:
+    found = _strictly(Cloud(np.ascontiguousarray(np.rot90(_scene(), axes=(0, 1)))))
+    assert (found.status, found.counts["off_ray"]) == ("ok", 0)
     columns = np.arange(5)
     sample = np.stack([columns * 0.1, columns * 0.0, np.ones(5)], axis=1).astype(np.float32)
     rays = RayFilter(sample, np.zeros(5, np.intp), columns.astype(np.intp), RayConfig())

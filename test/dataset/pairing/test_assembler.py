@@ -151,7 +151,10 @@ def test_labels_and_contacts_without_a_report() -> None:
     session = Session(0, watch_sensors=True)
     for number in (0, 1):
         session.plan(number)
-    assert session.assembler.label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1] == "waits for its contact"
+    assert (
+        session.assembler.matcher.add_label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1]
+        == "waits for its contact"
+    )
     for reading in stream(2):
         session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
     assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}

@@ -28,7 +28,7 @@ from recording_builders import (
     write_dataset,
 )
 
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import sealed
 from foretouch.dataset.recording import (
     SAMPLE_TOPIC,
     Identity,

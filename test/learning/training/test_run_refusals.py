@@ -14,7 +14,7 @@ import torch
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset, load_dataset

@@ -75,6 +75,6 @@ def test_the_status_is_that_of_any_prediction_else_of_the_first_refusal():
     refused = [Refusal(Status.BAD_GRASP, "a"), Refusal(Status.REFUSED, "b")]
     for outcomes, expected in ((refused, (Status.BAD_GRASP, "a")), ([], (Status.OK, ""))):
         made = TouchAnswer(one.header, one.grasps[: len(outcomes)], outcomes)
-        assert (made.status, made.reason) == expected
+        assert made.summary == expected
     known = next(outcome for outcome in one.outcomes if not isinstance(outcome, Refusal))
-    assert TouchAnswer(one.header, one.grasps, [*refused, known]).status == Status.OK
+    assert TouchAnswer(one.header, one.grasps, [*refused, known]).summary == (Status.OK, "")

@@ -2,6 +2,7 @@
 """The bridge over a real WebSocket: what a client reads is what the graph published."""
 
 import json
+import re
 import socket
 import time
 from pathlib import Path
@@ -17,8 +18,9 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 from websocket_client import WebSocketClient
 
-from foretouch.ros.foxglove_layout import foxglove_layout
 from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.topics import CLOUD_TOPIC, TACTILE_TOPIC, full_name
 from foretouch_msgs.msg import TouchPredictionArray
 
 pytestmark = pytest.mark.ros
@@ -131,7 +133,12 @@ def test_a_slow_client_is_reported_and_disturbs_nobody(graph):
     graph.until(lambda: not bridge.notes()["topics"])
 
 
-def test_the_layout_in_the_repository_is_the_one_that_is_made():
+def test_the_layout_shows_topics_of_the_graph_and_both_fingers():
     text = (Path(__file__).parents[3] / "config" / "foxglove.json").read_text(encoding="utf-8")
-    assert json.loads(text) == json.loads(foxglove_layout())  # to renew: see foretouch.ros.foxglove_layout
-    assert TOUCH in text
+    thumb, middle = (FINGER_ORDER.index(name) for name in ("TH", "MF"))
+    read = {f"{TACTILE_TOPIC}.tactiles[{index}].pdc" for index in (thumb, middle)}
+    predicted = {
+        f"{TOUCH}.predictions[0].pdc_{name}.{key}" for name in ("th", "mf") for key in ("value", "lower", "upper")
+    }
+    shown = set(re.findall(r'"(/[^"]*)"', json.dumps(json.loads(text))))
+    assert shown == {POINTS, MARKERS, TOUCH, full_name(CLOUD_TOPIC), *read, *predicted}

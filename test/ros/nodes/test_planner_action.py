@@ -18,8 +18,8 @@ from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.touch.costs import COSTS, cost_of
-from foretouch.ros.touch.planner_action import planner_action_class, planner_feedback
+from foretouch.ros.touch.config import COSTS
+from foretouch.ros.touch.grasp_actions import cost_of, planner_action_class, planner_feedback
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import GraspArray, Interval, Status, TablePlane, TouchPrediction

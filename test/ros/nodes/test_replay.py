@@ -19,7 +19,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
-from foretouch.ros.nodes.replay import message_class, playable
+from foretouch.ros.nodes.replay import playable
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud
 from foretouch_msgs.msg import TablePlane, TouchPredictionArray
@@ -239,9 +239,9 @@ def test_which_topics_are_playable():
 
 def test_a_recording_cannot_make_us_import_what_is_no_message():
     def check(name):
-        found, reason = message_class(Topic("/x", name, 1))
-        assert found is None
-        assert reason
+        classes, reasons = playable([Topic("/x", name, 1)], "/foretouch")
+        assert not classes
+        assert reasons["/x"]
         assert "antigravity" not in sys.modules
 
     every_case(["antigravity/msg/X", "../msg/X", "os.path/msg/X", "", "std_msgs/String"], check)

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
+from foretouch.ros.runtime.diagnostics import Losses
 from foretouch.ros.runtime.direct import SUPPORTED
-from foretouch.ros.runtime.losses import Losses
 from foretouch_msgs.msg import TablePlane
 
 pytestmark = pytest.mark.ros

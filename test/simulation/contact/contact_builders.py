@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gaps with a known answer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foretouch.simulation.contact import ContactProblem, Layer

@@ -23,16 +23,12 @@ def test_sphere_is_the_closed_form():
     assert_allclose(solution.area_m2, math.pi * RADIUS * depth, rtol=1e-6)
     assert_allclose(solution.pressure.sum() * (0.006 / 25) ** 2, force, rtol=1e-12)
     assert_allclose(solution.displacement[0].max(), depth, rtol=1e-6)
+    assert_allclose(solve_hertz(paraboloid(25, 0.006), Command(force_n=force)).depth_m, depth, rtol=1e-6)
+    tiny = solve_hertz(paraboloid(24, 0.012), Command(force_n=1e-7))  # the footprint lies between cells
+    assert_allclose(tiny.pressure.sum() * (0.012 / 24) ** 2, 1e-7, rtol=1e-12)
 
 
-def test_force_and_depth_are_inverse_and_a_footprint_below_a_cell_keeps_its_force():
-    problem = paraboloid(24, 0.006, ratio=4.0)
-    depth = solve_hertz(problem, Command(force_n=0.7)).depth_m
-    assert_allclose(solve_hertz(problem, Command(depth_m=depth)).force_n, 0.7, rtol=1e-9)
-    assert_allclose(solve_hertz(problem, Command(force_n=1e-7)).pressure.sum() * problem.cell_m2, 1e-7, rtol=1e-12)
-
-
-def test_ellipse_agrees_with_the_elastic_half_space():
+def test_ellipse_agrees_with_the_elastic_half_space_and_far_away_with_a_point_load():
     depth = 8e-5
     for ratio in (1.0, 2.0, 8.0):
         problem = paraboloid(96, 0.0036, ratio=ratio)
@@ -41,15 +37,11 @@ def test_ellipse_agrees_with_the_elastic_half_space():
         assert_allclose(closed.force_n, solved.force_n, rtol=0.006)
         assert_allclose(closed.area_m2, solved.area_m2, rtol=0.03)
         assert np.abs(closed.pressure - solved.pressure).sum() < 0.02 * solved.pressure.sum()
-
-
-def test_displacement_beside_the_contact_agrees_with_the_half_space_and_with_a_point_load():
-    problem = paraboloid(96, 0.006)
-    closed = solve_hertz(problem, Command(depth_m=1e-4)).displacement
-    assert_allclose(closed, solve_layer(problem, Command(depth_m=1e-4)).displacement, atol=0.01 * 1e-4)
+        if ratio == 1.0:
+            assert_allclose(closed.displacement, solved.displacement, atol=0.01 * depth)
     x, y, step = grid(25, 0.006)
     away = np.hypot(x, y) > 1.5 * step
-    for force in (1e-12, 1e-20, 1e-29):
+    for force in (1e-12, 1e-29):
         displacement = solve_hertz(paraboloid(25, 0.006), Command(force_n=force)).displacement[0]
         point_load = force / (math.pi * half_space().plane_modulus_pa * np.hypot(x, y)[away])  # Johnson, eq. 3.22b
         assert_allclose(displacement[away], point_load, rtol=1e-5)

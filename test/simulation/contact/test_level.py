@@ -35,8 +35,8 @@ def surface(shape, x, y):
     if shape == "cylinder":
         return -((np.cos(0.7) * x + np.sin(0.7) * y) ** 2) / (2 * 0.033)
     across = np.cos(0.5) * x + np.sin(0.5) * y
-    rounded = np.clip(across + 0.001, 0.0, 0.002) ** 2 / 0.004 + np.maximum(across - 0.001, 0.0)
-    return np.zeros_like(x) if shape == "plane" else -rounded
+    edge = np.clip(across + 0.001, 0.0, 0.002) ** 2 / 0.004 + np.maximum(across - 0.001, 0.0)
+    return np.zeros_like(x) if shape == "plane" else -edge
 
 
 def drops(pad, contact, other, level):

@@ -90,15 +90,10 @@ class _Pending:
 
 
 class GraspTouchMatcher:
-    """Collects plans, executed grasps, labels and contacts until a grasp is complete.
-
-    Not thread-safe; every time is given by the caller.
+    """Collects plans, executed grasps, labels and contacts until a grasp is complete. Not thread-safe.
 
     Args:
-        buffer: The readings.
-        clouds: The clouds.
-        config: Settings.
-        contact: Settings of the contact detector.
+        buffer, clouds, config, contact: Readings, clouds, and settings of the pairing and of the contact detector.
         assume: Whether a contact without a report belongs to the best grasp of the last cloud before it.
         successes_only: Whether grasps that failed after contact are rejected too.
     """
@@ -173,13 +168,9 @@ class GraspTouchMatcher:
             self._unclaimed.append((episode, now_s))
 
     def add_label(self, label: Label, now_s: float) -> tuple[str, str]:
-        """Add the operator's label.
+        """Add the operator's label, and return the grasp's id and a sentence on what happens with the label.
 
-        Returns:
-            The grasp's id, and a sentence on what happens with the label.
-
-        Raises:
-            PairingError: If the grasp is not known, or its sample is complete.
+        Raises a `PairingError` if the grasp is not known, or its sample is complete.
         """
         name = label.grasp_id or self._latest()
         pending = next((one for one in reversed(self._pending) if one.executed.grasp_id == name), None)

@@ -26,11 +26,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")
 
 
 class Definitions:
-    """Message types, looked up on request.
-
-    Attributes:
-        store: The types found so far; serialises their messages.
-    """
+    """Message types, looked up on request; `store` holds those found so far, and serialises their messages."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -38,14 +34,9 @@ class Definitions:
         self.store: Typestore = get_typestore(Stores.ROS2_KILTED)
 
     def register(self, type_name: str, text: str) -> None:
-        """Register a type.
+        """Register a type by the text of its `.msg` file, which definitions of the types in it may follow, as in MCAP.
 
-        Args:
-            type_name: Such as `foretouch_msgs/msg/Biotac`.
-            text: Its `.msg` file; definitions of the types in it may follow, separated as in MCAP.
-
-        Raises:
-            DatasetError: If the text is no definition, or contradicts a registered one.
+        Raises a `DatasetError` if the text is no definition, or contradicts a registered one.
         """
         from rosbags.typesys import TypesysError, get_types_from_msg
 
@@ -55,11 +46,7 @@ class Definitions:
             raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
 
     def text(self, type_name: str) -> str:
-        """The definition with those of all types in it, as MCAP stores them (`ros2msg`).
-
-        Raises:
-            DatasetError: If the type, or one in it, cannot be found.
-        """
+        """The definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
         self._require(type_name)
         return self.store.generate_msgdef(type_name, ros_version=2)[0]
 

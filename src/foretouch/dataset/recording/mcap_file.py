@@ -18,7 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from foretouch import __version__
-from foretouch.dataset.disk import disk_errors
+from foretouch.dataset.files import disk_errors
 from foretouch.errors import DatasetError, FileError
 
 LIBRARY: Final = f"foretouch {__version__}"
@@ -29,15 +29,12 @@ _TIME_END: Final = 2**63
 class McapFile:
     """A new MCAP file of the profile `ros2`. Not thread-safe.
 
-    Args:
-        path: Must not exist.
-
     Attributes:
         types: Type of the messages, by declared topic.
 
     Raises:
-        FileError: If the path exists or cannot be written. So do all methods that write; what they were to write is then
-            not in the file.
+        FileError: If the path exists or cannot be written. So do all methods that write; nothing of what they were to
+            write is then in the file.
     """
 
     def __init__(self, path: str | Path) -> None:

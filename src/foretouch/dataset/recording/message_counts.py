@@ -30,6 +30,11 @@ class TopicCounts:
         """Received, and neither written nor dropped yet: in a queue or in the next chunk."""
         return self.received - self.written - self.dropped.total()
 
+    def drop(self, reason: str, count: int) -> None:
+        """Count messages as discarded."""
+        if count > 0:
+            self.dropped[reason] += count
+
 
 @dataclass
 class MessageCounts:
@@ -49,27 +54,6 @@ class MessageCounts:
             counts.written += theirs.written
             counts.dropped.update(theirs.dropped)
             counts.lost += theirs.lost
-
-    def drop_pending(self, reason: str) -> None:
-        """Count all pending messages as dropped, at the end of a recording."""
-        for counts in self.topics.values():
-            if counts.pending > 0:
-                counts.dropped[reason] += counts.pending
-
-    def drop_written(self, reason: str) -> None:
-        """Count all written messages as dropped, after their file was lost."""
-        for counts in self.topics.values():
-            if counts.written:
-                counts.dropped[reason] += counts.written
-                counts.written = 0
-
-    def faults(self) -> list[str]:
-        """Topics whose counts do not add up, one line each."""
-        return [
-            f"{name}: received {counts.received} is not written {counts.written} + dropped {counts.dropped.total()}"
-            for name, counts in sorted(self.topics.items())
-            if counts.pending
-        ]
 
     def to_record(self) -> dict[str, dict[str, Any]]:
         """By topic, in plain types."""

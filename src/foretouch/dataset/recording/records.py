@@ -97,11 +97,7 @@ Walked: TypeAlias = Iterator[Record | Damage]
 
 
 def mapped(path: Path) -> memoryview:
-    """The bytes of a file, read from the disk on access, until the last view of them is gone.
-
-    Raises:
-        FileError: If it cannot be read.
-    """
+    """The bytes of a file, read from the disk on access, until their last view is gone; raises a `FileError`."""
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
@@ -219,14 +215,7 @@ def _content(data: memoryview, opcode: int, start: int, end: int) -> Any:
 
 
 class Declarations:
-    """What the records of a file declare; later ones replace earlier ones.
-
-    Attributes:
-        schemas: By number.
-        channels: By number.
-        about: Versions, hand and camera, as text.
-        counts: The message counts; None before the first.
-    """
+    """What the records of a file declare; later ones replace earlier ones."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}

@@ -18,22 +18,19 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.dataset.disk import disk_errors, sync_folder
+from foretouch.dataset.files import disk_errors, sync_folder
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
-    IN_SUMMARY,
     MAGIC,
     Chunk,
     Damage,
     Declarations,
-    Record,
     RecordedMessage,
     mapped,
     next_chunk,
-    summary_of,
     walk,
     walk_on,
 )
@@ -72,8 +69,7 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """Repair every recording of a dataset that needs it, or a single file.
 
     Raises:
-        FileError: If another process records into the dataset, it is no recording or of another version, or the disk has
-            no space for the repaired file.
+        FileError: If another process records into it, it is no recording or of another version, or the disk is full.
     """
     path = Path(path)
     recorded_files(path)  # refuses other folders, before a lock file is created there
@@ -94,7 +90,7 @@ def _repair_file(path: Path) -> RepairReport:
         data = mapped(path)
         if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
             raise FileError(path, "is no MCAP file, and holds no part of one")
-        _Repair(data, McapFile(part), report).run()
+        _Repair(data, found.declared, McapFile(part), report).run()
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -120,11 +116,11 @@ def _replace(path: Path, repaired: Path) -> Path:
 class _Repair:
     """Copies the intact parts of a file into a new one."""
 
-    def __init__(self, data: memoryview, file: McapFile, report: RepairReport) -> None:
+    def __init__(self, data: memoryview, declared: Declarations, file: McapFile, report: RepairReport) -> None:
         self._data = data
         self._file = file
         self._report = report
-        self._declared = _declarations(data)
+        self._declared = declared
         self._topics: dict[int, str] = {}  # by the channel of the original
         self._pending: list[Message] = []
         self._written: Counter[str] = Counter()
@@ -188,23 +184,6 @@ class _Repair:
                 dropped[_LOST] += lost
             result.topics[topic] = TopicCounts(written + dropped.total(), written, dropped, old.lost)
         return result
-
-
-def _declarations(data: memoryview) -> Declarations:
-    """From the records of a file that are intact, its verified chunks and its verified summary."""
-    declared = Declarations()
-    verified: list[Record | Damage] = []
-    for item in walk_on(data):
-        if isinstance(item, Record):
-            declared.add(item)
-            if isinstance(item.content, Chunk) and item.content.intact(data):
-                verified += walk(data, item.content.start, item.content.end, IN_CHUNK)
-    ends = summary_of(data)
-    verified += [] if isinstance(ends, Damage) else walk(data, *ends, IN_SUMMARY)
-    for item in verified:
-        if isinstance(item, Record):
-            declared.add(item)
-    return declared
 
 
 def salvaged(data: memoryview, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:

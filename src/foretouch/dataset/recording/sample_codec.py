@@ -8,6 +8,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.checked_files import parse_json
-from foretouch.dataset.manifest import require_version
+from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions
@@ -43,10 +44,9 @@ class StoredSample(NamedTuple):
 
 
 def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
-    """Encode a record, whose id is set, as the CDR of a `foretouch_msgs/GraspSample` with encapsulation header.
+    """A record, whose id is set, as the CDR of a `foretouch_msgs/GraspSample` with encapsulation header.
 
-    Raises:
-        DatasetError: If the id or a stamp is invalid, or a number other than the score of a grasp is not finite.
+    Raises a `DatasetError` if the id or a stamp is invalid, or a number other than a grasp's score is not finite.
     """
     sample = record.sample
     check_id(sample.id, sample.object)
@@ -97,8 +97,7 @@ def is_intact(data: bytes | memoryview) -> bool:
 def decode_sample(data: bytes | memoryview) -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
-    Raises:
-        DatasetError: If the bytes are damaged, of another schema version, or break a rule.
+    Raises a `DatasetError` if the bytes are damaged, of another schema version, or break a rule.
     """
     if not is_intact(data):
         raise DatasetError("damaged: the bytes do not match their SHA-256")
@@ -163,7 +162,7 @@ def _facts(facts: Mapping[str, str]) -> str:
 
 def _grasp_of(message: Any, score: float) -> Grasp:
     """The grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
-    return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
+    return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
 
 
 def _touch_fields(touch: Touch | None, flag: str, prefix: str) -> dict[str, Any]:

@@ -24,13 +24,13 @@ from foretouch.dataset.recording.records import (
     Chunk,
     Damage,
     Declarations,
-    Record,
     RecordedMessage,
     is_finished,
     magic_damage,
     mapped,
     summary_of,
     walk,
+    walk_on,
 )
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
 from foretouch.errors import DatasetError
@@ -47,14 +47,18 @@ class FileReport:
     finished: bool = False  # whether it was closed
     ids: list[str] = field(default_factory=list)  # ids of its samples, in order
     messages: Counter[str] = field(default_factory=Counter)  # messages by topic
-    counts: MessageCounts | None = None  # the last message counts in the file; None if there are none
-    about: dict[str, str] = field(default_factory=dict)  # schema version, hand, camera and so on, as text
+    declared: Declarations = field(default_factory=Declarations)  # its topics, its message counts and so on
     faults: list[Damage] = field(default_factory=list)  # the faults, with their offsets
 
     @property
     def clean(self) -> bool:
         """Whether there are no faults."""
         return not self.faults
+
+    @property
+    def counts(self) -> MessageCounts | None:
+        """The last message counts in the file; None if there are none."""
+        return self.declared.counts
 
     def fault_lines(self) -> list[str]:
         """The faults, one line each, with file and offset."""
@@ -98,7 +102,7 @@ class _Verification:
     def __init__(self, report: FileReport, data: memoryview) -> None:
         self.report = report
         self.data = data
-        self.declared = Declarations()
+        self.declared = report.declared
         self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
 
@@ -106,14 +110,16 @@ class _Verification:
         self.report.size = len(self.data)
         self.report.finished = is_finished(self.data)
         self._note(magic_damage(self.data))
-        summary = self._data_section()
-        if summary is not None:
-            self._summary(summary)
+        data_end = self._data_section()
+        summary = summary_of(self.data)
+        if not isinstance(summary, Damage):
+            self._summary(data_end, *summary)
+        elif data_end is not None or self.report.finished:
+            self._note(summary)
         elif self.report.clean:
             self._fault(len(self.data), "not finished: no index; repair creates one")
         for number, count in self.found.items():
             self.report.messages[self.declared.channels[number].topic] += count
-        self.report.counts, self.report.about = self.declared.counts, self.declared.about
         if self.report.clean:
             self._check_counts()
 
@@ -125,8 +131,8 @@ class _Verification:
             self.report.faults.append(damage)
 
     def _data_section(self) -> int | None:
-        """Check up to the record that ends the data, and return where that record ends; None if it is missing."""
-        for number, record in enumerate(walk(self.data)):
+        """Check up to the record that ends the data, and return where that record ends; None if it is not reached."""
+        for number, record in enumerate(walk_on(self.data)):
             if isinstance(record, Damage):
                 self._note(record)
                 continue
@@ -169,33 +175,32 @@ class _Verification:
         else:
             self.report.ids.append(stored.record.sample.id)
 
-    def _summary(self, start: int) -> None:
-        ends = summary_of(self.data)
-        if isinstance(ends, Damage):
-            self._note(ends)
-            return
-        if ends[0] != start:
-            self._fault(start, "damaged: the summary begins elsewhere")
-        records = list(walk(self.data, *ends, IN_SUMMARY))
-        self.report.faults += [record for record in records if isinstance(record, Damage)]
-        contents = [record.content for record in records if isinstance(record, Record)]
-        chunks = [one.chunk_start_offset for one in contents if isinstance(one, ChunkIndex)]
-        if self.report.clean and chunks != self.chunks:
+    def _summary(self, data_end: int | None, start: int, end: int) -> None:
+        chunks = []
+        for record in walk(self.data, start, end, IN_SUMMARY):
+            if isinstance(record, Damage):
+                self._note(record)
+                continue
+            self.declared.add(record)
+            if isinstance(record.content, ChunkIndex):
+                chunks.append(record.content.chunk_start_offset)
+            elif isinstance(record.content, Statistics) and self.report.clean:
+                declared, found = record.content.message_count, self.found.total()
+                if declared != found:
+                    self._fault(record.offset, f"declares {declared} messages, {found} are there")
+        if self.report.clean and (start != data_end or chunks != self.chunks):
             self._fault(start, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
-        for one in contents:
-            if isinstance(one, Statistics) and self.report.clean and one.message_count != self.found.total():
-                self._fault(start, f"declares {one.message_count} messages, {self.found.total()} are there")
 
     def _check_counts(self) -> None:
         """Compare the message counts with the contents."""
         if self.report.counts is None:
             self._fault(0, "holds no message counts")
             return
-        topics, found = self.report.counts.topics, self.report.messages
-        rules = self.report.counts.faults()
-        for topic in sorted(topics.keys() | found.keys()):
-            written = topics[topic].written if topic in topics else 0
-            if written != found[topic]:
-                rules.append(f"{topic}: {written} messages are counted as written, {found[topic]} are there")
-        for rule in rules:
-            self._fault(0, rule)
+        found = self.report.messages
+        for topic in sorted(self.report.counts.topics.keys() | found.keys()):
+            counts = self.report.counts.topic(topic)
+            if counts.pending:
+                total = f"written {counts.written} + dropped {counts.dropped.total()}"
+                self._fault(0, f"{topic}: received {counts.received} is not {total}")
+            if counts.written != found[topic]:
+                self._fault(0, f"{topic}: {counts.written} messages are counted as written, {found[topic]} are there")

@@ -36,11 +36,12 @@ from mcap.records import Message
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
-from foretouch.dataset.disk import sync_folder
+from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.reader import SampleIds
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
@@ -50,7 +51,6 @@ from foretouch.dataset.recording.sample_codec import (
     encode_sample,
     sample_types,
 )
-from foretouch.dataset.recording.sample_ids import SampleIds
 from foretouch.errors import DatasetError, FileError, ForetouchError
 
 _MB: Final = 1_000_000
@@ -62,8 +62,8 @@ class RecordingConfig(Settings):
     """How often a recording is written to the disk, and when it ends for lack of space."""
 
     fsync_samples: int = setting(
-        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a minute",
-        minimum=0,
+        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a "
+        "minute", minimum=0,
     )  # fmt: skip
     fsync_s: float = setting(
         5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", unit="s", minimum=0.0
@@ -86,6 +86,8 @@ class RecordingWriter:
 
     Attributes:
         path: The dataset; that in `fallback_folder` after the session was copied there.
+        file: The file of the session.
+        closed: Whether the session has ended, by `close` or because the disk is full or failed.
         counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
         samples: Samples appended.
         labelled: Samples appended with a touch.
@@ -114,7 +116,7 @@ class RecordingWriter:
         self.before_end: Callable[[], None] = lambda: None
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
-        self._closed = False
+        self.closed = False
         self._unsynced_samples = 0
         self._guard = threading.RLock()
         self._pending: list[tuple[str, Message]] = []
@@ -122,7 +124,8 @@ class RecordingWriter:
         with ExitStack() as stack:
             stack.enter_context(opened_to_write(self.path, identity))
             self._ids = SampleIds(self.path)
-            self._file = McapFile(new_session_path(self.path))
+            self.file = new_session_path(self.path)
+            self._file = McapFile(self.file)
             stack.callback(self._file.abandon)
             self._file.write_metadata(ABOUT, _about(self.file.stem, identity))
             self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
@@ -136,16 +139,6 @@ class RecordingWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def file(self) -> Path:
-        """The file of the session."""
-        return self._file.path
-
-    @property
-    def closed(self) -> bool:
-        """Whether the session has ended, by `close` or because the disk is full or failed."""
-        return self._closed
 
     @property
     def bytes_written(self) -> int:
@@ -165,9 +158,7 @@ class RecordingWriter:
     def add_topic(self, topic: str, type_name: str) -> None:
         """Declare a topic of messages such as `sensor_msgs/msg/PointCloud2`, before its first message.
 
-        Raises:
-            DatasetError: If the definition of the type is not found, or the topic has another type.
-            FileError: If the session has ended.
+        Raises a `DatasetError` if the type has no definition, or the topic another type.
         """
         with self._guard:
             known = self._file.types.get(topic)
@@ -185,7 +176,7 @@ class RecordingWriter:
     def drop(self, topic: str, reason: str, count: int = 1) -> None:
         """Count discarded messages under a short, constant reason such as "queue full"."""
         with self._guard:
-            self.counts.topic(topic).dropped[reason] += count
+            self.counts.topic(topic).drop(reason, count)
 
     def lose(self, topic: str, total: int) -> None:
         """Update the total of messages that the middleware lost before they were received; it never decreases."""
@@ -271,12 +262,11 @@ class RecordingWriter:
     def close(self) -> None:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
 
-        Raises:
-            FileError: If the disk is full or fails; everything that was acknowledged is in the file. If the file was
-                removed; the message names where the session was copied, or what is lost.
+        Raises a `FileError` if the disk is full or fails: everything that was acknowledged is in the file. If the file
+        was removed, the message names where the session was copied, or what is lost.
         """
         with self._guard:
-            if self._closed:
+            if self.closed:
                 return
             self._write_pending()
             self._end("not written when the session ended")
@@ -284,7 +274,7 @@ class RecordingWriter:
                 raise FileError(self.file, self._removal)
 
     def _require_open(self) -> None:
-        if self._closed:
+        if self.closed:
             raise FileError(self.file, "the session has ended")
 
     def _write_pending(self) -> None:
@@ -332,9 +322,10 @@ class RecordingWriter:
         raise FileError(self.file, f"{rule}: {rest}") from cause
 
     def _end(self, reason: str) -> None:
-        self._closed = True
+        self.closed = True
         self.before_end()
-        self.counts.drop_pending(reason)
+        for counts in self.counts.topics.values():
+            counts.drop(reason, counts.pending)
         with ExitStack() as stack:
             stack.enter_context(self._release)
             if self._file.removed:
@@ -350,7 +341,7 @@ class RecordingWriter:
         self._file.finish()
 
     def _save(self, remains: BinaryIO) -> str:
-        """Copy a file that was removed into the fallback folder, or count its content as lost; says which in one line."""
+        """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""
         if os.fstat(remains.fileno()).st_nlink:
             with_samples = f"with its {self.samples} samples: the session has ended"
             return f"was moved or unmounted during the recording, {with_samples}"
@@ -363,7 +354,9 @@ class RecordingWriter:
                 lost = str(err)
         samples, self.samples, self.labelled = self.samples, 0, 0
         messages = sum(counts.written for counts in self.counts.topics.values()) - samples
-        self.counts.drop_written("file removed")
+        for counts in self.counts.topics.values():
+            counts.drop("file removed", counts.written)
+            counts.written = 0
         return f"{removed} {samples} samples and {messages} messages are lost: {lost}"
 
 

@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import grasp_numbers
-from foretouch.ros.messages.conversions import evidence_fields, prediction_to_msg, reference_code, refusal_to_msg
+from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields, prediction_to_msg, refusal_to_msg
 from foretouch.types import TOUCH_SIZE, Evidence, Float64, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray
@@ -47,18 +47,9 @@ class TouchAnswer:
     model: str = ""  # its name
     model_sha256: str = ""
 
-    @property
-    def status(self) -> int:
-        """OK if any prediction is, else that of the first."""
-        return self._summary.status
-
-    @property
-    def reason(self) -> str:
-        """Of the status."""
-        return self._summary.reason
-
     @cached_property
-    def _summary(self) -> Refusal:
+    def summary(self) -> Refusal:
+        """OK without a reason if any prediction is, else the refusal of the first."""
         refused = [one for one in self.outcomes if isinstance(one, Refusal)]
         return refused[0] if refused and len(refused) == len(self.outcomes) else Refusal(Status.OK, "")
 
@@ -78,7 +69,8 @@ class TouchAnswer:
     def message(self) -> TouchPredictionArray:
         """The message of all."""
         predictions = [self.prediction(k) for k in range(len(self.outcomes))]
-        return TouchPredictionArray(header=self.header, predictions=predictions, status=self.status, reason=self.reason)
+        status, reason = self.summary
+        return TouchPredictionArray(header=self.header, predictions=predictions, status=status, reason=reason)
 
     def encoded(self) -> bytes:
         """The message of all as the middleware sends it."""
@@ -93,9 +85,9 @@ class TouchAnswer:
             gap = -(at + len(names)) % _DOUBLES
             parts += (names, bytes(gap), numbers, tail)
             at += len(names) + gap + len(numbers) + len(tail)
-        end = _text(self.reason)
-        end = end[: 4 + len(self.reason.encode()) + 1]  # nothing follows
-        return b"".join((_LITTLE_ENDIAN, *parts, struct.pack("<B3x", self.status), end))
+        status, reason = self.summary
+        end = _text(reason)[: 4 + len(reason.encode()) + 1]  # nothing follows
+        return b"".join((_LITTLE_ENDIAN, *parts, struct.pack("<B3x", status), end))
 
     @cached_property
     def _begin(self) -> bytes:
@@ -121,7 +113,7 @@ class TouchAnswer:
             reference, flags, status, reason = TouchPredictionMsg.NONE, self.flags, *outcome
             evidence: dict[str, Any] = {}
         else:
-            reference, flags = reference_code(outcome.reference), (*outcome.flags, *self.flags)
+            reference, flags = REFERENCE_CODES[outcome.reference], (*outcome.flags, *self.flags)
             status, reason, evidence = Status.OK, "", evidence_fields(outcome.evidence)
         ages = [evidence.get(name) or Duration() for name in ("touch_age", "reading_age")]
         return b"".join((

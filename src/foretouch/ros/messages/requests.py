@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs from other nodes, read or refused with a status, and the plan of grasps that answers."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 from rclpy.serialization import deserialize_message
@@ -50,6 +51,14 @@ class RefusalError(ForetouchError):
         self.reason = str(self)
 
 
+@contextmanager
+def _refused_as(status: int) -> Iterator[None]:
+    try:
+        yield
+    except CloudError as err:
+        raise RefusalError(status, str(err)) from err
+
+
 def read_serialized(data: bytes, kind: type[_M]) -> _M:
     """Deserialise a message of a raw subscription, whose bytes nobody has checked.
 
@@ -69,10 +78,8 @@ def read_cloud(message: PointCloud2) -> Cloud:
     Raises:
         RefusalError: BAD_CLOUD, if its sizes do not add up.
     """
-    try:
+    with _refused_as(Status.BAD_CLOUD):
         return decode_cloud(message)
-    except CloudError as err:
-        raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
 
 def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
@@ -81,10 +88,8 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: Objec
     Raises:
         RefusalError: BAD_CLOUD, EMPTY_CLOUD, or UNKNOWN_FRAME with a reason that holds `not_optical`.
     """
-    try:
+    with _refused_as(Status.BAD_CLOUD):
         targets = objects_from_msg(message, plane)
-    except CloudError as err:
-        raise RefusalError(Status.BAD_CLOUD, str(err)) from err
     if not targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
     for target in () if isinstance(message, TargetCloud) else targets:  # those of this process were checked
@@ -108,10 +113,8 @@ def read_plane(message: PlaneMsg) -> Plane:
     Raises:
         RefusalError: BAD_PLANE, if a number is not finite or all are zero.
     """
-    try:
+    with _refused_as(Status.BAD_PLANE):
         plane = plane_from_msg(message)
-    except CloudError as err:
-        raise RefusalError(Status.BAD_PLANE, str(err)) from err
     if plane is None:
         raise RefusalError(Status.BAD_PLANE, "table: holds no plane")
     return plane

@@ -21,9 +21,8 @@ from foretouch.config import setting
 from foretouch.dataset.recording.definitions import Definitions
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.subscriptions import sample_topics
+from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.ros.runtime.serialized_input import InputTopic, SerializedInput, SerializedMessage
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _TICK_S: Final = 0.2  # between two looks at what the clients ask for
@@ -105,6 +104,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definitions.text(kind).encode())
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
             self._served[name] = _Served(topic, channel)
+            self._closing.callback(channel.close)
 
     def _start(self) -> None:
         foxglove, config = foxglove_sdk(), self.config
@@ -138,8 +138,6 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self.url = ""
 
     def _teardown(self) -> None:
-        for one in self._served.values():
-            one.channel.close()
         self._served.clear()
 
     def notes(self) -> dict[str, str]:

@@ -50,15 +50,14 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
 
     def _setup(self) -> None:
         self._frame = OutputFrame(self, self.config)
+        self._closing.callback(self._frame.close)
         self._grasps = self.advertise(GraspArray, GRASPS_TOPIC, keep=True)  # before subscribing: no answer is lost
         for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super()._setup()
 
     def _teardown(self) -> None:
-        if self._frame is not None:
-            self._frame.close()
-            self._frame = None
+        self._frame = None
 
     def notes(self) -> dict[str, str]:
         """The frame of the answers too."""

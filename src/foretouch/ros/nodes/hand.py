@@ -134,9 +134,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._solver: Worker[_Command] = Worker("hand-contact", 1, self._solve, lambda _, why: self._drop(why))
         self._tactile = self.advertise(BiotacAll, TACTILE_TOPIC, depth=_DEPTH)
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
-        self._service = self.create_service(
-            Trigger, "execute_grasp", self._on_execute, callback_group=MutuallyExclusiveCallbackGroup()
-        )
+        self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
         self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
 
     def _start(self) -> None:
@@ -155,8 +153,6 @@ class HandNode(ForetouchNode[HandConfig]):
             self._abandon("stopped")
 
     def _teardown(self) -> None:
-        if self._hand is not None:
-            self.destroy_service(self._service)
         self._hand = self._newest = None
         self._resting.clear()
 

@@ -6,21 +6,23 @@ them, waits for the disk, and assembles samples. Services have a callback group 
 """
 
 import time
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
-from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, Role, SampleAssembler
+from foretouch.config import Settings, setting
+from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, PairingConfig, Role, SampleAssembler
 from foretouch.dataset.record import check_name
-from foretouch.dataset.recording import Outcome, RecordingWriter
+from foretouch.dataset.recording import Identity, Outcome, RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.ros.recorder.config import RecorderConfig
-from foretouch.ros.recorder.session import RecordingSession, SessionStatus
-from foretouch.ros.recorder.status import status_to_msg
+from foretouch.ros.messages.tactile import TactileInput
+from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, sample_topics
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileReader, make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
@@ -33,6 +35,52 @@ _TICK_S = 0.5
 _DEPTH = 1000  # messages that the middleware keeps while this process does not get to run
 _CLOUD_DEPTH = 100
 _RAW_DEPTH = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentityConfig(Settings):
+    """Which hand and which camera: a dataset holds recordings of one of each."""
+
+    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
+    hand_serial: str = setting("", "Serial number of the hand", read_only=True)
+    camera: str = setting("realsense", "Model of the camera", read_only=True)
+    camera_serial: str = setting("", "Serial number of the camera", read_only=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecorderConfig(NodeConfig, TactileInput):
+    """Settings of the recorder."""
+
+    folder: str = setting(".", "Folder of datasets with a relative path, or without a path", read_only=True)
+    fallback_folder: str = setting(
+        "", "Folder for a copy of the session if its dataset is removed meanwhile; if empty, the session is then lost",
+        read_only=True,
+    )  # fmt: skip
+    record: str = setting("", "Dataset to record from the start; empty waits for start_recording", read_only=True)
+    object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
+    points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
+    unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
+    unlabelled_s: float = setting(
+        1.0, "Minimum time between two samples without a touch", unit="s", minimum=0.0, maximum=3600.0
+    )
+    assume_grasps: bool = setting(
+        False, "Whether a contact without a report is assigned to the best grasp of the last cloud before it"
+    )
+    queue_mb: int = setting(
+        500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
+    )
+    identity: IdentityConfig = field(default_factory=IdentityConfig)
+    pairing: PairingConfig = field(default_factory=PairingConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
+    writing: RecordingConfig = field(default_factory=RecordingConfig)
+
+
+def _dataset_identity(config: RecorderConfig) -> Identity:
+    """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
+    identity, (thumb, middle) = config.identity, config.tactile.fingers
+    hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.type}
+    camera = {"model": identity.camera, "serial": identity.camera_serial}
+    return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
 
 
 def _decode_label(request: Any) -> Label:
@@ -66,7 +114,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.path = ""
         self.reason = ""
         self._input_topics: RecorderSubscriptions | None = None
-        self._offered: list[Any] = []
         self._reader: TactileReader | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
@@ -79,16 +126,12 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         raw_depth = _RAW_DEPTH if self.config.points else 0
         topics = sample_topics(self.config, depth=_DEPTH, cloud_depth=_CLOUD_DEPTH, points_depth=raw_depth)
         self._input_topics = RecorderSubscriptions(self, topics, self._mismatch)
+        self._closing.callback(self._input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
-        self._timer = self.create_timer(_TICK_S, self._tick, callback_group=group)
-        self._offered = [
-            self.create_service(kind, name, answer, callback_group=group)
-            for kind, name, answer in (
-                (StartRecording, "start_recording", self._start_recording),
-                (StopRecording, "stop_recording", self._stop_recording),
-                (LabelGrasp, "label_grasp", self._label_grasp),
-            )
-        ]
+        self._closing.callback(self.destroy_timer, self.create_timer(_TICK_S, self._tick, callback_group=group))
+        self.serve(StartRecording, "start_recording", self._start_recording, group)
+        self.serve(StopRecording, "stop_recording", self._stop_recording, group)
+        self.serve(LabelGrasp, "label_grasp", self._label_grasp, group)
 
     def _start(self) -> None:
         if self.config.record:
@@ -98,13 +141,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.end()
 
     def _teardown(self) -> None:
-        for service in self._offered:
-            self.destroy_service(service)
-        if self._offered:
-            self.destroy_timer(self._timer)
-        if self._input_topics is not None:
-            self._input_topics.destroy()
-        self._offered, self._input_topics, self._reader = [], None, None
+        self._input_topics = self._reader = None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
@@ -135,11 +172,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Whether a session is running."""
         return self._session is not None and not self._session.ended.is_set()
 
-    @property
-    def in_session(self) -> bool:
-        """Whether there is a session to end: a running one, or one that has just ended by itself."""
-        return self._session is not None
-
     def session_status(self) -> SessionStatus:
         """State of the current session, or of the last one."""
         session = self._session
@@ -168,7 +200,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         assert self._reader is not None  # noqa: S101
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(
-            target, config.dataset_identity(), config.writing, fallback_folder=config.fallback_folder or None
+            target, _dataset_identity(config), config.writing, fallback_folder=config.fallback_folder or None
         )
         for name, one in topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)
@@ -243,7 +275,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return response
 
     def _stop_recording(self, _request: Any, response: Any) -> Any:
-        if not self.in_session:
+        if self._session is None:
             response.message = self.reason or "nothing is being recorded"
             return response
         last = self.end()

@@ -65,7 +65,7 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
         elif topic.name.startswith(prefix) and topic.name.removeprefix(prefix) not in _INPUTS:
             reason = f"this graph publishes under {namespace} itself"
         else:
-            found, reason = message_class(topic)
+            found, reason = _message_class(topic)
         if topic.count and found is not None:
             classes[topic] = found
         elif topic.count:
@@ -73,7 +73,7 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
     return classes, reasons
 
 
-def message_class(topic: Topic) -> tuple[type | None, str]:
+def _message_class(topic: Topic) -> tuple[type | None, str]:
     """The class of a topic's messages if this machine has it with the same fields; else None and the reason."""
     match = _TYPE.fullmatch(topic.type)
     if match is None:
@@ -178,7 +178,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._answered = threading.Condition()
         self._last_answer_ns = -1
         self._matching: Matching | None = None
-        self._reports: Any = None
         super().__init__(name, ReplayConfig, **options)
         latched = QoSProfile(
             depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -214,7 +213,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
         self._matching = Matching(self, config.discovery_s, config.wait_for)
-        self._reports = self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH)
+        reports = self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH)
+        self._closing.callback(self.destroy_subscription, reports)
 
     def _start(self) -> None:
         self._stopping.clear()
@@ -233,13 +233,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self._thread = None
 
     def _teardown(self) -> None:
-        for topic, publisher in self._topic_publishers.items():
-            if topic != CLOUDS:
-                self.destroy_publisher(publisher)
         self._topic_publishers.clear()
-        if self._reports is not None:
-            self.destroy_subscription(self._reports)
-        self._source = self._reports = None
+        self._source = None
 
     def has_ended(self) -> bool:
         """Whether there is nothing more to play."""
@@ -378,7 +373,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         for topic, message in classes.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
             profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
-            self._topic_publishers[topic.name] = self.create_publisher(message, topic.name, profile)
+            publisher = self._topic_publishers[topic.name] = self.create_publisher(message, topic.name, profile)
+            self._closing.callback(self.destroy_publisher, publisher)
         for topic_name, reason in self._left_out.items():
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 

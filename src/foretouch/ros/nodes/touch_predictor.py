@@ -11,14 +11,14 @@ model is immutable and serves all of them. A model that cannot be loaded does no
 gives the reason, and cleaning up and configuring again retries.
 
 Touch is predicted in the frame of the camera. With `output_frame`, grasps and requests in that frame are brought there,
-and everything that is published is brought back (see `output_frame` and `framed_request`).
+and everything that is published is brought back (see `output_frame`).
 """
 
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from copy import copy
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
@@ -37,15 +37,20 @@ from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
-from foretouch.ros.runtime.output_frame import OutputFrame
+from foretouch.ros.runtime.output_frame import Latest, OutputFrame, in_cloud_frame
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.framed_request import Latest, in_cloud_frame
-from foretouch.ros.touch.grasp_sampler import refused_goal, sample_grasps
+from foretouch.ros.touch.grasp_actions import (
+    PLANNER_ACTION,
+    planner_action_class,
+    planner_feedback,
+    planner_result,
+    refused_goal,
+    sample_grasps,
+)
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.planner_action import PLANNER_ACTION, planner_action_class, planner_feedback, planner_result
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
@@ -81,7 +86,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)]
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
-        self._closing = ExitStack()  # of what `_setup` made
         self._predictor: Predictor | None = None
         self._adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
@@ -105,19 +109,16 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.get_logger().error(self._predictor.fault)
         self._predictor.warm_up()
         if config.latency_budget_ms > 0.0:
-            self._predictor.keep_to(config.latency_budget_ms, config, self._info)
+            self._predictor.keep_to(config.latency_budget_ms, config, self.get_logger().info)
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = self.advertise(MarkerArray, "markers")
         self._threads = ThreadPool(self, _PARALLEL_REQUESTS)
         closing.callback(self._threads.close)
         group = ReentrantCallbackGroup()
-        for kind, name, callback in (
-            (PredictTouch, "predict_touch", self._predict_touch),
-            (Trigger, "forget_touches", self._forget_touches),
-            (Trigger, "forget_history", self._forget_history),
-        ):
-            closing.callback(self.destroy_service, self.create_service(kind, name, callback, callback_group=group))
+        self.serve(PredictTouch, "predict_touch", self._predict_touch, group)
+        self.serve(Trigger, "forget_touches", self._forget_touches, group)
+        self.serve(Trigger, "forget_history", self._forget_history, group)
         self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, refused_goal)
         if self._planner_action is not None:
             self._offer(self._planner_action, PLANNER_ACTION, self._sample_grasp_poses, self._planner_failure)
@@ -128,20 +129,17 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self, kind: Any, name: str, execute: Callable[[Any], Any], failure: Callable[[RefusalError], Any]
     ) -> None:
         """Make the server of an action; a goal with an internal error is aborted."""
-
-        def aborted(arguments: tuple[Any, ...], reason: str) -> Any:
-            (goal_handle,) = arguments
-            if goal_handle.is_active:
-                goal_handle.abort()
-            return failure(RefusalError(Status.FAILED, reason))
-
-        guarded, accept = self.internal_errors.guarded(name, execute, aborted), lambda _: CancelResponse.ACCEPT
-        group = ReentrantCallbackGroup()
-        action = ActionServer(self, kind, name, guarded, cancel_callback=accept, callback_group=group)
+        action = ActionServer(
+            self,
+            kind,
+            name,
+            self.internal_errors.guarded(name, execute, partial(_aborted, failure)),
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
         self._closing.callback(action.destroy)
 
     def _teardown(self) -> None:
-        self._closing.close()
         self._frame = self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
         self._tables.clear()
 
@@ -190,7 +188,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
             self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)
-        return message.status, message.reason
+        return message.summary
 
     def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
         """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
@@ -214,7 +212,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         answer = None if predictor.budget is None else predictor.budget.begin(len(grasps), arrived)
         if answer is not None and not (answer.affordable or self._warned):  # rclpy's own `once` takes 0.5 ms each time
             self._warned = True
-            self._warn(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
+            self.get_logger().warning(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
                        f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
         model, reduced = (None, False) if answer is None else (answer.level.model, answer.reduced)
         message = predictor.array(targets, grasps, header, config, posing, model)
@@ -242,10 +240,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message = tactile_class(config.tactile.type)
         if model is None or model.calibration is None:
             return
-        self._keeper = HistoryKeeper(model, config.hand, config.history_folder, info=self._info, warn=self._warn)
+        self._keeper = HistoryKeeper(
+            model, config.hand, config.history_folder, info=self.get_logger().info, warn=self.get_logger().warning
+        )
         self._closing.callback(self._keeper.close)
         now_ns: Callable[[], int] = lambda: int(self.get_clock().now().nanoseconds)  # noqa: E731
-        self._adapter = OnlineAdapter(model, reader, self._keeper, lambda: self.config, now_ns, self._warn)
+        self._adapter = OnlineAdapter(
+            model, reader, self._keeper, lambda: self.config, now_ns, self.get_logger().warning
+        )
         predictor.adapter = self._adapter
         self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
@@ -254,12 +256,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         """Keep grasps of a request, which may be executed."""
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, grasps, requested=True)
-
-    def _info(self, text: str) -> None:
-        self.get_logger().info(text)
-
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(text)
 
     def _forget_touches(self, _request: Any, response: Any) -> Any:
         count = self._adapter.forget() if self._adapter else 0
@@ -274,19 +270,18 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The service.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        arrived, header = time.monotonic(), request.cloud.header
-
-        def work() -> TouchPredictionArray:
-            try:
-                return self._answer_request(request, arrived)
-            except RefusalError as refusal:
-                status, reason = refusal.status, refusal.reason
-            except Exception as err:  # noqa: BLE001  the answer names the request's cloud
-                status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
-            return TouchPredictionArray(header=header, status=status, reason=reason)
-
+        work = partial(self._answer_or_refuse_request, request, time.monotonic())
         response.touch = await _configured(self._threads).run(work)
         return response
+
+    def _answer_or_refuse_request(self, request: Any, arrived: float) -> TouchPredictionArray:
+        try:
+            return self._answer_request(request, arrived)
+        except RefusalError as refusal:
+            status, reason = refusal.status, refusal.reason
+        except Exception as err:  # noqa: BLE001  the answer names the request's cloud
+            status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
+        return TouchPredictionArray(header=request.cloud.header, status=status, reason=reason)
 
     def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
         config = self.config
@@ -311,22 +306,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The actions.
 
     async def _sample_grasps(self, goal_handle: Any) -> Any:
-        def work() -> Any:
-            return self._sample(goal_handle, goal_handle.request, goal_handle.publish_feedback)
-
+        work = partial(self._sample, goal_handle, goal_handle.request, goal_handle.publish_feedback)
         return await self._finished(goal_handle, work, refused_goal)
 
     async def _sample_grasp_poses(self, goal_handle: Any) -> Any:
+        return await self._finished(goal_handle, partial(self._sample_poses, goal_handle), self._planner_failure)
+
+    def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
-
-        def work() -> Any:
-            count = min(self.config.planner_action_count, self.config.max_grasps)
-            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
-            sampled = self._sample(goal_handle, goal, lambda _: None)
-            goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
-            return planner_result(self._planner_action)
-
-        return await self._finished(goal_handle, work, self._planner_failure)
+        count = min(self.config.planner_action_count, self.config.max_grasps)
+        goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
+        sampled = self._sample(goal_handle, goal, lambda _: None)
+        goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
+        return planner_result(self._planner_action)
 
     def _planner_failure(self, refusal: RefusalError) -> Any:
         return planner_result(self._planner_action, refusal)
@@ -370,6 +362,13 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     ) -> Sequence[TouchPrediction]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
         return list(_configured(self._predictor).end(message, answer).predictions)
+
+
+def _aborted(failure: Callable[[RefusalError], Any], arguments: tuple[Any, ...], reason: str) -> Any:
+    (goal_handle,) = arguments
+    if goal_handle.is_active:
+        goal_handle.abort()
+    return failure(RefusalError(Status.FAILED, reason))
 
 
 def _configured(part: _T | None) -> _T:

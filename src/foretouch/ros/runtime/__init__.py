@@ -6,7 +6,7 @@ lifecycle_node       ForetouchNode: lifecycle, parameters, QoS and diagnostics
 processing_node      ProcessingNode: matches its inputs by stamp and answers every cloud in a thread
 parameters           ROS parameters made from settings
 diagnostics          counts, rates and latencies of a node's inputs, and its report in /diagnostics
-matching             whether publishers and subscribers of the graph have found each other
+discovery            whether publishers and subscribers have found each other; a second graph
 internal_errors      errors of callbacks: counted, logged, answered, and never the end of the process
 workers              threads for topics, services and actions
 """

@@ -81,15 +81,15 @@ class DirectInput:
         publisher = info.get("publisher_gid")
         return publisher is not None and publisher["data"][:ID_BYTES] in self.ids
 
-    def matches(self, publisher: DirectPublisher) -> bool:
-        """Whether the middleware would deliver the messages."""
-        one = self.subscription
-        if not publisher.id or publisher.name != one.topic_name or publisher.msg_type is not one.msg_type:
-            return False
-        return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
+
+def _matches(publisher: DirectPublisher, one: "Subscription[Any]") -> bool:
+    """Whether the middleware would deliver the messages."""
+    if not publisher.id or publisher.name != one.topic_name or publisher.msg_type is not one.msg_type:
+        return False
+    return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
 
 
-class DirectTopics:
+class _DirectTopics:
     """The connected publishers and subscriptions of a process. Thread-safe."""
 
     def __init__(self) -> None:
@@ -119,16 +119,16 @@ class DirectTopics:
 
     def _connect(self) -> None:
         for publisher in self._publishers:
-            publisher.receivers = tuple(one.receive for one in self._inputs if one.matches(publisher))
+            publisher.receivers = tuple(one.receive for one in self._inputs if _matches(publisher, one.subscription))
         for one in self._inputs:
-            one.ids |= {publisher.id for publisher in self._publishers if one.matches(publisher)}
+            one.ids |= {publisher.id for publisher in self._publishers if _matches(publisher, one.subscription)}
 
 
-_of_context: weakref.WeakKeyDictionary[Context, DirectTopics] = weakref.WeakKeyDictionary()
+_of_context: weakref.WeakKeyDictionary[Context, _DirectTopics] = weakref.WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def direct_topics(context: Context) -> DirectTopics:
+def direct_topics(context: Context) -> _DirectTopics:
     """The connections of a context of rclpy, of which a process usually has one."""
     with _lock:
-        return _of_context.setdefault(context, DirectTopics())
+        return _of_context.setdefault(context, _DirectTopics())

@@ -127,7 +127,7 @@ class GuardedCallbacks:
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
         """See rclpy's `Node`."""
         if srv_type in (SetParameters, SetParametersAtomically):
-            callback = _with_known_types(callback)
+            callback = functools.partial(_with_known_types, callback)
         guarded = self.internal_errors.guarded(srv_name, callback, _failed_service)
         return super().create_service(srv_type, srv_name, guarded, **options)  # type: ignore[misc]
 
@@ -162,17 +162,13 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
             time.sleep(_PAUSE_S)
 
 
-def _with_known_types(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """A callback of rclpy's parameter service that refuses a type that rclpy does not know, and would raise for."""
-
-    def run(request: Any, response: Any) -> Any:
-        for one in request.parameters:
-            if one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
-                reason = f"{shown(one.name)}: type {one.value.type} is none of rcl_interfaces/ParameterType"
-                return _failed_service((request, response), reason)
-        return callback(request, response)
-
-    return run
+def _with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
+    """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for."""
+    for one in request.parameters:
+        if one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+            reason = f"{shown(one.name)}: type {one.value.type} is none of rcl_interfaces/ParameterType"
+            return _failed_service((request, response), reason)
+    return callback(request, response)
 
 
 def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:

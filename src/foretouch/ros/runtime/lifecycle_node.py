@@ -14,11 +14,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
@@ -27,12 +28,11 @@ from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status
 from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, DirectPublisher, direct_topics
 from foretouch.ros.runtime.discovery import UPTIME, find_conflicts, matched_ends
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
-from foretouch.ros.runtime.losses import Losses
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.topics import NAMESPACE
 
@@ -80,6 +80,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
         super().__init__(name, **{"namespace": NAMESPACE, **options})
+        self._closing = ExitStack()  # of what `_setup` made
         try:
             self._settings = NodeSettings(self, config_class, self._config_changed)
         except ForetouchError:
@@ -128,7 +129,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Deactivate: end what `_start` started; also called where nothing was started."""
 
     def _teardown(self) -> None:
-        """Clean up: release what `_setup` made, publishers and subscriptions excepted."""
+        """Clean up: forget what `_setup` made, after what is in `_closing` was closed."""
 
     def _config_changed(self, config: _C) -> None:
         """React to a parameter that was changed at run time."""
@@ -222,6 +223,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             self._direct_inputs.append(direct)
             self.direct_topics.add(direct)
 
+    def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
+        """Offer a service until the node is cleaned up."""
+        self._closing.callback(self.destroy_service, self.create_service(kind, name, callback, callback_group=group))
+
     def _ids_of_publishers(self, topic: str) -> set[bytes]:
         """Ids of the node's publishers of a topic."""
         own = self.get_name(), self.get_namespace()
@@ -245,11 +250,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def matched_ends(self) -> dict[str, int]:
         """Number of matched ends of each of its topics, by key of /diagnostics."""
         return matched_ends(tuple(self._outputs), tuple(self._inputs))
-
-    def unknown_parameters(self) -> set[str]:
-        """Names of given parameters that this node does not have; ROS ignores them without a message."""
-        given = getattr(self, "_parameter_overrides", {})
-        return {name for name in given if not (self.has_parameter(name) or name.startswith("qos_overrides."))}
 
     def age_s(self, stamp_ns: int) -> float:
         """Age of a stamp on the node's clock [s]."""
@@ -331,6 +331,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def _release(self) -> None:
         gc.unfreeze()
+        self._attempt(self._closing.close)
         self._attempt(self._teardown)
         for direct in self._direct_inputs:
             self.direct_topics.remove(direct)

@@ -35,7 +35,7 @@ _WARN_EVERY_S = 5.0  # of refused clouds
 _P = TypeVar("_P", bound="ProcessingConfig")
 
 
-class StampedSet(NamedTuple):
+class _StampedSet(NamedTuple):
     """Messages by topic, all of one stamp, and the time of arrival of the first [s]."""
 
     messages: dict[str, Any]
@@ -60,13 +60,13 @@ class StampSynchronizer:
         self._depth = depth
         self._on_first = on_first
         self._on_drop = on_drop
-        self._waiting: dict[int, StampedSet] = {}
+        self._waiting: dict[int, _StampedSet] = {}
 
     def __len__(self) -> int:
         """Incomplete sets."""
         return len(self._waiting)
 
-    def add(self, topic: str, stamp_ns: int, message: Any) -> StampedSet | None:
+    def add(self, topic: str, stamp_ns: int, message: Any) -> _StampedSet | None:
         """Add a message of a topic; returns the set of its stamp if that is now complete."""
         found = self._waiting.get(stamp_ns)
         if found is not None and topic in found.messages:
@@ -74,7 +74,7 @@ class StampSynchronizer:
             self._on_drop("repeated_stamp")
             found = None
         if found is None:
-            found = self._waiting[stamp_ns] = StampedSet({}, self._on_first())
+            found = self._waiting[stamp_ns] = _StampedSet({}, self._on_first())
         found.messages[topic] = message
         if found.messages.keys() == self._topics:
             return self._waiting.pop(stamp_ns)
@@ -118,7 +118,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._lock = threading.Lock()
         names = [topic for _, topic in inputs]
         self._synchronizer = StampSynchronizer(names, _INCOMPLETE_SETS, self.statistics.receive, self.statistics.drop)
-        self._worker: Worker[StampedSet] = Worker(
+        self._worker: Worker[_StampedSet] = Worker(
             name,
             self.config.queue_depth,
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
@@ -170,7 +170,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         else:
             self.statistics.drop("inactive")
 
-    def _work(self, job: StampedSet) -> None:
+    def _work(self, job: _StampedSet) -> None:
         self._arrived = job.arrived
         header = job.messages[self._topics[0][1]].header
         age_s = self.age_s(stamp_ns(header.stamp))

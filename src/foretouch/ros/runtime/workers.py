@@ -196,13 +196,8 @@ class ThreadPool:
 
         Only for callbacks in a callback group that they do not share: a group is busy while its callback waits.
         """
-
-        def wake(_: Future[_T]) -> None:
-            if self._node.executor is not None:
-                self._node.executor.wake()
-
         future = self._pool.submit(work)
-        future.add_done_callback(wake)
+        future.add_done_callback(self._wake)
         while not future.done():
             await _Pause()
         return future.result()
@@ -210,6 +205,10 @@ class ThreadPool:
     def close(self) -> None:
         """Wait for running work and cancel the rest."""
         self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _wake(self, _: Future[Any]) -> None:
+        if self._node.executor is not None:
+            self._node.executor.wake()
 
 
 class _Pause:

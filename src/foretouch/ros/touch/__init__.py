@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Touch prediction behind its node: predictor, grasp sampler, and online adaptation to tactile readings."""
+"""Touch prediction behind its node: predictor, actions, and online adaptation to tactile readings."""

@@ -2,6 +2,7 @@
 """Settings of the touch predictor."""
 
 from dataclasses import dataclass, field
+from typing import Final
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
@@ -11,9 +12,15 @@ from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.runtime.output_frame import OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
-from foretouch.ros.touch.costs import COSTS, PRESSURE
 from foretouch.tactile import TactileRanges
 from foretouch.tactile.contact_detector import ContactConfig
+from foretouch_msgs.action import SampleGrasps
+
+PRESSURE: Final = SampleGrasps.Goal.PRESSURE
+SCORE: Final = SampleGrasps.Goal.SCORE
+HARDER_FINGER: Final = "harder_finger"
+COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
+"""Names of the rules for the cost of a grasp."""
 
 
 @dataclass(frozen=True, kw_only=True)

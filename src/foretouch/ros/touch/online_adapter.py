@@ -57,7 +57,7 @@ class OnlineAdapter:
         keeper: HistoryKeeper,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
-        warn: Callable[[str], None],
+        warn: Callable[[str], object],
     ) -> None:
         settings = config()
         self._model = model
@@ -86,14 +86,14 @@ class OnlineAdapter:
         received_ns = self._now_ns()
         with self._input_lock:
             self._received += 1
-            jumps = self._assembler.clock_jumps
+            jumps = self._assembler.readings.anomalies["clock_jump"]
             try:
                 accepted = self._assembler.add_tactile(message, received_ns=received_ns, now_s=time.monotonic())
             except TactileError as err:
                 self._unreadable += 1
                 self._texts["tactile.last_unreadable"] = str(err)
                 return
-            if self._assembler.clock_jumps != jumps:
+            if self._assembler.readings.anomalies["clock_jump"] != jumps:
                 self._tare.reset()
             for reading in accepted:
                 self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
@@ -119,7 +119,7 @@ class OnlineAdapter:
         if not self._config().use_touches or not self._received or not stamp or not named:
             return
         with self._input_lock:
-            known = requested and self._assembler.has_cloud(stamp)
+            known = requested and self._assembler.clouds.get(stamp) is not None
         data = b"" if known else bytes(serialize_message(cloud.message if isinstance(cloud, TargetCloud) else cloud))
         with self._input_lock:
             if not known:
@@ -176,7 +176,7 @@ class OnlineAdapter:
             if age_s is not None and age_s > config.forget_after_s:
                 self._history.start_object()
             with self._input_lock:
-                results = self._assembler.poll(now_s) if self._assembler.pending else []
+                results = self._assembler.poll(now_s) if self._assembler.matcher.pending else []
             for result in results:
                 if isinstance(result, RejectedGrasp):
                     self._refuse(result.grasp_id, result.reason, result.message)
@@ -205,7 +205,7 @@ class OnlineAdapter:
         """Entries for /diagnostics."""
         with self._input_lock:
             age_s, self._texts["tare.fault"] = self._tare.age_s(time.monotonic()), self._tare.fault
-            counts = {"waiting": self._assembler.pending, **self._touch_counts}
+            counts = {"waiting": self._assembler.matcher.pending, **self._touch_counts}
         return {
             "regime": self._calibration_group,
             "touches": str(self._history.touches),

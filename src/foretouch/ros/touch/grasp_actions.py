@@ -1,21 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action `sample_grasps`: plan on the given or the latest object, predict, and compute the costs."""
+"""The actions `sample_grasps` and `sample_grasp_poses`: plan on the given or the latest object, predict, and compute the costs.
 
+`sample_grasp_poses` is that of MoveIt Task Constructor, where its package is installed. Its goal is only a name, its
+result only a text; poses and costs come in the feedback. The stage that uses it (`DeepGraspPose`) goes on with the first
+feedback and replaces earlier ones, so all grasps are sent in one message.
+"""
+
+import importlib
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
+from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
+from foretouch.errors import ConfigError
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.costs import COSTS, SCORE, cost_of
-from foretouch.ros.touch.framed_request import Latest, no_latest_cloud
+from foretouch.ros.runtime.output_frame import Latest, no_latest_cloud
+from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchPredictorConfig
+from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
+
+PLANNER_ACTION = "sample_grasp_poses"
+"""Name of the action; one name cannot have two types."""
 
 Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[TouchPrediction]]
 
@@ -112,3 +124,62 @@ def refused_goal(refusal: RefusalError) -> Any:
     """The result of a goal that was refused."""
     state = f"{requests.status_name(refusal.status)}: {refusal}"
     return SampleGrasps.Result(grasp_state=state, status=refusal.status)
+
+
+def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> float:
+    """The cost of a grasp by a rule; infinity for what is not finite, or needs a prediction that there is not.
+
+    Rules: `pressure`, the mean of both fingers' predicted static pressure, each relative to its range, 0 lowest, 1 highest;
+    `harder_finger`, the larger of the two; `score`, the negative score of GeoGrasp.
+    """
+    cost = math.inf
+    if rule == SCORE:
+        cost = -prediction.grasp.score
+    elif prediction.status == Status.OK:
+        values = {"PDC_TH": prediction.pdc_th.value, "PDC_MF": prediction.pdc_mf.value}
+        limits = [ranges.of(name) for name in values]
+        shares = [(value - low) / (high - low) for value, (low, high) in zip(values.values(), limits, strict=True)]
+        cost = max(shares) if rule == HARDER_FINGER else float(np.mean(shares))
+    return cost if math.isfinite(cost) else math.inf
+
+
+def planner_action_class(type_name: str) -> Any:
+    """The class of an action such as `moveit_task_constructor_msgs/SampleGraspPoses`; None if it cannot be loaded.
+
+    Raises:
+        ConfigError: If the name is not of the form package/Type, or the type has no fields of this action.
+    """
+    package, _, name = type_name.partition("/")
+    if not package.isidentifier() or not name.isidentifier():
+        raise ConfigError(f"planner_action_type: {type_name!r} is not package/Type")
+    try:
+        kind = getattr(importlib.import_module(f"{package}.action"), name)
+    except (ImportError, AttributeError):
+        return None
+    try:
+        check_for_type_support(kind)
+    except Exception:  # noqa: BLE001  of rosidl: a package whose libraries are not found must not end the node
+        return None
+    if not (hasattr(kind.Feedback(), "grasp_candidates") and hasattr(kind.Feedback(), "costs")):
+        raise ConfigError(f"planner_action_type: {type_name} has no grasp_candidates and costs in its feedback")
+    return kind
+
+
+def planner_feedback(kind: Any, sampled: Any) -> Any:
+    """All grasps of a `SampleGrasps.Result` that have a finite cost, lowest first; MoveIt takes others for failures.
+
+    Raises:
+        RefusalError: NO_GRASP, if no cost is finite.
+    """
+    pairs = zip(sampled.grasp_candidates, sampled.costs, strict=True)
+    kept = [(pose, cost) for pose, cost in pairs if math.isfinite(cost)]
+    if not kept:
+        raise RefusalError(Status.NO_GRASP, "no grasp has a finite cost")
+    return kind.Feedback(grasp_candidates=[pose for pose, _ in kept], costs=[cost for _, cost in kept])
+
+
+def planner_result(kind: Any, refusal: RefusalError | None = None) -> Any:
+    """The result of a goal that succeeded or was refused."""
+    return kind.Result(
+        grasp_state="success" if refusal is None else f"{requests.status_name(refusal.status)}: {refusal}"
+    )
