@@ -30,9 +30,11 @@ def test_the_lengths_are_those_of_the_paper() -> None:
 
 
 def test_the_size_follows_the_configuration() -> None:
-    config = GeneratorConfig(noise_length=4, stride=3)
-    assert make(config)(noise(config)).shape == (4, 108, 6)
-    assert config.n_points == 108
+    config = GeneratorConfig(noise_length=4, widths=(16,), stride=3)
+    generator = make(config)
+    assert [tuple(layer.weight.shape[:2]) for layer in generator.layers] == [(6, 16), (16, 6)]
+    assert generator(noise(config)).shape == (4, 36, 6)
+    assert config.n_points == 36
 
 
 def test_values_stay_within_the_tangent() -> None:

@@ -21,6 +21,7 @@ Shapes: B clouds, L length of the noise, N points, C channels that the network u
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import torch
@@ -92,20 +93,22 @@ class TouchNet(nn.Module):
 
 
 _CHANNELS: Final = 6
-_LAYERS: Final = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeneratorConfig(Settings):
-    """Size of a generator's clouds; the defaults are P2's."""
+    """Layers of a generator and the size of its clouds; the defaults are P2's."""
 
     noise_length: int = setting(6, "Columns of the noise", minimum=1, maximum=4096)
+    widths: tuple[int, ...] = setting(
+        (6, 6), "Channels between the layers, one layer more than these; not in P2", minimum=1, maximum=8192
+    )
     stride: int = setting(5, "Kernel and stride of every layer: points made from one", minimum=1, maximum=64)
 
     @property
     def n_points(self) -> int:
         """Points of the fake cloud: 6 · 5³ = 750 in P2."""
-        return int(self.noise_length * self.stride**_LAYERS)
+        return int(self.noise_length * self.stride ** (len(self.widths) + 1))
 
 
 class CloudGenerator(nn.Module):
@@ -120,9 +123,9 @@ class CloudGenerator(nn.Module):
         super().__init__()
         self.config = config
         self._used = model.channel_count
-        self.layers = nn.ModuleList(
-            nn.ConvTranspose1d(_CHANNELS, _CHANNELS, config.stride, config.stride) for _ in range(_LAYERS)
-        )
+        widths = [_CHANNELS, *config.widths, _CHANNELS]
+        layers = [nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths)]
+        self.layers = nn.ModuleList(layers)
 
     def forward(self, noise: Tensor) -> Tensor:
         """(B, 6, L) noise to (B, N, 6) fake clouds in [-1, 1].
