@@ -14,7 +14,7 @@ from sim_builders import run
 from foretouch.errors import ConfigError, FileError, SimulationError
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.objects import TriangleMesh, read_mesh_file, unit_mesh
-from foretouch.simulation.objects.mesh import rounded_box
+from foretouch.simulation.objects.shapes import _rounded_box
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.objects import ObjectConfig
 
@@ -63,7 +63,7 @@ def write(path: Path, mesh: TriangleMesh) -> str:
 
 @pytest.fixture(scope="module")
 def block() -> TriangleMesh:
-    return rounded_box(SIZE, 0.01)
+    return _rounded_box(SIZE, 0.01)
 
 
 def test_each_format_gives_the_mesh(tmp_path: Path, block: TriangleMesh) -> None:
@@ -123,11 +123,11 @@ def test_the_hash_of_a_scene_covers_the_content_of_the_mesh_and_not_its_path(
 
     first = scene(write(tmp_path / "a.ply", block))
     assert scene(write(tmp_path / "b.ply", block)).sha256() == first.sha256()
-    other = write(tmp_path / "c.ply", rounded_box(SIZE, 0.012))
+    other = write(tmp_path / "c.ply", _rounded_box(SIZE, 0.012))
     assert scene(other).sha256() != first.sha256()
     with pytest.raises(ConfigError, match="its sha256 is not"):
         scene(other, file_sha256=first.objects[0].file_sha256)
-    write(tmp_path / "a.ply", rounded_box(SIZE, 0.012))
+    write(tmp_path / "a.ply", _rounded_box(SIZE, 0.012))
     with pytest.raises(SimulationError, match="has changed since the scene was read"):
         unit_mesh(first.objects[0].solid)
 

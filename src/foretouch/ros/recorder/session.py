@@ -19,8 +19,7 @@ from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, TopicCoun
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
-from foretouch.ros.recorder.subscriptions import MessageQueue, TopicStatistics
-from foretouch.ros.runtime.serialized_input import SerializedMessage
+from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 

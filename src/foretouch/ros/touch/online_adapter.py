@@ -57,7 +57,7 @@ class OnlineAdapter:
         keeper: HistoryKeeper,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
-        warn: Callable[[str], None],
+        warn: Callable[[str], object],
     ) -> None:
         settings = config()
         self._model = model

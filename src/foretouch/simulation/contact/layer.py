@@ -28,8 +28,6 @@ convolutions by FFT. The descent runs on the part of the window that the footpri
 expected in; the result is then checked on the whole window, and solved there if it does not hold.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

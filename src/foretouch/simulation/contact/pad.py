@@ -7,11 +7,9 @@ ellipsoid whose semi-axes are longer by the layer's thickness. The contact has i
 origin on the skin, z the outward normal, x as far along the finger as the tangent plane allows.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -50,7 +48,7 @@ class PadConfig(Settings):
         return self.window_m / self.cells
 
     @property
-    def soft(self) -> PadConfig:
+    def soft(self) -> Self:
         """The same pad, its window wide enough for what sinks into a soft object."""
         return self.replace(window_m=SOFT_WINDOW_M)
 
