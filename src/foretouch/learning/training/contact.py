@@ -222,7 +222,7 @@ class ContactPredictor:
         return predict_after(self.calibration[0], *recordings)
 
     def _recording(self, samples: Sequence[GraspSample], *, tare: bool) -> Recording:
-        """Samples with their predictions by sight, and with their tares if these are to be used."""
+        """Samples with their predictions by vision, and with their tares if these are to be used."""
         if tare and (missing := [sample.id for sample in samples if sample.tare is None]):
             raise DatasetError(f"{missing[0]}: tare: is missing")
         expected, familiar = self._estimate(samples)
