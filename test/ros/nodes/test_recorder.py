@@ -23,8 +23,8 @@ def outcomes(status):
 
 
 def stored(path):
-    with RecordedDataset(path) as dataset:
-        return [dataset[k] for k in range(len(dataset))]
+    dataset = RecordedDataset(path)
+    return [dataset[k] for k in range(len(dataset))]
 
 
 def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_is_accounted(graph, tmp_path):

@@ -36,8 +36,8 @@ def outcomes(status):
 def recorded(path):
     """The records of a dataset without faults."""
     assert [report.fault_lines() for report in verify_dataset(path)] == [[]]
-    with RecordedDataset(path) as dataset:
-        return [dataset[k].record for k in range(len(dataset))]
+    dataset = RecordedDataset(path)
+    return [dataset[k].record for k in range(len(dataset))]
 
 
 def assert_levels(records):
