@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import numpy as np
 
+from foretouch.experiments import Row, find_experiment
 from foretouch.learning.data import Dataset
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
@@ -37,3 +41,12 @@ def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> Gra
     )
     stamp = (1_562_000_000 + 86_400 * place + 60 * number) * 1_000_000_000
     return GraspSample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)
+
+
+def cell_rows(name: str, data: Any, **changes: Any) -> tuple[list[Row], Any]:
+    """Rows of all cells of an experiment's preset `smoke` with changes, run in this process; and the settings."""
+    experiment = find_experiment(name)
+    settings = experiment.resolve("smoke", changes)
+    cells = experiment.cells(settings, data)
+    rows = [{**cell.values, **row} for cell in cells for row in experiment.run(cell, settings, data)]
+    return json.loads(json.dumps(rows)), settings

@@ -11,7 +11,7 @@ import pytest
 from compatibility_files import EXPECTED, make, read
 from every_case import every_case
 
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import sealed
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, verify_dataset
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.samples import open_samples

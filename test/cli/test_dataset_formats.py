@@ -82,7 +82,7 @@ def test_a_new_format_is_read_built_exported_and_imported(tmp_path: Path, call: 
     np.testing.assert_array_equal(Store(tmp_path / "store")[2].cloud.xyz, record(2).sample.cloud.xyz)
     assert import_samples(out, tmp_path / "again").labelled == 3
     source = open_source(out)
-    assert source.segmented
+    assert source.kind == "samples"
     assert [item.sample.id for item in source if item.sample] == ["ball/000001", "ball/000002", "ball/000003"]
 
 

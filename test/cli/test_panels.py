@@ -20,7 +20,7 @@ from foretouch.cli.record import record_panel
 from foretouch.cli.screen import FittedPanel
 from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.nodes.monitor import NodeView, View
-from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import RecorderStatus, Status, TopicAccount, TouchPredictionArray
 
 HEIGHT = 24
@@ -80,8 +80,9 @@ def test_predicted_stands_against_read_whatever_else_there_is() -> None:
 
 
 def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
-    view = View(last=TouchPredictionArray(predictions=[message(reference="touches", flags=("unfamiliar",))]))
-    values = {"state": "active", "touches": "3", "dropped.late": "12"}
+    touched = message(reference="touches", evidence=Evidence(touches=3), flags=("unfamiliar",))
+    view = View(last=TouchPredictionArray(predictions=[touched]))
+    values = {"state": "active", "dropped.late": "12"}
     view.nodes["/foretouch/touch_predictor"] = NodeView(1, "no camera", values)
     text = printed(live_panel(view, "title"))
     assert "±" not in text, "without a calibration there is no half width"

@@ -16,7 +16,7 @@ from every_case import every_case
 from recording_builders import assert_same_sample
 
 from foretouch import checked_files
-from foretouch.dataset.manifest import sealed
+from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError

@@ -8,7 +8,7 @@ import pytest
 from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
-from foretouch.experiments import find_experiment, run_sweep
+from foretouch.experiments import find_experiment
 from foretouch.experiments.coverage import coverage_rows, coverage_table, wilson_interval
 from foretouch.experiments.shared.folds import by_object, split_objects
 from foretouch.learning.data import labels_of
@@ -34,17 +34,8 @@ def test_coverage_and_width_are_counted_value_by_value() -> None:
 
 
 def _row(condition: str, part: str, name: str, share: float, touches: int = 0) -> dict:
-    return {
-        "condition": condition,
-        "part": part,
-        "object": name,
-        "tare": False,
-        "touches": touches,
-        "grasps": 10,
-        "coverage": [share] * 4,
-        "width": [0.5] * 4,
-        "unfamiliar": 0.2,
-    }
+    head = {"condition": condition, "part": part, "object": name, "tare": False, "touches": touches, "grasps": 10}
+    return {**head, "coverage": [share] * 4, "width": [0.5] * 4, "unfamiliar": 0.2}
 
 
 def test_objects_have_equal_weight_however_often_they_were_tested() -> None:
@@ -79,15 +70,8 @@ def test_wilson_interval_of_eight_in_ten() -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.usefixtures("in_this_process")
-def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # in which the scene is not
-    experiment = find_experiment("coverage")
+def test_sweep(swept, real_data: Path) -> None:
     few = {"samples": 20, "train_objects": 15, "contact.trees": 2}
-    source = real_data / "vision2tactile"
-    result = run_sweep(experiment, experiment.resolve("smoke", few), tmp_path / "out", source=source)
-    assert result.failures == {}
-    assert {row["objects"] for row in result.rows if row["object"] == "all"} == {5}
-    assert {row["tare"] for row in result.rows} == {False, True}
-    (figure,) = experiment.draw(result.rows, tmp_path)
-    assert figure.stat().st_size > 5000
+    rows = swept("coverage", real_data / "vision2tactile", **few)
+    assert {row["objects"] for row in rows if row["object"] == "all"} == {5}
+    assert {row["tare"] for row in rows} == {False, True}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from every_case import every_case
-from experiment_samples import make_collection, make_samples
+from experiment_samples import cell_rows, make_collection, make_samples
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments import find_experiment
@@ -37,18 +37,9 @@ FROZEN = {
 """By split and number of seeds; fixed before any model of our own was tuned, and not to be renewed."""
 
 
-def all_rows(name: str, data, **settings) -> tuple[list[Row], object]:
-    """Rows of all cells of an experiment in this process, and its settings."""
-    experiment = find_experiment(name)
-    resolved = experiment.resolve("smoke", settings)
-    cells = experiment.cells(resolved, data)
-    rows = [{**cell.values, **row} for cell in cells for row in experiment.run(cell, resolved, data)]
-    return json.loads(json.dumps(rows)), resolved
-
-
 def run_all(name: str, data, **settings) -> list[Row]:
     """Table of an experiment."""
-    rows, resolved = all_rows(name, data, **settings)
+    rows, resolved = cell_rows(name, data, **settings)
     return find_experiment(name).tabulate(resolved, rows)
 
 
@@ -117,7 +108,7 @@ def test_cross_validation_is_what_the_metrics_say(collection) -> None:
 def test_pairs_share_seeds_and_a_missing_cell_leaves_its_predictor_out(collection) -> None:
     experiment = find_experiment("cross_validation")
     names = {"predictors": ["training_mean", "object_mean"], "references": ["training_mean"]}
-    rows, settings = all_rows("cross_validation", collection, seeds=[0, 1], **names)
+    rows, settings = cell_rows("cross_validation", collection, seeds=[0, 1], **names)
     short = [row for row in rows if (row["predictor"], row["seed"]) != ("object_mean", 1)]
     both = {row["predictor"]: row for row in select(experiment.tabulate(settings, short), object="all")}
     assert (both["object_mean"]["seeds"], both["training_mean"]["seeds"]) == (1, 2)
@@ -208,7 +199,7 @@ def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side(tmp_pat
         "predictors": ["training_mean"],
         "seeds": [0, 1],
     }
-    rows, settings = all_rows("learning_curve", data, **few)
+    rows, settings = cell_rows("learning_curve", data, **few)
     two, seven = (select(rows, condition=NEW, size=size) for size in (2, 7))
     assert [row["reference"] for row in two] == [row["reference"] for row in seven]
     for row in seven:  # the mean of all seven is the reference itself; that of two is another one

@@ -10,18 +10,32 @@ import sys
 from pathlib import Path
 
 import pytest
-from own_experiments.counting import EXPERIMENT, CountingSettings, summarise
+from every_case import every_case
+from own_experiments.counting import EXPERIMENT, CountingSettings
 
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments import Cell, run_sweep
+from foretouch.experiments.framework.executors import Job, run_cell
 from foretouch.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
 
 TESTS = Path(__file__).parents[1]
+PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where workers find `own_experiments`
 
 
-def sweep(out: Path, source: Path, **options):
-    changes = options.pop("settings", {})
-    return run_sweep(EXPERIMENT, CountingSettings(**changes), out, source=source, **options)
+@pytest.fixture
+def sweep(tmp_path: Path, numbers: Path):
+    """Runs the experiment `counting` into a folder."""
+
+    def run(name: str = "out", **options):
+        changes = options.pop("settings", {})
+        return run_sweep(EXPERIMENT, CountingSettings(**changes), tmp_path / name, source=numbers, **options)
+
+    return run
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "out"
 
 
 def starts(trace: Path) -> dict[str, int]:
@@ -29,15 +43,13 @@ def starts(trace: Path) -> dict[str, int]:
     return {name: names.count(name) for name in sorted(names)}
 
 
-def test_table_manifest_and_cells(tmp_path, numbers) -> None:
+def test_table_manifest_and_cells(sweep, out) -> None:
     told = []
-    out = tmp_path / "out"
-    result = sweep(
-        out, numbers, workers=2, progress=lambda result, done, total: told.append((result.cell.key, done, total))
-    )
+    result = sweep(workers=2, progress=lambda result, done, total: told.append((result.cell.key, done, total)))
     assert [row["number"] for row in result.rows] == [k for k in range(6) for _ in range(2)]
     assert read_results(out / "results.csv") == result.rows
-    assert sorted(told) == sorted((f"cell{k}", n, 6) for n, (key, *_) in enumerate(told, 1) for k in [int(key[4:])])
+    assert sorted(key for key, *_ in told) == [f"cell{k}" for k in range(6)]
+    assert [one[1:] for one in told] == [(k + 1, 6) for k in range(6)]
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["experiment"] == "counting"
     assert manifest["settings"] == CountingSettings().to_mapping()
@@ -45,142 +57,123 @@ def test_table_manifest_and_cells(tmp_path, numbers) -> None:
     assert manifest["cells"] == {"all": 6, "finished": 6, "failed": {}}
     (session,) = manifest["sessions"]
     assert {"foretouch", "git", "python", "libraries", "cpu", "cores", "gpu", "workers"} <= set(session)
-    assert str(tmp_path) not in (out / "manifest.json").read_text()
+    assert str(out.parent) not in (out / "manifest.json").read_text()
 
 
-def test_killed_and_resumed_equals_uninterrupted(tmp_path, numbers, trace) -> None:
-    words = [sys.executable, "-m", "foretouch.cli.main", "experiment", "own_experiments.counting"]
-    words += ["-o", str(tmp_path / "cut"), "--data", str(numbers), "--workers", "1", "--json", "pause_s=0.3"]
-    words += [f"trace={trace}"]
-    process = subprocess.Popen(
-        words,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"},
-        start_new_session=True,
-    )
-    for _ in range(2):
-        assert json.loads(process.stdout.readline())["status"] == "done"
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
+def test_killed_and_resumed_equals_uninterrupted(sweep, tmp_path, numbers, trace, in_this_process) -> None:
+    words = [sys.executable, "-m", "foretouch.cli.main", "experiment", "own_experiments.counting", "-o"]
+    words += [
+        str(tmp_path / "cut"),
+        "--data",
+        str(numbers),
+        "--workers",
+        "1",
+        "--json",
+        "pause_s=0.3",
+        f"trace={trace}",
+    ]
+    environment = {**os.environ, "PYTHONPATH": PATH}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True) as process:
+        assert [json.loads(process.stdout.readline())["status"] for _ in range(2)] == ["done", "done"]
+        os.killpg(process.pid, signal.SIGKILL)
     done = {path.stem for path in (tmp_path / "cut/cells").iterdir() if path.suffix == ".json"}
     assert {"cell0", "cell1"} <= done < {f"cell{k}" for k in range(6)}
     settings = {"pause_s": 0.3, "trace": str(trace)}
-    result = sweep(tmp_path / "cut", numbers, settings=settings, resume=True)
+    result = sweep("cut", settings=settings, resume=True)
     assert result.reused == len(done)
     assert all(starts(trace)[key[4:]] == 1 for key in done)
-    sweep(tmp_path / "whole", numbers, settings=settings)
+    sweep("whole", settings=settings)
     assert (tmp_path / "cut/results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
     assert len(json.loads((tmp_path / "cut/manifest.json").read_text())["sessions"]) == 2
 
 
-def test_failures_are_named_and_the_others_go_on(tmp_path, numbers, trace) -> None:
+def test_failures_are_named_and_the_others_go_on(sweep, out, trace) -> None:
     hurt = {"broken": (1,), "dies": (3,), "dies_once": (4,), "trace": str(trace)}
-    result = sweep(tmp_path / "out", numbers, settings=hurt, workers=2)
+    result = sweep(settings=hurt, workers=2)
     assert result.failures == {"cell1": "cell 1: is broken", "cell3": "its process died (killed, or out of memory)"}
     assert sorted({row["number"] for row in result.rows}) == [0, 2, 4, 5]
-    again = sweep(tmp_path / "out", numbers, settings=hurt, resume=True)
+    again = sweep(settings=hurt, resume=True)
     assert again.reused == 4
     assert set(again.failures) == set(result.failures)
-    assert json.loads((tmp_path / "out/manifest.json").read_text())["cells"]["failed"] == again.failures
+    assert json.loads((out / "manifest.json").read_text())["cells"]["failed"] == again.failures
 
 
-def test_what_changed_is_refused_by_name(tmp_path, numbers) -> None:
-    out = tmp_path / "out"
-    sweep(out, numbers, settings={"cells": 2})
+def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -> None:
+    sweep(settings={"cells": 2})
     with pytest.raises(FileError, match="--resume continues"):
-        sweep(out, numbers, settings={"cells": 2})
+        sweep(settings={"cells": 2})
     with pytest.raises(ConfigError, match=r"settings\.pause_s: 0\.0 is not 0\.1; a sweep is resumed with"):
-        sweep(out, numbers, settings={"cells": 2, "pause_s": 0.1}, resume=True)
+        sweep(settings={"cells": 2, "pause_s": 0.1}, resume=True)
     before = (out / "results.csv").read_bytes()
     numbers.write_text("1 2.6\n")
     with pytest.raises(ConfigError, match=r"data\.sha256"):
-        sweep(out, numbers, settings={"cells": 2}, resume=True)
+        sweep(settings={"cells": 2}, resume=True)
     assert (out / "results.csv").read_bytes() == before
-
-
-def test_more_cells_keep_those_that_are_finished(tmp_path, numbers) -> None:
-    out = tmp_path / "out"
-    sweep(out, numbers, settings={"cells": 2})
-    more = sweep(out, numbers, settings={"cells": 4}, resume=True)
-    assert (more.reused, more.cells, len(more.rows)) == (2, 4, 8)
-    fewer = sweep(out, numbers, settings={"cells": 3, "shown": 1}, resume=True)
-    assert (fewer.reused, fewer.cells, len(fewer.rows)) == (3, 3, 1)
-    assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
-
-
-def test_the_table_of_the_finished_cells_of_an_interrupted_sweep(tmp_path, numbers, trace) -> None:
-    out = tmp_path / "out"
-    with pytest.raises(FileError, match=r"contains no manifest\.json: no sweep was started there"):
-        sweep(out, numbers, only_finished=True)
-    assert not out.exists()
-    hurt = {"trace": str(trace), "broken": (1,)}
-    sweep(out, numbers, settings={"cells": 3, **hurt})
-    before = starts(trace)
-    result = sweep(out, numbers, settings={"cells": 5, **hurt}, only_finished=True)
-    assert starts(trace) == before
-    assert (result.cells, result.finished, result.failures) == (5, 2, {"cell1": "cell 1: is broken"})
-    assert sorted({row["number"] for row in read_results(out / "results.csv")}) == [0, 2]
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert manifest["cells"] == {"all": 5, "finished": 2, "failed": result.failures}
-    assert len(manifest["sessions"]) == 1
-    rest = sweep(out, numbers, settings={"cells": 5, "trace": str(trace)} | {"broken": (1,)}, resume=True)
-    assert (rest.reused, rest.finished) == (2, 4)
-
-
-def test_data_that_change_meanwhile_fail_the_cell(tmp_path, numbers) -> None:
-    from foretouch.experiments.framework.executors import Job, run_cell
-
     job = Job.make(EXPERIMENT, CountingSettings().to_mapping(), numbers, "0" * 64)
     result = run_cell(job, Cell("cell0", {"number": 0}))
     assert result.rows is None
     assert "with which the sweep started" in result.error
 
 
-def test_folders_of_something_else_are_left_alone(tmp_path, numbers) -> None:
+def test_more_cells_keep_those_that_are_finished(sweep, out, trace, in_this_process) -> None:
+    with pytest.raises(FileError, match=r"contains no manifest\.json: no sweep was started there"):
+        sweep(only_finished=True)
+    assert not out.exists()
+    hurt = {"trace": str(trace), "broken": (1,)}
+    sweep(settings={"cells": 3, **hurt})
+    before = starts(trace)
+    result = sweep(settings={"cells": 5, **hurt}, only_finished=True)
+    assert starts(trace) == before
+    assert (result.cells, result.finished, result.failures) == (5, 2, {"cell1": "cell 1: is broken"})
+    assert sorted({row["number"] for row in read_results(out / "results.csv")}) == [0, 2]
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["cells"] == {"all": 5, "finished": 2, "failed": result.failures}
+    assert len(manifest["sessions"]) == 1
+    more = sweep(settings={"cells": 5, **hurt}, resume=True)
+    assert (more.reused, more.finished, len(more.rows)) == (2, 4, 8)
+    fewer = sweep(settings={"cells": 3, "shown": 1, **hurt}, resume=True)
+    assert (fewer.reused, fewer.cells, len(fewer.rows)) == (2, 3, 1)
+    assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
+
+
+def test_folders_of_something_else_are_left_alone(sweep, tmp_path, in_this_process) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/precious").touch()
     for resume in (False, True):
         with pytest.raises(FileError, match="already exists"):
-            sweep(tmp_path / "out", numbers, resume=resume)
+            sweep(resume=resume)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
-    sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)  # nothing there: it begins
-    for text, rule in (
-        ("{", "is no JSON"),
-        ("[" * 100_000 + "]" * 100_000, "nested levels"),
-        ("[]", "contains no mapping"),
-    ):
+    sweep("new", settings={"cells": 1}, resume=True)  # nothing there: it begins
+
+    def check(text: str, rule: str) -> None:
         (tmp_path / "new/cells/cell0.json").write_text(text)
         with pytest.raises(FileError, match=rf"cell0.json: .*{rule}"):
-            sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)
+            sweep("new", settings={"cells": 1}, resume=True)
+
+    every_case(
+        [("{", "is no JSON"), ("[" * 100_000 + "]" * 100_000, "nested levels"), ("[]", "contains no mapping")], check
+    )
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("sessions", None),
-        ("sessions", 5),
-        ("cells", []),
-        ("cells", 5),
-        ("cells", {"all": 1}),
-        ("cells", {"all": "1"}),
-        ("cells", {"all": 1, "finished": 1, "failed": []}),
-    ],
-)
-def test_a_damaged_manifest_is_refused_by_file_and_field(tmp_path, numbers, name, value) -> None:
-    out = tmp_path / "out"
-    sweep(out, numbers, settings={"cells": 1})
+def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_process) -> None:
+    sweep(settings={"cells": 1})
     file = out / "manifest.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), name: value}))
-    for use in (
-        lambda: sweep(out, numbers, settings={"cells": 1}, resume=True),
-        lambda: sweep(out, numbers, settings={"cells": 1}, only_finished=True),
-        lambda: write_summary(out, EXPERIMENT, []),
-        lambda: require_experiment(out, "counting"),
-    ):
-        with pytest.raises(FileError, match=rf"manifest\.json: {name}: "):
-            use()
+    whole = json.loads(file.read_text())
+    damaged = [("sessions", None), ("sessions", 5), ("cells", []), ("cells", 5), ("cells", {"all": 1})]
+    damaged += [("cells", {"all": "1"}), ("cells", {"all": 1, "finished": 1, "failed": []})]
+
+    def check(name: str, value: object) -> None:
+        file.write_text(json.dumps({**whole, name: value}))
+        for use in (
+            lambda: sweep(settings={"cells": 1}, resume=True),
+            lambda: sweep(settings={"cells": 1}, only_finished=True),
+            lambda: write_summary(out, EXPERIMENT, []),
+            lambda: require_experiment(out, "counting"),
+        ):
+            with pytest.raises(FileError, match=rf"manifest\.json: {name}: "):
+                use()
+
+    every_case(damaged, check)
 
 
 def test_presets_and_their_errors() -> None:
@@ -201,10 +194,8 @@ def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:
     assert read_results(tmp_path / "results.csv") == written
 
 
-def test_summary_states_how_results_were_made_also_without_the_manifest(tmp_path, numbers) -> None:
-    out = tmp_path / "out"
-    rows = sweep(out, numbers, settings={"cells": 2, "broken": (5,)}).rows
-    write_summary(out, EXPERIMENT, summarise(rows))
+def test_summary_states_how_results_were_made_also_without_the_manifest(sweep, out, numbers, in_this_process) -> None:
+    write_summary(out, EXPERIMENT, EXPERIMENT.tables(sweep(settings={"cells": 2, "broken": (5,)}).rows))
     text = (out / "summary.md").read_text()
     assert "`foretouch experiment counting cells=2 'broken=[5]'`; foretouch" in text
     assert f"sha256 of the data `{hashlib.sha256(numbers.read_bytes()).hexdigest()[:16]}`" in text
@@ -225,9 +216,7 @@ def two_nodes(ray, monkeypatch):
     """A cluster of two nodes of one core each; only what the test kills dies, however busy the machine is."""
     from ray.cluster_utils import Cluster
 
-    monkeypatch.setenv(
-        "PYTHONPATH", f"{TESTS}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    )  # where workers find `own_experiments`
+    monkeypatch.setenv("PYTHONPATH", PATH)
     monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
     head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_failure_threshold": 100}}
     cluster = Cluster(initialize_head=True, head_node_args=head)
@@ -237,7 +226,7 @@ def two_nodes(ray, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)  # starting nodes and processes takes a minute or two on a busy machine
-def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, numbers, trace) -> None:
+def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, sweep, trace) -> None:
     cluster, lost = two_nodes
     settings = {"cells": 8, "pause_s": 1.0, "dies_once": (0,), "trace": str(trace)}
     seen = []
@@ -247,15 +236,17 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, number
         if len(seen) == 2:
             cluster.remove_node(lost, allow_graceful=False)
 
-    result = sweep(tmp_path / "ray", numbers, settings=settings, address=cluster.address, progress=kill)
+    result = sweep("ray", settings=settings, address=cluster.address, progress=kill)
     assert result.failures == {}
     assert sorted(seen) == [f"cell{k}" for k in range(8)]
     assert sum(starts(trace).values()) <= 8 + 2  # cell 0, and at most the one that the lost node ran
-    sweep(tmp_path / "local", numbers, settings={**settings, "pause_s": 0.0})
+    sweep("local", settings={**settings, "pause_s": 0.0})
     assert (tmp_path / "ray/results.csv").read_bytes() == (tmp_path / "local/results.csv").read_bytes()
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no"])
-def test_no_cluster_is_told_at_once(ray, tmp_path, numbers, address: str) -> None:
-    with pytest.raises(ConfigError, match=f"--address: {address}: no cluster answers"):
-        sweep(tmp_path / "out", numbers, address=address)
+def test_no_cluster_is_told_at_once(ray, sweep) -> None:
+    def check(address: str) -> None:
+        with pytest.raises(ConfigError, match=f"--address: {address}: no cluster answers"):
+            sweep(address=address)
+
+    every_case(["127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no"], check)

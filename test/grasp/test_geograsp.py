@@ -75,7 +75,7 @@ def test_points_that_are_not_finite_are_counted_and_change_nothing(box_cloud, to
     assert plan.grasps[0].score == plan_grasps(box_cloud, top_view, CONFIG).grasps[0].score
 
 
-def test_a_slide_moves_the_contacts_along_the_axis(box_cloud, top_view):
+def test_a_slide_moves_the_contacts_along_the_axis(box_cloud, top_view, rng):
     still = plan_grasps(box_cloud, top_view, CONFIG)
     for slide_m in (-0.03, 0.02):
         slid = plan_grasps(box_cloud, top_view, CONFIG, slide_m=slide_m)
@@ -83,18 +83,19 @@ def test_a_slide_moves_the_contacts_along_the_axis(box_cloud, top_view):
         moved = (slid.initial_points.mean(axis=0) - still.centroid) @ still.axis
         assert moved == pytest.approx(slide_m, abs=CONFIG.slab_half_width_m)
         np.testing.assert_array_equal(slid.axis, still.axis)
+    beyond = plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.5)
+    _assert_sound(beyond)
+    assert beyond.status == "no_grasp"
+    assert "no point within 7 mm of the grasp plane" in beyond.reason
+    assert beyond.axis is not None
+    assert beyond.counts["n_filtered"] > 0
+    with pytest.raises(GraspError, match=r"slide_m, rng: a slide of 0.01 m and a random one exclude each other"):
+        plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.01, rng=rng)
+    with pytest.raises(GraspError, match="slide_m: nan is not finite"):
+        plan_grasps(box_cloud, top_view, CONFIG, slide_m=float("nan"))
 
 
-def test_a_slide_beyond_the_object_says_how_long_it_is(box_cloud, top_view):
-    plan = plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.5)
-    _assert_sound(plan)
-    assert plan.status == "no_grasp"
-    assert "no point within 7 mm of the grasp plane" in plan.reason
-    assert plan.axis is not None
-    assert plan.counts["n_filtered"] > 0
-
-
-def test_random_slides_follow_the_seed_and_stay_on_the_object(box_cloud, top_view):
+def test_random_slides_follow_the_seed_and_stay_on_the_object(box_cloud, top_view, rng):
     plans = [plan_grasps(box_cloud, top_view, CONFIG, rng=np.random.default_rng(seed)) for seed in range(8)]
     again = plan_grasps(box_cloud, top_view, CONFIG, rng=np.random.default_rng(0))
     assert again.slide_m == plans[0].slide_m
@@ -102,20 +103,10 @@ def test_random_slides_follow_the_seed_and_stay_on_the_object(box_cloud, top_vie
     assert len(set(slides)) == 8
     assert max(map(abs, slides)) < 0.8 * 0.07
     assert all(plan.status != "no_grasp" for plan in plans)
-
-
-def test_random_slide_covers_the_asked_part_of_the_extent(rng):
     xyz = np.array([[-0.1, 0, 0], [0.3, 0, 0]], np.float32)
     slides = [_random_slide(xyz, np.zeros(3), np.array([1.0, 0, 0]), 0.5, rng) for _ in range(500)]
     assert -0.05 <= min(slides) < -0.045
     assert 0.145 < max(slides) <= 0.15
-
-
-def test_a_slide_that_is_not_finite_or_also_drawn_is_refused(box_cloud, top_view, rng):
-    with pytest.raises(GraspError, match=r"slide_m, rng: a slide of 0.01 m and a random one exclude each other"):
-        plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.01, rng=rng)
-    with pytest.raises(GraspError, match="slide_m: nan is not finite"):
-        plan_grasps(box_cloud, top_view, CONFIG, slide_m=float("nan"))
 
 
 def test_clouds_without_a_grasp_are_named(top_view):
@@ -135,34 +126,18 @@ def test_clouds_without_a_grasp_are_named(top_view):
     every_case(cases, check)
 
 
-def _flat(rng):
-    return np.column_stack([rng.uniform(-0.05, 0.05, 2000), rng.uniform(-0.03, 0.03, 2000), np.ones(2000)])
-
-
-def _line(rng):
-    return np.column_stack([np.linspace(-0.1, 0.1, 300), np.zeros(300), np.ones(300)])
-
-
-def _doubled(rng):
-    return np.repeat(_flat(rng)[:300], 60, axis=0)
-
-
-def _two_clumps(rng):
-    return np.repeat([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]], 200, axis=0)
-
-
-def _upright(rng):
-    return np.column_stack([rng.normal(0, 0.001, 500), rng.normal(0, 0.001, 500), np.linspace(1.0, 1.3, 500)])
-
-
-def _behind(rng):
-    return _flat(rng) * [1, 1, -1]
-
-
 def test_hazards_of_the_original_are_named(rng):
-    makers = [_flat, _line, _doubled, _two_clumps, _upright, _behind]
-    few = {f"{n} points": rng.normal([0.0, 0.0, 1.0], 0.03, (10, n, 3)) for n in (3, 4, 6, 10, 40, 60)}
-    clouds = {make.__name__: make(rng)[None] for make in makers} | few
+    flat = np.column_stack([rng.uniform(-0.05, 0.05, 2000), rng.uniform(-0.03, 0.03, 2000), np.ones(2000)])
+    upright = np.column_stack([*rng.normal(0, 0.001, (2, 500)), np.linspace(1.0, 1.3, 500)])
+    clouds = {
+        "flat": [flat],
+        "line": [np.column_stack([np.linspace(-0.1, 0.1, 300), np.zeros(300), np.ones(300)])],
+        "doubled": [np.repeat(flat[:300], 60, axis=0)],
+        "two clumps": [np.repeat([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]], 200, axis=0)],
+        "upright": [upright],
+        "behind": [flat * [1, 1, -1]],
+        **{f"{n} points": rng.normal([0.0, 0.0, 1.0], 0.03, (10, n, 3)) for n in (3, 4, 6, 10, 40, 60)},
+    }
 
     def check(clouds, normal):
         for xyz in clouds:
@@ -203,39 +178,23 @@ def test_pixels_that_do_not_fit_are_refused(box_cloud, top_view, rng):
     assert plan.counts == plan_grasps(box_cloud, top_view, CONFIG).counts
 
 
-def _dense_can(rng: np.random.Generator) -> tuple[Cloud, np.ndarray, tuple[int, int]]:
-    """A can that fills a large part of a depth image: 150 x 90 pixels."""
+def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.Generator) -> None:
+    # A can that fills a large part of a depth image: 150 x 90 pixels.
     rows, columns = np.mgrid[0:150, 0:90]
     x, y = (columns - 44.5) / 1200.0, (rows - 74.5) / 1200.0
     z = 0.8 - np.sqrt(np.maximum(0.04**2 - x**2, 0.0))
     xyz = np.stack([x * z / 0.8, y * z / 0.8, z], axis=-1) + rng.normal(0.0, 2e-4, (150, 90, 1)) * [0.0, 0.0, 1.0]
-    return Cloud(xyz.reshape(-1, 3).astype(np.float32)), np.arange(13_500), (150, 90)
+    cloud, plane = Cloud(xyz.reshape(-1, 3).astype(np.float32)), Plane.from_coefficients([0.0, 0.0, 1.0, -0.85])
 
+    def plan(max_points: int, shift: tuple[int, int] = (0, 0), shape: tuple[int, int] = (150, 90)):
+        pixels = ((rows + shift[0]) * shape[1] + columns + shift[1]).reshape(-1)
+        return plan_grasps(cloud, plane, GeoGraspConfig(max_points=max_points), pixels=pixels, image_shape=shape)
 
-def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.Generator) -> None:
-    cloud, pixels, shape = _dense_can(rng)
-    plane = Plane.from_coefficients([0.0, 0.0, 1.0, -0.85])
-    whole = plan_grasps(cloud, plane, GeoGraspConfig(max_points=0), pixels=pixels, image_shape=shape)
-    thin = plan_grasps(cloud, plane, GeoGraspConfig(max_points=4000), pixels=pixels, image_shape=shape)
-    assert whole.counts["n_thinned"] == 0
-    assert thin.counts["n_thinned"] == 13_500 - 75 * 45
-    assert thin.initial_points is not None
-    assert whole.initial_points is not None
+    whole, thin = plan(0), plan(4000)
+    assert (whole.counts["n_thinned"], thin.counts["n_thinned"]) == (0, 13_500 - 75 * 45)
     np.testing.assert_allclose(thin.initial_points, whole.initial_points, atol=0.01)  # points within 7 mm of the plane
-
-
-def test_thinning_ignores_where_in_the_image_the_object_lies(rng: np.random.Generator) -> None:
-    cloud, pixels, shape = _dense_can(rng)
-    plane = Plane.from_coefficients([0.0, 0.0, 1.0, -0.85])
-    rows, columns = np.divmod(pixels, shape[1])
-    moved = (rows + 7) * 848 + columns + 13
-    here = plan_grasps(cloud, plane, GeoGraspConfig(), pixels=pixels, image_shape=shape)
-    there = plan_grasps(cloud, plane, GeoGraspConfig(), pixels=moved, image_shape=(480, 848))
-    assert here.counts == there.counts
-    np.testing.assert_array_equal(here.grasps[0].g1, there.grasps[0].g1)
-
-
-def test_a_dense_cloud_without_an_image_is_thinned_by_order(rng: np.random.Generator) -> None:
-    xyz = rng.uniform([-0.03, -0.08, 0.7], [0.03, 0.08, 0.76], (9000, 3)).astype(np.float32)
-    plan = plan_grasps(Cloud(xyz), Plane.from_coefficients([0.0, 0.0, 1.0, -0.85]), GeoGraspConfig(max_points=3000))
-    assert plan.counts["n_thinned"] == 6000
+    there = plan(4000, (7, 13), (480, 848))  # where in the image the object lies does not matter
+    assert thin.counts == there.counts
+    np.testing.assert_array_equal(thin.grasps[0].g1, there.grasps[0].g1)
+    listed = rng.uniform([-0.03, -0.08, 0.7], [0.03, 0.08, 0.76], (9000, 3)).astype(np.float32)  # by order
+    assert plan_grasps(Cloud(listed), plane, GeoGraspConfig(max_points=3000)).counts["n_thinned"] == 6000

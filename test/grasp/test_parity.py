@@ -25,7 +25,7 @@ def test_sampled_rows_equal_the_original(reference, real_data, rng):
     rows = parity.read_reference(real_data)
     chosen = [rows[i] for i in np.sort(rng.choice(len(rows), 150, replace=False))]
     found = parity.compare_all(chosen)
-    assert found["score"] <= 1  # 2 of all 2400 differ, by float32 sums of the original
+    assert found["score"] <= 2  # 2 of all 2400 differ, by float32 sums of the original
     assert {name: n for name, n in found.items() if name not in OPEN | {"score"}} == {}
 
 
@@ -47,13 +47,9 @@ def test_sign_of_the_axis_is_the_originals_in_top_view(reference, real_data):
 def test_executed_grasps_are_initial_points_of_a_shifted_plane(reference, real_data):
     executed = parity.read_executed(real_data)
     assert len(executed) == 400
-    assert sum(parity.reproduces(grasp, grasp.slide_m) for grasp in executed) >= 362
-
-
-def test_executed_grasps_off_the_middle_have_another_slide(reference, real_data):
-    rest = [g for g in parity.read_executed(real_data)[::8] if not parity.reproduces(g, g.slide_m)]
-    assert rest
-    assert all(parity.explaining_slide(grasp) is not None for grasp in rest)
+    rest = [grasp for grasp in executed if not parity.reproduces(grasp, grasp.slide_m)]
+    assert 0 < len(rest) <= 38
+    assert all(parity.explaining_slide(grasp) is not None for grasp in rest[::8])
 
 
 def test_pixels_given_and_recovered_plan_the_same(real_data, top_view):

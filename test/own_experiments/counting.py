@@ -7,7 +7,6 @@ import hashlib
 import os
 import signal
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from foretouch.experiments import Cell, Experiment, Row, Table
 
 @dataclass(frozen=True, kw_only=True)
 class CountingSettings(Settings):
-    cells: int = setting(6, "How many", minimum=1)
-    pause_s: float = setting(0.0, "That each takes", minimum=0.0)
+    cells: int = setting(6, "Number of cells", minimum=1)
+    pause_s: float = setting(0.0, "Time that each takes", minimum=0.0)
     broken: tuple[int, ...] = setting((), "Cells that refuse")
     dies: tuple[int, ...] = setting((), "Cells whose process is killed each time")
     dies_once: tuple[int, ...] = setting((), "Cells whose process is killed the first time")
@@ -40,32 +39,19 @@ def load(settings: CountingSettings, path: Path) -> Numbers:
     return Numbers(tuple(map(float, content.split())), hashlib.sha256(content).hexdigest())
 
 
-def cells(settings: CountingSettings, data: Numbers) -> list[Cell]:
-    return [Cell(f"cell{k}", {"number": k}) for k in range(settings.cells)]
-
-
 def run(cell: Cell, settings: CountingSettings, data: Numbers) -> list[Row]:
     number = cell.values["number"]
+    starts = 0
     if settings.trace:
         starts = len(list(Path(settings.trace).glob(f"{number}.*")))
         Path(settings.trace, f"{number}.{starts}").touch()
-        if number in settings.dies_once and starts == 0:
-            os.kill(os.getpid(), signal.SIGKILL)
-    if number in settings.dies:
+    if number in settings.dies or (number in settings.dies_once and starts == 0):
         os.kill(os.getpid(), signal.SIGKILL)
     if number in settings.broken:
         raise DatasetError(f"cell {number}: is broken")
     time.sleep(settings.pause_s)
     noise = np.random.default_rng(number).normal(size=(40, 40))
     return [{"value": float(np.linalg.svd(noise)[1].sum()) * value} for value in data.values]
-
-
-def tabulate(settings: CountingSettings, rows: Sequence[Row]) -> list[Row]:
-    return [{"number": row["number"], "value": row["value"], "empty": None} for row in rows[: settings.shown]]
-
-
-def summarise(rows: Sequence[Row]) -> list[Table]:
-    return [Table("counted", ["number", "value"], [[str(row["number"]), f"{row['value']:.1f}"] for row in rows])]
 
 
 EXPERIMENT = Experiment(
@@ -75,9 +61,11 @@ EXPERIMENT = Experiment(
     settings=CountingSettings,
     presets={"full": {}, "smoke": {"cells": 2}},
     load=load,
-    cells=cells,
+    cells=lambda settings, data: [Cell(f"cell{k}", {"number": k}) for k in range(settings.cells)],
     run=run,
-    tabulate=tabulate,
-    summarise=summarise,
+    tabulate=lambda settings, rows: [
+        {"number": row["number"], "value": row["value"], "empty": None} for row in rows[: settings.shown]
+    ],
+    summarise=lambda rows: [Table("counted", ["number"], [[str(row["number"])] for row in rows])],
     resumable_settings=("cells", "shown"),
 )

@@ -25,34 +25,21 @@ def test_a_box_from_above_has_the_depth_and_the_area_of_its_lid() -> None:
     assert np.unique(image.depth_mm[image.labels == TABLE]).tolist() == [1000]
 
 
-def test_table_pixels_lie_on_the_stated_plane() -> None:
+def test_pixels_lie_on_the_stated_plane_and_on_the_ball() -> None:
+    ball = Sphere(position=np.array([0.05, -0.03, 0.07]), radius=0.07)
     for tilt in (0.0, 0.5, 0.9):
-        image = DepthScene(CameraView.towards_table(424, 240, 0.9, tilt), ()).render()
+        view = CameraView.towards_table(424, 240, 0.9, tilt)
+        scene = DepthScene(view, (ball,))
+        image, (depth, labels) = scene.render(), scene.cast()
         points = image.cloud().xyz[image.labels == TABLE].astype(np.float64)
         heights = points @ image.plane[:3] + image.plane[3]
         assert image.plane[3] > 0.0  # the camera stands above the table
         # Rounding to a millimetre moves a point by half of one along its ray.
         assert np.abs(heights).max() <= 0.0005 * np.linalg.norm(points / points[:, 2:], axis=1).max()
-
-
-def test_ball_pixels_lie_on_the_ball() -> None:
-    ball = Sphere(position=np.array([0.05, -0.03, 0.07]), radius=0.07)
-    view = CameraView.towards_table(424, 240, 0.8, 0.7)
-    scene = DepthScene(view, (ball,))
-    depth, labels = scene.cast()
-    points = view.eye + view.directions() * depth[..., None]
-    distance = np.linalg.norm(points[labels == FIRST_OBJECT] - ball.position, axis=1)
-    assert (labels == FIRST_OBJECT).sum() > 1000
-    np.testing.assert_allclose(distance, 0.07, atol=1e-12)
-
-
-def test_the_window_of_an_object_hides_none_of_its_pixels(rng: np.random.Generator) -> None:
-    for _ in range(5):
-        scene = random_scene(rng, 212, 120, 3)
-        labels = scene.cast()[1]
-        for label, solid in enumerate(scene.objects, FIRST_OBJECT):
-            whole = np.isfinite(solid.cast(scene.view.eye, scene.view.directions()))
-            assert np.array_equal(whole, labels == label)
+        hits = view.eye + view.directions() * depth[..., None]
+        distance = np.linalg.norm(hits[labels == FIRST_OBJECT] - ball.position, axis=1)
+        assert len(distance) > 1000
+        np.testing.assert_allclose(distance, 0.07, atol=1e-12)
 
 
 def test_the_nearer_object_hides_the_farther() -> None:
@@ -71,20 +58,6 @@ def test_beyond_the_table_is_the_floor_and_above_the_horizon_nothing() -> None:
     assert (image.depth_mm[outside] > 0).any()
     assert (image.depth_mm[0] == 0).all()
     assert np.isnan(image.cloud().xyz[0]).all()
-
-
-def test_the_cloud_is_organised_and_projects_back_on_its_pixels() -> None:
-    image = random_scene(np.random.default_rng(3), 212, 120).render()
-    cloud = image.cloud("optical", 17, with_rgb=True)
-    assert (cloud.organised, cloud.frame_id, cloud.stamp_ns) == (True, "optical", 17)
-    assert cloud.rgb is not None
-    assert np.array_equal(cloud.rgb, image.rgb)
-    xyz = cloud.xyz.astype(np.float64)
-    pixels = (xyz @ image.K.T)[..., :2] / xyz[..., 2:]
-    rows, columns = np.mgrid[0:120, 0:212]
-    valid = np.isfinite(xyz).all(axis=-1)
-    assert np.array_equal(valid, image.depth_mm > 0)
-    np.testing.assert_allclose(pixels[valid], np.stack([columns, rows], axis=-1)[valid], atol=1e-3)
 
 
 def test_random_objects_stand_on_the_table_apart_and_inside_the_image() -> None:
@@ -118,14 +91,6 @@ def test_effects_come_back_with_the_seed_and_leave_the_truth_alone() -> None:
     assert not np.array_equal(exact.depth_mm, noisy.depth_mm)
     for truth in ("labels", "plane", "rgb"):
         assert np.array_equal(getattr(exact, truth), getattr(noisy, truth))
-
-
-def test_moving_an_object_moves_its_pixels_only() -> None:
-    scene = _top(Sphere(position=np.array([0.0, 0.0, 0.05]), radius=0.05))
-    before, after = scene.render(), scene.moved(0, np.array([0.1, 0.0, 0.0])).render()
-    shift = np.argwhere(after.labels == 2).mean(axis=0) - np.argwhere(before.labels == 2).mean(axis=0)
-    assert shift[1] == pytest.approx(0.1 * before.K[0, 0] / 0.97, rel=0.03)  # +x in the world is right in the image
-    assert abs(shift[0]) < 0.5
 
 
 def test_bad_arguments_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

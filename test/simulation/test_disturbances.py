@@ -73,15 +73,13 @@ def test_scan_repeats_what_the_ring_has_not_sampled_since_the_last_message(rng):
     assert set(edges.tolist()) <= {0, 2}  # one block of the ring a message
 
 
-def test_creep_is_that_of_a_standard_linear_solid():
+def test_creep_comes_late_and_a_cycle_of_load_encloses_an_area():
     step = np.append(0.0, np.full(1000, 100.0))
     time = np.arange(1, 1001) / RATE_HZ
     assert_allclose(creep(step, RATE_HZ, share=0.2, time_s=0.5)[1:], 100.0 * (1 - 0.2 * np.exp(-time / 0.5)))
-    assert_allclose(creep(np.full((50, 3), 7.0), RATE_HZ), 7.0, rtol=1e-12)
     load = np.sin(np.linspace(0, np.pi, 200))
     response = creep(load, RATE_HZ, share=0.3, time_s=0.5)
-    up, down = response[:100], response[:99:-1]
-    assert (up[10:90] < down[10:90]).all()  # a cycle encloses an area
+    assert (response[10:90] < response[189:109:-1]).all()
     assert_allclose(creep(load, RATE_HZ, share=0.0), load, rtol=1e-12)
 
 

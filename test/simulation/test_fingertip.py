@@ -1,48 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from contact_builders import press, rounded_edge
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
 from foretouch.simulation import fingertip
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    PadConfig,
-    contact_frame,
-    gap_field,
-    pad_direction,
-    pad_window,
-    solve_contact,
-)
+from foretouch.simulation.contact import PadConfig, contact_frame, pad_direction, pad_window
 from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
-from foretouch.tactile import P2_RANGES, electrode_normals, electrode_positions, to_kohm, touch_faults
+from foretouch.tactile import P2_RANGES, electrode_positions, to_kohm, touch_faults
 from foretouch.types import Touch
 
 PAD = PadConfig()
 THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))
 
 
-def pressed(force, pitch=0.0, roll=0.0):
-    """The pad on a plane."""
-    window = pad_window(PAD, pad_direction(pitch, roll))
-    problem = ContactProblem(gap_field(window.depth, np.zeros_like(window.x)), PAD.step_m, (PAD.layer,))
-    return window, solve_contact(problem, Command(force_n=force))
-
-
 def read(force, pitch=0.0, roll=0.0, finger=THUMB):
-    return read_contact(PAD, finger, *pressed(force, pitch, roll))
+    return read_contact(PAD, finger, *press(PAD, (pitch, roll), force))
 
 
-# Readings.
-
-
-def test_no_force_reads_rest_to_the_bit():
+def test_touch_raises_pdc_and_drops_the_electrodes_below_and_no_force_reads_rest_to_the_bit():
     assert_array_equal(read(0.0), np.append(THUMB.pdc_rest, THUMB.electrode_rest))
-
-
-def test_touch_raises_pdc_and_drops_the_electrodes_below():
     two, four = read(2.0), read(4.0)
     assert two[0] > THUMB.pdc_rest + 100
     drop = THUMB.electrode_rest - two[1:]
@@ -50,11 +29,8 @@ def test_touch_raises_pdc_and_drops_the_electrodes_below():
     assert drop[[0, 9, 10, 19]].max() < 0  # far ones see the skin bulge
     assert four[0] - two[0] < 0.1 * (two[0] - THUMB.pdc_rest)  # PDC levels off
     assert four[1:].min() < two[1:].min() - 100
-
-
-def test_same_pdc_with_another_pattern():
     left, right = read(3.0, 0.2, 0.3), read(3.0, 0.2, -0.3)
-    assert left[0] == pytest.approx(right[0], rel=1e-6)
+    assert left[0] == pytest.approx(right[0], rel=1e-6)  # the same pressure with another pattern
     assert np.abs(left[1:] - right[1:]).max() > 100
 
 
@@ -69,23 +45,17 @@ def test_counts_are_whole_clipped_and_those_of_a_working_sensor():
         quantise(np.array([1.0, np.nan]))
 
 
-def test_fingers_differ_by_seed():
-    one, two = (draw_finger(ThumbConfig(), np.random.default_rng(seed)) for seed in (0, 1))
-    assert np.abs(one.electrode_rest - two.electrode_rest).max() > 50
-
-
 def pressed_anywhere(rng):
     """Anywhere on the pad, on a plane, a cylinder or a rounded edge, with 1 to 5 N."""
     pitch, roll = rng.normal(0.0, 0.3), float(np.clip(rng.normal(0.0, 0.35), -1.2, 1.2))
     force, angle, radius = rng.uniform(1.0, 5.0), rng.uniform(0.0, np.pi), rng.uniform(0.02, 0.05)
     beside, kind = rng.normal(0.0, 0.002), rng.integers(3)
-    window = pad_window(PAD, pad_direction(pitch, roll))
-    across = np.cos(angle) * window.x + np.sin(angle) * window.y
-    from_edge = across - np.cos(angle) * beside
-    edge = np.clip(from_edge + 0.001, 0.0, 0.002) ** 2 / 0.004 + np.maximum(from_edge - 0.001, 0.0)
-    height = (np.zeros_like(across), -(across**2) / (2.0 * radius), -edge)[kind]
-    problem = ContactProblem(gap_field(window.depth, height), PAD.step_m, (PAD.layer,))
-    return window, solve_contact(problem, Command(force_n=force))
+
+    def surface(x, y):
+        across = np.cos(angle) * x + np.sin(angle) * y
+        return (0.0 * x, -(across**2) / (2.0 * radius), rounded_edge(across - np.cos(angle) * beside))[kind]
+
+    return press(PAD, (pitch, roll), force, surface)
 
 
 def test_counts_spread_as_in_real_grasps():
@@ -109,9 +79,6 @@ def test_counts_spread_as_in_real_grasps():
         assert abs(np.corrcoef(counts[:, 0], electrodes.mean(axis=1))[0, 1]) < 0.4
 
 
-# The liquid.
-
-
 def rise(force):
     return read(force)[0] - THUMB.pdc_rest
 
@@ -132,9 +99,6 @@ def test_the_rim_responds_less_and_skin_on_the_core_displaces_no_more_liquid():
     assert fingertip._displaced_volume(-deep, 1e-6) == 0.0
 
 
-# The electrodes.
-
-
 def weights_at(pitch, roll, pad=PAD, **options):
     window = pad_window(pad, pad_direction(pitch, roll))
     return fingertip._electrode_weights(pad, window.frame, window.points, **options)
@@ -149,13 +113,6 @@ def test_nearest_electrodes_weigh_most_and_mirrored_places_alike():
     assert_allclose(left[[*range(10), 20, 21]], right[[*range(10, 20), 20, 22]], rtol=1e-9)
 
 
-def test_even_displacement_counts_fully_but_for_the_bend_of_the_skin():
-    totals = weights_at(0.0, 0.0, kernel_m=0.0008).sum(axis=1)
-    facing = electrode_normals() @ pad_direction(0.0, 0.0)
-    # once for the electrode that looks aside, once for cells that are seen foreshortened from the tangent plane
-    assert_allclose(totals[[4, 14]], facing[[4, 14]] ** 2, atol=0.02)
-
-
 def test_weights_depend_on_neither_the_grid_nor_cells_beside_the_pad():
     coarse, fine = weights_at(0.1, 0.2), weights_at(0.1, 0.2, PAD.replace(cells=96))
     assert_allclose(coarse.sum(axis=1), fine.sum(axis=1), atol=1e-3)
@@ -163,11 +120,6 @@ def test_weights_depend_on_neither_the_grid_nor_cells_beside_the_pad():
     weights = weights_at(0.0, 0.9, wide)
     assert np.isfinite(weights).all()
     assert not weights[:, ~np.isfinite(pad_window(wide, pad_direction(0.0, 0.9)).depth).ravel()].any()
-
-
-def test_displaced_liquid_lifts_the_skin_elsewhere():
-    approach = fingertip._skin_approach(np.zeros((24, 4)), np.zeros((2, 2)), 1e-9)
-    assert_allclose(approach, -1e-9 / fingertip.BULGE_AREA_M2)
 
 
 def test_closer_skin_raises_the_impedance_exponentially_and_crushed_skin_stays_finite():

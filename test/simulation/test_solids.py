@@ -4,10 +4,9 @@
 import numpy as np
 import pytest
 from every_case import every_case
-from scipy.spatial import cKDTree
 
 from foretouch.libusb import ensure_libusb
-from foretouch.simulation.solids import Body, Box, Cylinder, Sphere, footprint_m
+from foretouch.simulation.solids import Body, Box, Cylinder, Sphere
 
 POSITION = np.array([0.1, -0.2, 0.3])
 EYE = np.array([0.2, 0.1, 1.5])
@@ -34,9 +33,6 @@ def rays(rng, count=4000):
     return (POSITION + rng.uniform(-0.08, 0.08, (count, 3)) - EYE) * rng.uniform(0.3, 3.0, (count, 1))
 
 
-# Solids in closed form.
-
-
 def test_rays_meet_solids_where_a_hand_calculation_says():
     ball = Sphere(position=np.array([0.0, 0.0, 1.0]), radius=0.1)
     t = ball.cast(np.zeros(3), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.5], [0.0, 0.2, 1.0], [0.0, 0.0, -1.0]]))
@@ -51,13 +47,6 @@ def test_rays_meet_solids_where_a_hand_calculation_says():
     box = Box(position=np.array([0.0, 0.0, 1.0]), size=np.array([0.2, 0.2, 0.2]))
     for x, expected in ((0.0, 0.9), (0.1, 0.9), (0.1000001, np.inf)):  # along a face: in or out, never NaN
         assert float(box.cast(np.array([x, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))) == pytest.approx(expected)
-
-
-def test_corners_and_footprint_of_a_box():
-    box = Box(position=np.array([1.0, 2.0, 3.0]), size=np.array([0.6, 0.8, 1.0]))
-    assert footprint_m(box) == pytest.approx(0.5)
-    np.testing.assert_allclose(box.corners().min(axis=0), [0.7, 1.6, 2.5])
-    np.testing.assert_allclose(box.corners().max(axis=0), [1.3, 2.4, 3.5])
 
 
 def test_hits_agree_with_open3d(solids, turn, rng):
@@ -89,57 +78,20 @@ def test_hits_agree_with_open3d(solids, turn, rng):
     every_case(list(solids.items()), check)
 
 
-def test_moving_a_solid_and_the_eye_together_changes_nothing(solids, rng):
-    can, directions, offset = solids["cylinder"], rays(rng, 500), np.array([0.3, 0.2, -0.1])
-    moved = can.moved(offset).cast(EYE + offset, directions)
-    reach = can.cast(EYE, directions)
-    grazing = np.isfinite(moved) != np.isfinite(reach)
-    assert grazing.mean() < 0.01
-    np.testing.assert_allclose(moved[~grazing], reach[~grazing], rtol=1e-6)
-
-
-def test_the_distance_from_a_solid_is_that_from_its_visible_surface(solids, rng):
-    """Of points on the surface it is zero, and at the centre the least half extent."""
+def test_the_distance_from_a_solid_is_zero_on_its_surface_and_grows_with_the_way_from_it(solids, rng):
     directions = rays(rng)
 
     def check(_name, solid):
         t = solid.cast(EYE, directions)
         hits = EYE + t[np.isfinite(t), None] * directions[np.isfinite(t)]
         assert np.abs(solid.surface_distance(hits)).max() < 1e-12
-        points = POSITION + rng.uniform(-0.15, 0.15, (200, 3))
-        eyes = POSITION + 2.0 * np.concatenate([np.eye(3), -np.eye(3)])
-        sampled = []
-        for eye in eyes:
-            towards = POSITION + rng.uniform(-0.08, 0.08, (60_000, 3)) - eye
-            sampled.append(eye + solid.cast(eye, towards)[:, None] * towards)
-        found = solid.surface_distance(points)
-        surface = np.concatenate(sampled)
-        nearest = cKDTree(surface[np.isfinite(surface).all(axis=1)]).query(points)[0]
-        assert (found <= nearest + 1e-9).all()
-        np.testing.assert_allclose(found, nearest, atol=2e-3)
         assert solid.surface_distance(POSITION[None])[0] == pytest.approx(solid._edges().min() / 2.0)
+        outward = hits - POSITION
+        farther = solid.surface_distance(POSITION + 3.0 * outward)
+        assert (farther <= 2.0 * np.linalg.norm(outward, axis=1) + 1e-9).all()
+        assert (farther > 0.0).all()
 
     every_case(list(solids.items()), check)
-
-
-# Meshes.
-
-
-def test_rays_meet_a_mesh_where_they_meet_the_solid(solids, turn, rng):
-    directions = rays(rng)
-
-    def check(shape, solid, size, tolerance_m):
-        found = Body(shape, 0, np.array(size), POSITION, turn).cast(EYE, directions).t
-        exact = solid.cast(EYE, directions)
-        both = np.isfinite(found) & np.isfinite(exact)
-        assert both.sum() > 1000
-        off = np.abs(found[both] - exact[both]) * np.linalg.norm(directions[both], axis=1)
-        assert np.percentile(off, 90) < tolerance_m  # edges are rounded and silhouettes are made of facets
-        assert np.mean(np.isfinite(found) != np.isfinite(exact)) < 0.02  # the box is rounded
-
-    every_case(
-        [("ball", solids["sphere"], (0.1, 0.1, 0.1), 4e-5), ("box", solids["box"], (0.1, 0.06, 0.12), 1e-6)], check
-    )
 
 
 def test_a_stretched_ball_is_an_ellipsoid_with_its_gradient_as_normals(turn, rng):

@@ -238,8 +238,7 @@ def read_samples(paths: Sequence[str]) -> list[GraspSample]:
 
     samples: list[GraspSample] = []
     for path in paths:
-        with open_samples(path) as found:
-            samples += [record.sample for record in found.records()]
+        samples += [record.sample for record in open_samples(path).records()]
     return samples
 
 

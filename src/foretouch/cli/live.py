@@ -11,8 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from foretouch.cli.answers import modality_text
-from foretouch.cli.screen import FittedPanel
-from foretouch.cli.tables import FittedTable
+from foretouch.cli.screen import FittedPanel, FittedTable
 from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:

@@ -7,14 +7,11 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.errors import ForetouchError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 def print_json(record: Mapping[str, Any]) -> None:
@@ -24,32 +21,21 @@ def print_json(record: Mapping[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def terminal(*, stderr: bool = False) -> Console:
-    """The terminal, or what stands in for it, as rich draws on it; a closed pipe raises as it does for `print`."""
-    from rich.console import Console
-
-    class Terminal(Console):
-        def on_broken_pipe(self) -> None:
-            raise  # noqa: PLE0704  rich calls this from the handler
-
-    return Terminal(stderr=stderr)
-
-
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a title and, if there are rows, a table; the caller formats numbers and units."""
-    from foretouch.cli.tables import FittedTable
+    from foretouch.cli.screen import FittedTable, terminal
 
-    console = terminal()
-    # In a pipe, a line stays a line; on a terminal, it is folded between words.
-    console.print(title, style="bold", highlight=False, markup=False, soft_wrap=not console.is_terminal)
+    print_text(title, "bold")
     if rows:
-        console.print(FittedTable(columns, rows))
+        terminal().print(FittedTable(columns, rows))
 
 
-def print_text(text: str) -> None:
-    """Print a paragraph, folded between words on a terminal."""
+def print_text(text: str, style: str = "") -> None:
+    """Print a paragraph, folded between words on a terminal; in a pipe, a line stays a line."""
+    from foretouch.cli.screen import terminal
+
     console = terminal()
-    console.print(text, highlight=False, markup=False, soft_wrap=not console.is_terminal)
+    console.print(text, style=style, highlight=False, markup=False, soft_wrap=not console.is_terminal)
 
 
 def announce(wait: str) -> None:
@@ -77,6 +63,8 @@ def progress_bar(
         `update(completed=None, total=None, description=None)`, which advances by one step without `completed`.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    from foretouch.cli.screen import terminal
 
     console = terminal(stderr=True)
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), "{task.description}")

@@ -6,6 +6,9 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
 from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,23 +17,19 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from foretouch.cli.inputs import add_options, positive_number, positive_value
-from foretouch.cli.output import announce, print_json, terminal, warn
+from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
-from foretouch.cli.screen import FittedPanel, can_draw, draw_until
-from foretouch.cli.tables import FittedTable
+from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
+from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, stamp_ns
 from foretouch.topics import TACTILE_TOPIC
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _GB = 1e9
-_REFRESH_S = 0.25
 _REPORT_S = 1.0  # between two lines of --json
 
 
@@ -148,7 +147,14 @@ def run(arguments: argparse.Namespace) -> int:
         with uninterrupted():
             node.end()
         report_conflicts(graph)
-        return _finish(node.status(), arguments)
+        status = node.status()
+        if arguments.json:
+            print_json(_status_record(status))
+        else:
+            terminal().print(record_panel(status, f"foretouch record: {status.path}"))
+        if status.reason:
+            warn(status.reason)
+        return int(bool(status.reason))
 
 
 def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -172,39 +178,29 @@ def _identity(what: str, given: str | None) -> dict[str, str | None]:
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     """Show the state until enough is recorded, the recording has ended by itself, or Ctrl-C."""
-    end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
-
-    def ended() -> bool:
-        enough = arguments.samples is not None and node.session_status().samples >= arguments.samples
-        return enough or not node.recording or (end is not None and time.monotonic() >= end)
-
-    try:
-        if not arguments.json and can_draw():
-            draw_until(ended, lambda: record_panel(node.status(), "foretouch record (Ctrl-C ends it)"), _REFRESH_S)
-        printed = -math.inf
-        while not ended():
-            if arguments.json and time.monotonic() - printed >= _REPORT_S:
-                printed = time.monotonic()
-                print_json(_status_record(node.status()))
-            time.sleep(_REFRESH_S)
-    except KeyboardInterrupt:
-        pass
+    end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
+    samples = math.inf if arguments.samples is None else arguments.samples
+    draw = None if arguments.json else partial(_panel, node)
+    with suppress(KeyboardInterrupt):
+        _print_status(node, arguments)
+        watch(partial(_ended, node, samples, end), draw, partial(_print_status, node, arguments), _REPORT_S)
 
 
-def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
+def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
+    return not node.recording or time.monotonic() >= end_s or node.session_status().samples >= samples
+
+
+def _panel(node: RecorderNode) -> FittedPanel:
+    return record_panel(node.status(), "foretouch record (Ctrl-C ends it)")
+
+
+def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:
     if arguments.json:
-        print_json(_status_record(status))
-    else:
-        terminal().print(record_panel(status, f"foretouch record: {status.path}"))
-    if status.reason:
-        warn(status.reason)
-    return 1 if status.reason else 0
+        print_json(_status_record(node.status()))
 
 
 def _status_record(status: RecorderStatus) -> dict[str, Any]:
     """The status as `--json` prints it."""
-    from foretouch.tactile.messages.table import stamp_ns
-
     errors = {"last": status.pairing_error, "max": status.pairing_error_max}
     return {
         "recording": status.recording,

@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from foretouch.checked_files import require_writable
 from foretouch.cli.answers import answer_record
-from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value, waiting_time
-from foretouch.cli.output import announce, print_json, terminal, warn
-from foretouch.cli.screen import can_draw, draw_until
+from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
+from foretouch.cli.live import live_panel
+from foretouch.cli.output import announce, print_json, warn
+from foretouch.cli.screen import FittedPanel, terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.bridge import BridgeNode
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
-_REFRESH_S = 0.2
 _DIAGNOSED_S = 1.2  # until every node has reported once more
 _SCENE_FILES = (".yaml", ".yml")
 _SCENE_FPS = 5  # so that a small computer has time for the rest of the graph
@@ -82,9 +81,8 @@ def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> 
         help="wait until this topic has a subscriber besides the nodes of the graph, such as a planner of `touch`"
         " (repeatable)",
     )
-    parser.add_argument(
-        "--wait-limit", type=waiting_time, metavar="S", help="longest wait for subscribers to be matched (default: 10)"
-    )
+    limit = "longest wait for subscribers to be matched (default: 10)"
+    parser.add_argument("--wait-limit", type=partial(positive_value, or_zero=True), metavar="S", help=limit)
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -200,28 +198,10 @@ def report_conflicts(graph: Graph) -> list[str]:
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     """Draw until the end of the source, N answers, or Ctrl-C; False if answers are missing."""
-    replay, count = graph.replay, arguments.count
-
-    def ended() -> bool:
-        if arguments.json and arguments.printer.error is not None:
-            raise arguments.printer.error
-        return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
-
-    def draw() -> RenderableType:
-        from foretouch.cli.live import live_panel
-
-        title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
-        return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
-
+    replay = graph.replay
+    draw = None if arguments.json else partial(_panel, graph, arguments.source)
     try:
-        if not arguments.json and can_draw():
-            draw_until(ended, draw, _REFRESH_S)
-        said = time.monotonic()
-        while not ended():
-            time.sleep(_REFRESH_S)
-            if not graph.played() and time.monotonic() - said > _WAITING_S:
-                said = time.monotonic()
-                warn(f"waiting for the first cloud: {_source_state(graph)}")
+        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), _WAITING_S)
     except KeyboardInterrupt:
         graph.stop_source()  # or answers would still arrive after the counts
         return True
@@ -231,6 +211,23 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     graph.wait_for_hand(_LONGEST_GRASP_S)
     # A live source does not wait for answers: the nodes count what they had to drop.
     return replay is None or graph.wait_for_answers(graph.played())
+
+
+def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
+    if arguments.json and arguments.printer.error is not None:
+        raise arguments.printer.error
+    played = graph.replay is not None and graph.replay.ended.is_set()
+    return played or (arguments.count is not None and graph.answered() >= arguments.count)
+
+
+def _panel(graph: Graph, source: str) -> FittedPanel:
+    title = f"foretouch run: {source} (Ctrl-C to end)"
+    return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
+
+
+def _warn_of_waiting(graph: Graph) -> None:
+    if not graph.played():
+        warn(f"waiting for the first cloud: {_source_state(graph)}")
 
 
 def _source_state(graph: Graph) -> str:
@@ -250,8 +247,6 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
         print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
     else:
-        from foretouch.cli.live import live_panel
-
         title = f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered"
         terminal().print(live_panel(view, title))
     if arguments.picture:

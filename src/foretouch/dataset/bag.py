@@ -58,8 +58,7 @@ class Recording:
     """An open recording; a context manager.
 
     Args:
-        path: A rosbag2 directory, a directory of `.mcap` or `.db3` files without metadata, such a file, or a ROS 1
-            `.bag`.
+        path: A rosbag2 directory, a directory of `.mcap` or `.db3` files, such a file, or a ROS 1 `.bag`.
 
     Raises:
         FileError: If the path is no recording, or is truncated or damaged.
@@ -95,10 +94,9 @@ class Recording:
             self._reader.close()
 
     def cloud_topic(self, topic: str | None = None) -> str:
-        """Check the topic of the clouds, or find the only one if `topic` is None.
+        """The topic of the clouds, which is checked, or found if `topic` is None.
 
-        Raises:
-            FileError: If the topic is absent, holds other messages or none, or if several qualify.
+        Raises a `FileError` if the topic is absent, holds other messages or none, or if several qualify.
         """
         clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE]
         if topic is not None:
@@ -120,8 +118,7 @@ class Recording:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of some topics, or of all, in order of their bag time.
 
-        Raises:
-            FileError: Where the recording is damaged, or at its end if it holds other counts than it declares.
+        Raises a `FileError` where the recording is damaged, and at its end if it holds other counts than it declares.
         """
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         counts: Counter[str] = Counter()
@@ -137,20 +134,12 @@ class Recording:
                 raise FileError(self.path, rule, field=topic.name)
 
     def content(self, message: Message) -> Any:
-        """The fields of a message as an object that resembles a ROS message.
-
-        Raises:
-            FileError: If the message is damaged.
-        """
+        """The fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
         with _known_failures(self.path, _position(message)):
             return self._store.deserialize_cdr(message.data, message.type)
 
     def decode_cloud(self, message: Message) -> Cloud:
-        """The cloud in a `PointCloud2`, with the frame and stamp of its header.
-
-        Raises:
-            FileError: If the message is damaged, or its sizes do not add up.
-        """
+        """The cloud in a `PointCloud2`, with the frame and stamp of its header; a `FileError` if it is damaged."""
         try:
             return decode_cloud(self.content(message))
         except CloudError as err:

@@ -18,8 +18,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import cloud_fields
-from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample, sample_types
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
@@ -66,11 +65,7 @@ class BagWriter:
             shutil.rmtree(self.path, ignore_errors=True)
 
     def add_topic(self, topic: str, type_name: str) -> Connection:
-        """Declare a topic, even if no message follows.
-
-        Raises:
-            DatasetError: If no definition of the type is found, or the topic already has another type.
-        """
+        """Declare a topic; a `DatasetError` if its type has no definition, or the topic has another type."""
         if topic not in self._connections:
             self.definitions.text(type_name)
             connection = self._writer.add_connection(topic, type_name, typestore=self.definitions.store)
@@ -80,17 +75,13 @@ class BagWriter:
         return self._connections[topic]
 
     def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
-        """Append a message, CDR with its encapsulation header, that was received at a time [ns] (raises as `add_topic`)."""
+        """Append a message, CDR with encapsulation header, that was received at a time [ns] (raises as `add_topic`)."""
         if bag_time_ns < 0:
             raise DatasetError(f"{self.path}: {topic}: time {bag_time_ns} ns is before 1970")
         self._writer.write(self.add_topic(topic, type_name), bag_time_ns, data)
 
     def write_cloud(self, cloud: Cloud, topic: str = _CLOUD_TOPIC, *, bag_time_ns: int | None = None) -> None:
-        """Append a cloud as `sensor_msgs/PointCloud2`, with its frame and stamp, which is the default of the time [ns].
-
-        Raises:
-            DatasetError: If a time is negative or beyond 2038, where the stamps of ROS end.
-        """
+        """Append a cloud as `sensor_msgs/PointCloud2`, by default at the time of its stamp [ns] (raises as `write`)."""
         time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
         self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 

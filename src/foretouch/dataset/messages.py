@@ -33,32 +33,21 @@ _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per ele
 _SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no difference
 
 
-class StampedHeader(NamedTuple):
-    """Stamp [ns] and frame of a message."""
-
-    stamp_ns: int
-    frame_id: str
-
-
-def read_header(data: bytes) -> StampedHeader:
-    """Read the header of a serialised message that begins with one, without decoding the rest.
-
-    Raises:
-        DatasetError: If the bytes end too early or the frame is no text.
-    """
+def read_header(data: bytes) -> tuple[int, str]:
+    """Stamp [ns] and frame of a serialised message that begins with a header; a `DatasetError` if it cannot be read."""
     order = _byte_order(data)
     try:
         seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", data, _START)
         frame = data[_START + 12 : _START + 12 + length]
         if len(frame) != length:
             raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
-        return StampedHeader(seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode())
+        return seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode()
     except (struct.error, UnicodeDecodeError) as err:
         raise DatasetError(f"header: {err}") from err
 
 
 def with_stamp(data: bytes, stamp_ns: int) -> bytes:
-    """Replace the stamp [ns] in the header of a serialised message; all other bytes are kept (raises as `read_header`)."""
+    """Replace the stamp [ns] in the header of a serialised message; all other bytes are kept."""
     changed = bytearray(data)
     try:
         struct.pack_into(f"{_byte_order(data)}iI", changed, _START, *divmod(stamp_ns, _NS))
@@ -138,8 +127,7 @@ class ObjectCloud(NamedTuple):
 def decode_cloud(message: Any) -> Cloud:
     """A `sensor_msgs/PointCloud2`; the arrays are read-only views of the message where its layout allows.
 
-    Raises:
-        CloudError: If the sizes do not add up, or x, y or z is missing or of another type.
+    Raises a `CloudError` if the sizes do not add up, or x, y or z is missing or of another type.
     """
     layout = PointCloud2Layout(
         height=message.height,
@@ -156,8 +144,7 @@ def decode_cloud(message: Any) -> Cloud:
 def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
     """The objects of an `object_cloud` in their order; a cloud without labels is one object, without its NaN points.
 
-    Raises:
-        CloudError: See `decode_cloud`; also if a label, row or column is of another type.
+    Raises a `CloudError` as `decode_cloud`, and if a label, row or column is of another type.
     """
     cloud = decode_cloud(message)
     if cloud.size == 0:
@@ -190,25 +177,24 @@ def has_orientation(message: Any) -> bool:
     return bool(np.any(_quaternion(message)) or np.any(message.rotation))
 
 
-def decode_grasp(message: Any, rotation: Float64 | None = None, score: float | None = None) -> Grasp:
+def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
     """A `foretouch_msgs/Grasp`. The position of its pose is not used: it is the midpoint of the contacts.
 
     Args:
         message: With a matrix, a quaternion, or both; nine zeros as matrix mean that only the quaternion counts.
         rotation: (3, 3) float64, instead of that of the message.
-        score: Instead of that of the message, which is rounded to float32.
 
     Raises:
-        GraspError: If a number is not finite, the contacts are one point, there is no rotation, or matrix and
-            quaternion contradict each other.
+        GraspError: If a number is not finite, the contacts are one point, or matrix and quaternion are absent or
+            differ.
     """
     g1, g2 = (np.array([p.x, p.y, p.z], np.float64) for p in (message.g1, message.g2))
     rotation = _rotation_of(message) if rotation is None else rotation
-    return Grasp(g1, g2, rotation, float(message.score if score is None else score), message.id, message.object_id)
+    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
 
 
 def grasp_numbers(messages: Sequence[Any]) -> Float64:
-    """(K, 22) float64 of K `foretouch_msgs/Grasp`: g1, g2, position and quaternion (xyzw) of the pose, rotation by rows."""
+    """(K, 22) float64 of K `foretouch_msgs/Grasp`: g1, g2, position and quaternion xyzw of the pose, rotation."""
     rows = []
     for one in messages:
         g1, g2, p, q = one.g1, one.g2, one.pose.position, one.pose.orientation
@@ -239,14 +225,7 @@ def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
 
 
 def rotation_from_quaternion(xyzw: Float64) -> Float64:
-    """(3, 3) float64 rotation of a quaternion.
-
-    Args:
-        xyzw: (4,) of unit length within 1e-3; normalised here.
-
-    Raises:
-        GraspError: If a number is not finite or the length is another.
-    """
+    """(3, 3) float64 rotation of a quaternion (4,), whose length must be 1 within 1e-3, else a `GraspError`."""
     length = float(np.linalg.norm(xyzw)) if (np.abs(xyzw) <= _MAX_UNIT).all() else float(np.abs(xyzw).max())
     if not abs(length - 1.0) <= _UNIT_TOLERANCE:
         raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")

@@ -96,13 +96,8 @@ class SampleRecord:
 def check_name(name: str, what: str) -> str:
     """Check a label that becomes part of an id and the name of a folder, and return it.
 
-    Args:
-        name: The label.
-        what: The field, for the error message.
-
-    Raises:
-        DatasetError: If it is empty, longer than 100 characters, `.` or `..`, or holds a slash, a colon or a control
-            character.
+    Raises a `DatasetError` that names `what` it is if it is empty, longer than 100 characters, `.` or `..`, or holds a
+    slash, a colon or a control character.
     """
     if not name or len(name) > 100 or name.strip(".") == "" or _FORBIDDEN.search(name):
         raise DatasetError(
@@ -123,11 +118,7 @@ def id_number(sample_id: str) -> int:
 
 
 def check_id(sample_id: str, label: str) -> None:
-    """Check that an id is `<object>/<name>` for the object `label`.
-
-    Raises:
-        DatasetError: If it is not; names the rule.
-    """
+    """Check that an id is `<object>/<name>` for the object `label`; a `DatasetError` if it is not; names the rule."""
     head, slash, name = sample_id.partition("/")
     if not slash or head != label:
         raise DatasetError(f"id: {sample_id[:200]!r} is not {label[:100]!r}, a slash and a name")

@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
-from foretouch.dataset.disk import new_folder
+from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
 from foretouch.types import GraspSample
@@ -20,7 +20,7 @@ from foretouch.types import GraspSample
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """The samples of a dataset in order, read on demand and as often as needed; a context manager."""
+    """The samples of a dataset in order, read on demand and as often as needed."""
 
     path: Path  # the dataset
     kind: str  # name of its format
@@ -28,16 +28,9 @@ class SampleSet:
     record: Callable[[int], SampleRecord]  # reads one sample by its number; raises `FileError` with file and position
     name: Callable[[int], str]  # where a sample is stored, for messages
     identity: Identity = field(default_factory=Identity)  # hand and camera, as far as they are known
-    close: Callable[[], None] = lambda: None  # closes the files
     unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
     edits: tuple[str, ...] = ()  # descriptions of later changes
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __len__(self) -> int:
         return self.size
@@ -95,11 +88,7 @@ def is_sample_set(path: str | Path) -> bool:
 
 
 def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
-    """Open a dataset for reading.
-
-    Args:
-        path: In any readable format.
-        unfinished: Whether to read recordings that were cut off, as far as they are intact.
+    """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
@@ -134,6 +123,6 @@ def export_samples(
     """
     export = _functions(next(entry for entry in formats.FORMATS if entry.name == kind)).export
     result = ExportResult()
-    with new_folder(Path(out)) as folder, open_samples(source) as samples:
-        export(samples, folder, result, progress)
+    with new_folder(Path(out)) as folder:
+        export(open_samples(source), folder, result, progress)
     return result

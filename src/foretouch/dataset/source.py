@@ -27,11 +27,7 @@ SourceKind = Literal["clouds", "samples", "recording"]
 
 
 class SourceItem:
-    """One entry of a source, read on request.
-
-    Attributes:
-        name: The file or folder it comes from; for a recording, its path and the number of the message.
-    """
+    """One entry of a source, read on request; `name` is its file or folder, or recording and number of the message."""
 
     def __init__(self, name: str, load: Callable[[], Cloud | GraspSample]) -> None:
         self.name = name
@@ -39,11 +35,7 @@ class SourceItem:
 
     @cached_property
     def value(self) -> Cloud | GraspSample:
-        """The cloud or the sample.
-
-        Raises:
-            ForetouchError: If it cannot be read.
-        """
+        """The cloud or the sample; a `ForetouchError` if it cannot be read."""
         return self._load()
 
     @property
@@ -68,11 +60,6 @@ class Source:
     entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset
     count: int = 0  # number of entries, or of messages that the recording declares
 
-    @property
-    def segmented(self) -> bool:
-        """Whether the kind guarantees that each cloud holds one object and nothing else."""
-        return self.kind == "samples"
-
     def __len__(self) -> int:
         return self.count
 
@@ -96,10 +83,10 @@ class Source:
         return replace(cloud, stamp_ns=stamp_ns, frame_id=cloud.frame_id or self.frame_id)
 
     def _samples(self) -> Iterator[SourceItem]:
-        with open_samples(self.path) as samples:
-            names = [samples.name(k) for k in range(len(samples))]
-            for number, k in enumerate(sorted(range(len(names)), key=lambda k: _natural(names[k])), 1):
-                yield SourceItem(names[k], partial(self._load_sample, samples, k, number * STAMP_STEP_NS))
+        samples = open_samples(self.path)
+        names = [samples.name(k) for k in range(len(samples))]
+        for number, k in enumerate(sorted(range(len(names)), key=lambda k: _natural(names[k])), 1):
+            yield SourceItem(names[k], partial(self._load_sample, samples, k, number * STAMP_STEP_NS))
 
     def _recorded(self) -> Iterator[SourceItem]:
         with Recording(self.path) as recording:
@@ -130,8 +117,8 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     """
     path = require_existing(path)
     if topic is None and is_sample_set(path):
-        with open_samples(path) as samples:
-            return Source(path, "samples", None, frame_id, (), len(samples))
+        samples = open_samples(path)
+        return Source(path, "samples", None, frame_id, (), len(samples))
     if is_recording(path):
         with Recording(path) as recording:
             topic = recording.cloud_topic(topic)

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch.checked_files import file_sha256, parse_json
-from foretouch.dataset.manifest import read_manifest
+from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
@@ -223,26 +223,26 @@ def _columns(batch: Any) -> _Batch:
 
 
 def _sample(batch: _Batch, row: int) -> GraspSample:
-    def points(name: str) -> Any:
+    def _points(name: str) -> Any:
         start, end = batch.offsets[name][row : row + 2]
         return batch.values[name][start:end].reshape(-1, 3)
 
-    def vector(name: str, size: int) -> Any:
+    def _vector(name: str, size: int) -> Any:
         return batch.values[name][row * size : (row + 1) * size]
 
-    def touch(name: str) -> Touch | None:
-        return Touch.from_vector(vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None
+    def _touch(name: str) -> Touch | None:
+        return Touch.from_vector(_vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None
 
     plain = {name: values[row] for name, values in batch.plain.items()}
-    rgb = points("rgb") if batch.valid["rgb"][row] else None
-    rotation = vector("rotation", 9).reshape(3, 3)
+    rgb = _points("rgb") if batch.valid["rgb"][row] else None
+    rotation = _vector("rotation", 9).reshape(3, 3)
     return GraspSample(
         id=plain["id"],
         object=plain["object"],
-        cloud=Cloud(points("xyz"), rgb, plain["frame_id"], plain["stamp_ns"]),
-        grasp=Grasp(vector("g1", 3), vector("g2", 3), rotation, plain["score"], object_id=plain["object"]),
-        touch=touch("touch"),
-        tare=touch("tare"),
+        cloud=Cloud(_points("xyz"), rgb, plain["frame_id"], plain["stamp_ns"]),
+        grasp=Grasp(_vector("g1", 3), _vector("g2", 3), rotation, plain["score"], object_id=plain["object"]),
+        touch=_touch("touch"),
+        tare=_touch("tare"),
         stamp_ns=plain["stamp_ns"],
         extra=_numbers(plain["extra"]),
     )

@@ -48,11 +48,7 @@ _TEXT_LIMIT: Final = 100_000  # bytes; the public files have less than 400
 
 
 def sample_folders(path: str | Path) -> list[Path]:
-    """The sample folders at or below `path`, by object and time, without opening their files.
-
-    Raises:
-        DatasetError: If the folder is absent or holds no sample.
-    """
+    """The sample folders at or below `path`, by object and time; a `DatasetError` if there is none."""
     root = Path(path)
     if not root.is_dir():
         raise DatasetError(f"{root}: no such folder")
@@ -83,8 +79,8 @@ def read_sample(folder: str | Path) -> GraspSample:
     """Read one sample folder, `<object>/<unix time>` or `<object>/<name>`.
 
     Returns:
-        The sample; its stamp is 0 if the name is no time; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such as
-        `TDC_MF` [counts].
+        The sample; its stamp is 0 if the name is no time; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such
+        as `TDC_MF` [counts].
 
     Raises:
         FileError: Names the file, the field and the rule that it breaks.
@@ -127,7 +123,7 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
 
 
 def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
-    """The touch in a `tactile.tac`, and PAC0, PAC1, TAC and TDC of both fingers by name [counts] (raises as `read_sample`)."""
+    """The touch in a `tactile.tac`, and PAC0, PAC1, TAC and TDC of both fingers by name [counts]."""
     numbers = _read_numbers(path, 2 * _FINGER_SIZE)
     fingers = {"MF": numbers[:_FINGER_SIZE], "TH": numbers[_FINGER_SIZE:]}
     extra: dict[str, float] = {}

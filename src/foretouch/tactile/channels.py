@@ -30,7 +30,7 @@ _WIDEST: Final = 1e12  # [counts]
 
 
 def columns(modalities: Sequence[str]) -> npt.NDArray[np.intp]:
-    """(M,) columns of some modalities in `Touch.vector()`, in the given order; a `TactileError` names an unknown one."""
+    """(M,) columns of some modalities in `Touch.vector()`, in this order; a `TactileError` names an unknown one."""
     unknown = [name for name in modalities if name not in _COLUMNS]
     if unknown:
         raise TactileError(f"modality: {unknown[0]!r} is none of {', '.join(MODALITIES)}")

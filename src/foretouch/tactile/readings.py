@@ -50,11 +50,7 @@ def _electrode_faults(name: str, values: Float64) -> list[str]:
 
 
 def make_tare(readings: Sequence[Touch]) -> Touch:
-    """The median of readings without contact; a single disturbed sample does not move it.
-
-    Raises:
-        TactileError: If there is no reading, or one is not valid.
-    """
+    """The median of readings without contact; a `TactileError` if there is none, or one is not valid."""
     if not readings:
         raise TactileError("tare: no reading")
     for i, reading in enumerate(readings):
@@ -85,7 +81,7 @@ def restore(offset: Float64, tare: Touch) -> Touch:
 
 
 def to_kohm(electrode: npt.ArrayLike) -> Float64:
-    """Impedance of electrodes [kOhm], float64, by the product manual: Z = (4095 / E - 1) * 10, which rises with pressure.
+    """Impedance of electrodes [kOhm], float64, by the product manual: Z = (4095 / E - 1) * 10.
 
     Raises:
         TactileError: If a count is not finite, above 4095, or not above 0, where Z is undefined.

@@ -21,7 +21,7 @@ from foretouch.dataset.pairing import (
     SampleAssembler,
     SerializedCloud,
 )
-from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import GraspError, TactileError
 from foretouch.tactile.messages import TactileReader, TactileReading
 from foretouch.types import Cloud
@@ -58,7 +58,7 @@ class Session:
         message = cloud_fields(cloud)
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
         self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
-        self.assembler.add_grasps(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
+        self.assembler.matcher.add_plan(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
 
     def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
         times = {
@@ -151,7 +151,10 @@ def test_labels_and_contacts_without_a_report() -> None:
     session = Session(0, watch_sensors=True)
     for number in (0, 1):
         session.plan(number)
-    assert session.assembler.label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1] == "waits for its contact"
+    assert (
+        session.assembler.matcher.add_label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1]
+        == "waits for its contact"
+    )
     for reading in stream(2):
         session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
     assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_builders import paraboloid, skin
 from every_case import every_case
 from numpy.testing import assert_allclose
-
-sys.path.insert(0, str(Path(__file__).parent))
-from contact_builders import paraboloid, skin
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact import LEVELS, Command, Layer, solve_grip, weigh
@@ -68,13 +64,11 @@ def test_commands_that_contradict_each_other_are_refused():
 def test_forces_and_moments_of_a_held_weight_balance(rng):
     for _ in range(20):
         weight, g1, g2, centre = rng.normal(size=(4, 3))
-        held = weigh(weight, g1, g2, centre)
-        axis = (g2 - g1) / np.linalg.norm(g2 - g1)
-        first = held.tangential_n[0] + 7.0 * axis
-        second = held.tangential_n[1] - (7.0 + held.axial_n) * axis
+        held, axis = weigh(weight, g1, g2, centre), (g2 - g1) / np.linalg.norm(g2 - g1)
         scale = np.linalg.norm(weight) * (1.0 + np.abs([g1, g2, centre]).max() / np.linalg.norm(g2 - g1))
-        assert_allclose(first + second + weight, 0.0, atol=1e-13 * (scale + 7.0))
-        moment = sum(np.cross(p - centre, f) for p, f in ((g1, first), (g2, second)))
+        forces = held.tangential_n + np.outer([7.0, -7.0 - held.axial_n], axis)
+        assert_allclose(forces.sum(axis=0) + weight, 0.0, atol=1e-13 * (scale + 7.0))
+        moment = np.cross([g1 - centre, g2 - centre], forces).sum(axis=0)
         assert_allclose(np.cross(moment, axis), 0.0, atol=1e-12 * scale)  # what is left turns about the line
         assert_allclose(held.tangential_n @ axis, 0.0, atol=1e-13 * scale)
 

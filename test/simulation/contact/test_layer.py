@@ -1,36 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
-import sys
-import warnings
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_builders import RADIUS, grid, half_space, paraboloid, skin
 from every_case import every_case
 from numpy.testing import assert_allclose
-from scipy.integrate import dblquad
-from scipy.signal import convolve2d
-
-sys.path.insert(0, str(Path(__file__).parent))
-from contact_builders import RADIUS, grid, half_space, paraboloid, skin
-from finite_elements import press, surface_compliance
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    Layer,
-    bed_stiffness,
-    solve_hertz,
-    solve_layer,
-    solve_winkler,
-)
+from foretouch.simulation.contact import Command, ContactProblem, Layer, bed_stiffness, solve_layer
 from foretouch.simulation.contact import layer as module
 
 TIGHT = {"tolerance": 1e-9}
-
-# Influence coefficients.
 
 
 def test_short_waves_see_a_half_space_and_long_ones_the_winkler_bed():
@@ -40,19 +22,6 @@ def test_short_waves_see_a_half_space_and_long_ones_the_winkler_bed():
         t, layer = 1e-4, Layer(modulus_pa=2e6, poisson=poisson, thickness_m=0.003)
         compliance = 2.0 * layer.thickness_m / (layer.plane_modulus_pa * t) * module._layer_transfer(t, poisson)
         assert_allclose(compliance, 1.0 / bed_stiffness(layer), rtol=1e-6)
-
-
-def test_coefficients_of_the_half_space_match_quadrature():
-    step, modulus = 2e-4, 1e6
-    for i, j in ((1, 0), (2, 3)):
-        x, y = i * step, j * step
-        direct, _ = dblquad(
-            lambda v, u, x=x, y=y: 1.0 / math.hypot(x - u, y - v), -step / 2, step / 2, -step / 2, step / 2
-        )
-        value = module._love_influence(np.array(x), np.array(y), step, modulus)
-        assert_allclose(value, direct / (math.pi * modulus), rtol=1e-6)
-    own = module._love_influence(np.array(0.0), np.array(0.0), step, modulus)  # of a cell on itself: Love 1929
-    assert_allclose(own, 4 * math.log(1 + math.sqrt(2)) * step / (math.pi * modulus), rtol=1e-12)
 
 
 def test_layer_under_even_pressure_is_the_winkler_bed_and_a_thick_one_a_half_space():
@@ -65,18 +34,6 @@ def test_layer_under_even_pressure_is_the_winkler_bed_and_a_thick_one_a_half_spa
     assert_allclose(thick, module._layer_influence(half_space(), 16, 5e-4), rtol=0.01)
     with pytest.raises(ContactError, match=r"less than half a cell, .* use the Winkler level"):
         module._layer_influence(skin(0.0002), 12, 0.001)
-
-
-def test_convolution_is_the_direct_sum(rng):
-    layer, n = skin(), 9
-    pressure = rng.random((n, n))
-    quarter = module._layer_influence(layer, n, 5e-4)
-    full = np.block([[quarter[:0:-1, :0:-1], quarter[:0:-1]], [quarter[:, :0:-1], quarter]])
-    expected = convolve2d(pressure, full, mode="full")[n - 1 : 2 * n - 1, n - 1 : 2 * n - 1]
-    assert_allclose(module._convolve(pressure, module._influence_spectrum(layer, n, 5e-4)), expected, rtol=1e-10)
-
-
-# Contacts with a known answer.
 
 
 def hertz_force(layer, depth):
@@ -95,10 +52,13 @@ def dimitriadis_force(layer, depth):
     return hertz_force(layer, depth) * series
 
 
-def test_forces_are_those_of_hertz_sneddon_and_dimitriadis():
+def test_forces_are_those_of_hertz_with_his_pressure_of_sneddon_and_of_dimitriadis():
     for depth in (1e-6, 1e-4, 1e-3):
-        found = solve_layer(paraboloid(48, 2.6 * math.sqrt(RADIUS * depth)), Command(depth_m=depth))
+        found = solve_layer(paraboloid(64, 2.6 * math.sqrt(RADIUS * depth)), Command(depth_m=depth), tolerance=1e-8)
         assert_allclose(found.force_n, hertz_force(half_space(), depth), rtol=0.01)
+        peak = 2 * half_space().plane_modulus_pa / math.pi * math.sqrt(depth / RADIUS)
+        assert_allclose(found.pressure.max(), peak, rtol=0.01)
+        assert_allclose(found.area_m2, math.pi * RADIUS * depth, rtol=0.03)  # counted in whole cells
     radius, depth = 0.003, 1e-4
     x, y, step = grid(64, 2.2 * radius)
     punch = ContactProblem(np.where(np.hypot(x, y) <= radius, 0.0, np.inf), step, (half_space(),))
@@ -112,25 +72,6 @@ def test_forces_are_those_of_hertz_sneddon_and_dimitriadis():
         assert_allclose(found, dimitriadis_force(layer, depth), rtol=0.05)
 
     every_case(product((0.0, 0.3, 0.45, 0.5), (0.02, 0.01, 0.005, 0.003)), check)
-
-
-def test_pressure_is_that_of_hertz():
-    depth = 1e-4
-    problem = paraboloid(64, 2.6 * math.sqrt(RADIUS * depth))
-    solution = solve_layer(problem, Command(depth_m=depth), tolerance=1e-8)
-    peak = 2 * half_space().plane_modulus_pa / math.pi * math.sqrt(depth / RADIUS)
-    assert_allclose(solution.pressure.max(), peak, rtol=0.005)
-    assert_allclose(solution.area_m2, math.pi * RADIUS * depth, rtol=0.03)  # counted in whole cells
-
-
-def test_agrees_with_finite_elements():
-    depth, thickness = 1.5e-4, 0.002
-    r = np.concatenate([np.linspace(0, 0.0025, 41), 0.0025 + 0.0075 * np.linspace(0, 1, 25)[1:] ** 1.5])
-    for poisson in (0.0, 0.316, 0.45):
-        compliance = surface_compliance(1e6, poisson, r, np.linspace(0, thickness, 25))
-        layer = Layer(modulus_pa=1e6, poisson=poisson, thickness_m=thickness)
-        solution = solve_layer(paraboloid(48, 0.005, layer), Command(depth_m=depth))
-        assert_allclose(solution.force_n, press(compliance, r**2 / (2 * RADIUS), depth).sum(), rtol=0.015)
 
 
 def test_given_force_and_depth_are_two_ways_to_the_same_contact():
@@ -161,15 +102,6 @@ def test_a_turn_of_the_gap_and_the_window_around_it_change_nothing():
     inner, outer = (solve_layer(one, Command(force_n=0.5), **TIGHT).pressure for one in (small, large))
     assert not inner[0].any()
     assert_allclose(outer[12:36, 12:36], inner, atol=1e-5 * inner.max())
-
-
-def test_layers_share_the_depth_by_their_softness():
-    same = Layer(modulus_pa=1e6, poisson=0.3)
-    solution = solve_layer(paraboloid(24, 0.006, same, same), Command(force_n=0.5))
-    assert_allclose(solution.displacement[0], solution.displacement[1], rtol=1e-12)
-
-
-# Hard cases.
 
 
 def test_hard_gaps_converge(rng):
@@ -206,36 +138,13 @@ def test_hard_gaps_converge(rng):
     every_case([(name, gap, layer) for (name, gap), layer in product(gaps.items(), layers)], check)
 
 
-def test_any_float_is_solved_or_refused_by_name_without_a_warning():
-    values = (5e-324, 1e-310, 1e-200, 1e-100, 1e-30, 1e-12, 1e-3, 1.0, 1e3, 1e30, 1e100, 1e200, 1e300, 1.7e308)
+def test_small_pushes_are_proportional_and_none_is_no_pressure():
     problem = paraboloid(24, 0.006, skin(0.002))
-
-    def check(solve, kind, value):
-        try:
-            found = solve(problem, Command(**{kind: value}))
-        except ContactError as err:
-            assert str(err).partition(":")[0] in ("layers[0]", "depth", kind)  # noqa: PT017
-            return
-        assert np.isfinite([found.force_n, found.depth_m, found.area_m2]).all()
-        assert np.isfinite(found.pressure).all()
-        assert np.isfinite(found.displacement).all()
-        assert_allclose(getattr(found, kind), value, rtol=1e-9)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        every_case(product((solve_layer, solve_winkler, solve_hertz), ("force_n", "depth_m"), values), check)
     small, smaller = (solve_layer(problem, Command(force_n=force)) for force in (1e-9, 1e-29))
     assert_allclose(smaller.pressure * 1e20, small.pressure, rtol=1e-6)
-
-
-def test_no_push_is_no_pressure_and_a_grazing_one_is_small():
-    problem = paraboloid(16, 0.01, skin())
-    for command in (Command(force_n=0.0), Command(depth_m=0.0), Command(depth_m=-1e-3)):
-        solution = solve_layer(problem, command)
-        assert not solution.pressure.any()
-        assert not solution.displacement.any()
-        assert solution.force_n == solution.area_m2 == 0.0
-    assert 0.0 < solve_layer(problem, Command(depth_m=1e-12)).force_n < 1e-6
+    nothing = solve_layer(problem, Command(depth_m=-1e-3))
+    assert not nothing.pressure.any()
+    assert nothing.force_n == nothing.area_m2 == 0.0
 
 
 def test_too_much_and_too_few_iterations_are_refused_with_the_numbers():

@@ -19,38 +19,20 @@ def test_the_level_follows_the_object_unless_the_scene_says_otherwise() -> None:
     assert level(CAN, SPONGE, fidelity="layer") == {"contact_layer"}
 
 
-def test_both_fingers_press_with_the_commanded_force() -> None:
+def test_fingers_press_as_commanded_by_force_by_depth_and_each_by_itself() -> None:
     for item in (CAN, SPONGE):
         config = scene(item, grasps={"thumb": {"force_n": [1.5, 3.0]}, "insertion_m": 0.01})
         for slot in range(4):
             state = run(config, "contacts", "targets", slot=slot)
-            thumb, middle = (contact.force_n for contact in state.contacts)
-            assert thumb == pytest.approx(state.targets[0], rel=1e-3)
-            assert abs(thumb - middle) <= 1e-3 * thumb
-
-
-def test_by_depth_the_closings_add_up_and_the_forces_balance() -> None:
+            assert [contact.force_n for contact in state.contacts] == pytest.approx([state.targets[0]] * 2, rel=1e-3)
     config = scene(grasps={"control": "depth", "thumb": {"depth_m": [0.0002, 0.0003]}, "insertion_m": 0.01})
     state = run(config, "contacts", "targets")
     thumb, middle = state.contacts
     assert thumb.depth_m + middle.depth_m == pytest.approx(state.targets.sum(), rel=1e-4)
     assert thumb.force_n == pytest.approx(middle.force_n, rel=1e-3)
-
-
-def test_unbalanced_fingers_keep_their_own_targets() -> None:
     grasps = {"balanced": False, "middle": {"force_n": [0.5, 0.5]}, "thumb": {"force_n": [2, 2]}, "insertion_m": 0.01}
     state = run(scene(grasps=grasps), "contacts")
     assert [contact.force_n for contact in state.contacts] == pytest.approx([2.0, 0.5], rel=1e-3)
-
-
-def test_a_stiffer_look_alike_sinks_in_less() -> None:
-    grasps = {"thumb": {"force_n": [2, 2]}, "insertion_m": 0.01}
-    soft = run(scene(SPONGE, grasps=grasps), "contacts", "relief")
-    stiff = run(scene(SPONGE | {"young_pa": 5e6}, grasps=grasps), "contacts", "relief")
-    np.testing.assert_array_equal(soft.relief, stiff.relief)
-    for a, b in zip(soft.contacts, stiff.contacts, strict=True):
-        assert a.depth_m > 2.0 * b.depth_m
-        assert a.area_m2 > b.area_m2
 
 
 def test_weight_along_the_line_of_the_contacts_loads_one_finger_more() -> None:
@@ -68,13 +50,6 @@ def test_an_object_too_heavy_for_the_grip_falls() -> None:
     with pytest.raises(SimulationError, match=r"its weight slips through|opens a grip") as caught:
         list(Simulation(config).samples(1))
     assert caught.value.reason in {"falls", "contact"}
-
-
-def test_a_skin_that_is_pressed_through_is_named() -> None:
-    config = scene(grasps={"thumb": {"force_n": [400, 400]}, "insertion_m": 0.01})
-    with pytest.raises(SimulationError, match=r"can: .*max_strain") as caught:
-        run(config, "contacts")
-    assert caught.value.reason == "contact"
 
 
 def test_a_solver_that_does_not_converge_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,13 +106,10 @@ def test_contradictions_are_named() -> None:
     every_case(cases, check)
 
 
-def test_a_scene_survives_the_way_through_plain_data() -> None:
-    config = scene(CAN, SPONGE, camera={"noise": {}}, fingers={"timeline": {"hold_s": 1.0}, "scan": {}})
+def test_a_scene_survives_the_way_through_plain_data_and_a_thumb_that_is_changed_in_part_stays_one() -> None:
+    fingers = {"timeline": {"hold_s": 1.0}, "scan": {}, "thumb": {"electrode_rest": 3000}}
+    config = scene(CAN, SPONGE, camera={"noise": {}}, fingers=fingers)
     again = SceneConfig.from_mapping(config.to_mapping())
     assert again == config
     assert again.sha256() == config.sha256()
-
-
-def test_a_thumb_that_is_changed_in_part_keeps_the_rest_of_a_thumb() -> None:
-    thumb = scene(fingers={"thumb": {"electrode_rest": 3000}}).fingers.thumb
-    assert thumb.pdc_rest == scene().fingers.thumb.pdc_rest != scene().fingers.middle.pdc_rest
+    assert config.fingers.thumb.pdc_rest == scene().fingers.thumb.pdc_rest != scene().fingers.middle.pdc_rest

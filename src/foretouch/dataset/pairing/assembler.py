@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
 from foretouch.dataset.messages import decode_grasp, decode_objects, read_header
-from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
     GraspTouchMatcher,
-    Label,
     MatchedGrasp,
     PlannedGrasps,
     RejectedGrasp,
@@ -77,7 +76,7 @@ class SampleAssembler:
         self.rejected_clouds: Counter[str] = Counter()
         self.clouds_without_grasps = 0
         self._reader = reader
-        self._readings = TouchBuffer(config.pairing.kept_s)
+        self.readings = TouchBuffer(config.pairing.kept_s)
         self._episodes = ContactEpisodes(config.contact)
         self._health = SensorHealth()
         self._last_unlabelled_ns: int | None = None
@@ -87,10 +86,10 @@ class SampleAssembler:
     def reset_grasps(self) -> None:
         """Forget clouds and all grasps, planned or executed; tactile readings are kept."""
         pairing = self.config.pairing
-        self._clouds = CloudBuffer(pairing.kept_s, pairing.kept_mb)
-        self._matcher = GraspTouchMatcher(
-            self._readings,
-            self._clouds,
+        self.clouds = CloudBuffer(pairing.kept_s, pairing.kept_mb)
+        self.matcher = GraspTouchMatcher(
+            self.readings,
+            self.clouds,
             pairing,
             self.config.contact,
             assume=self.config.assume_grasps,
@@ -101,34 +100,10 @@ class SampleAssembler:
 
     # State.
 
-    @property
-    def pending(self) -> int:
-        """Number of executed grasps that are not complete yet."""
-        return self._matcher.pending
-
-    @property
-    def plans_without_cloud(self) -> int:
-        """Number of plans whose cloud has not come; at the end, after all clouds have left the buffer."""
-        return self._matcher.plans
-
-    @property
-    def anomalies(self) -> Counter[str]:
-        """Anomalies of tactile stamps (see `TouchBuffer`), and rejected clouds."""
-        return self._readings.anomalies + self.rejected_clouds
-
-    @property
-    def clock_jumps(self) -> int:
-        """How often the sensor's clock was set back."""
-        return self._readings.anomalies["clock_jump"]
-
     def sensor_states(self, now_s: float) -> dict[str, str]:
         """State by finger, and of the camera: `alive`, `no data`, or the fault."""
         camera = ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA
         return {**self._health.states, "camera": camera}
-
-    def has_cloud(self, cloud_stamp_ns: int) -> bool:
-        """Whether a cloud of this stamp is in the buffer."""
-        return self._clouds.get(cloud_stamp_ns) is not None
 
     # Input.
 
@@ -142,17 +117,18 @@ class SampleAssembler:
             now_s: Time of a clock that never goes back [s].
 
         Raises:
-            TactileError: If a tactile message holds no reading.
-            DatasetError: If a cloud has no header.
+            TactileError, DatasetError: If a tactile message holds no reading, or a cloud has no header.
         """
         if role == "tactile":
             self.add_tactile(message, received_ns=received_ns, now_s=now_s)
         elif role == "cloud":
-            self.add_cloud(message, now_s=now_s)
+            stamp, _ = read_header(message.data)
+            self._last_cloud_s = now_s
+            self._remove(self.clouds.add(stamp, message, now_s))
         elif role == "grasps":
-            self.add_grasps(stamp_ns(message.header.stamp), message.header.frame_id, message.grasps)
+            self.matcher.add_plan(stamp_ns(message.header.stamp), message.header.frame_id, message.grasps)
         else:
-            self._matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
+            self.matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
 
     def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TouchReading, ...]:
         """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`)."""
@@ -160,32 +136,18 @@ class SampleAssembler:
         stamp = received_ns if content.stamp_ns is None else content.stamp_ns
         received = received_ns if self.config.check_clock else stamp
         reading = TouchReading(stamp, content.counts, content.others, received)
-        jumps = self.clock_jumps
-        accepted = self._readings.add(reading)
+        jumps = self.readings.anomalies["clock_jump"]
+        accepted = self.readings.add(reading)
         self._last_tactile_s = now_s
         if self.config.watch_sensors:
             self._health.update(reading.counts)
-            if self.clock_jumps != jumps:
+            if self.readings.anomalies["clock_jump"] != jumps:
                 self._episodes.reset()
             for one in accepted:
                 episode = self._episodes.update(one.stamp_ns, one.counts)
                 if episode is not None:
-                    self._matcher.add_episode(episode, now_s)
+                    self.matcher.add_episode(episode, now_s)
         return accepted
-
-    def add_cloud(self, message: SerializedCloud, *, now_s: float) -> None:
-        """Add an object cloud (raises as `add`)."""
-        header = read_header(message.data)
-        self._last_cloud_s = now_s
-        self._remove(self._clouds.add(header.stamp_ns, message, now_s))
-
-    def add_grasps(self, cloud_stamp_ns: int, frame_id: str, grasps: Any) -> None:
-        """Add `Grasp` messages planned on the cloud of this stamp."""
-        self._matcher.add_plan(cloud_stamp_ns, frame_id, grasps)
-
-    def label(self, label: Label, now_s: float) -> tuple[str, str]:
-        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
-        return self._matcher.add_label(label, now_s)
 
     # Output.
 
@@ -194,7 +156,7 @@ class SampleAssembler:
         if now_s - self._last_tactile_s > _TACTILE_TIMEOUT_S:
             self._health.silence()
         results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled()]
-        for one in self._matcher.poll(now_s, ending=ending):
+        for one in self.matcher.poll(now_s, ending=ending):
             result: AssembledSample | RejectedGrasp
             if isinstance(one, RejectedGrasp):
                 result = one
@@ -206,14 +168,14 @@ class SampleAssembler:
             self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
             results.append(result)
         if ending:
-            self._remove(self._clouds.clear())
+            self._remove(self.clouds.clear())
             results += self._unlabelled()
         return results
 
     def _remove(self, clouds: list[BufferedCloud]) -> None:
         """Clouds that left the buffer may become samples without a touch."""
         for cloud in clouds:
-            plan = self._matcher.forget_plan(cloud.stamp_ns)
+            plan = self.matcher.forget_plan(cloud.stamp_ns)
             if cloud.stamp_ns in self._labelled_clouds:
                 self._labelled_clouds.remove(cloud.stamp_ns)
             elif plan is None:

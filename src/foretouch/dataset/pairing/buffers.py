@@ -164,16 +164,9 @@ class BufferedCloud:
 
 
 class CloudBuffer:
-    """Serialised clouds by stamp; the oldest arrival is removed first. Not thread-safe.
+    """Serialised clouds by stamp, at most for `kept_s` [s] and in `kept_mb` [MB]; the oldest arrival is removed first.
 
-    A grasp asks for its cloud seconds after the hand has hidden the object.
-
-    Args:
-        kept_s: How long a cloud is kept [s].
-        kept_mb: Maximum memory [MB].
-
-    Attributes:
-        bytes: Memory in use.
+    Not thread-safe. A grasp asks for its cloud seconds after the hand has hidden the object.
     """
 
     def __init__(self, kept_s: float, kept_mb: float) -> None:

@@ -161,7 +161,7 @@ def cut_touch(
 
 
 def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
-    """Smallest difference of reception time and stamp [ns]: steady where clocks differ, varying where a computer is busy."""
+    """Smallest difference of reception time and stamp [ns]: steady if clocks differ, varying if a computer is busy."""
     behind = window.received_ns - window.stamps_ns
     least, most = int(behind.min()), int(behind.max())
     if abs(least) <= _ns(config.clock_s):

@@ -2,8 +2,8 @@
 """The operator's later changes, in a log beside the recordings, which themselves are never rewritten.
 
 `edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with its format version and the
-SHA-256 over itself and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A last line that was
-cut off was never acknowledged, and is ignored.
+SHA-256 over itself and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A
+last line that was cut off was never acknowledged, and is ignored.
 """
 
 import hashlib
@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
-from foretouch.dataset.disk import disk_errors, sync_folder
-from foretouch.dataset.manifest import require_version
+from foretouch.dataset.files import disk_errors, require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
 

@@ -20,8 +20,7 @@ from typing import BinaryIO, Final
 
 from foretouch import __version__
 from foretouch.checked_files import open_regular
-from foretouch.dataset.disk import disk_errors, new_folder, sync_folder
-from foretouch.dataset.manifest import read_manifest, sealed
+from foretouch.dataset.files import disk_errors, new_folder, read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
 from foretouch.errors import FileError
@@ -44,11 +43,7 @@ def is_dataset(path: str | Path) -> bool:
 
 
 def recorded_files(path: Path) -> list[Path]:
-    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file.
-
-    Raises:
-        FileError: If the path is no recorded dataset, or its manifest is damaged or of another schema version.
-    """
+    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`)."""
     if path.is_file():
         return [path]
     if not is_dataset(path):
@@ -81,11 +76,7 @@ def _read_identity(path: Path) -> tuple[Identity, str]:
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Lock a dataset for writing; the system releases the lock when the process ends, even by a crash.
-
-    Raises:
-        FileError: If another process is writing; names it.
-    """
+    """Lock a dataset for writing, until the process ends at the latest; a `FileError` names another that is writing."""
     file = path / _LOCK
     with disk_errors(file):
         fd = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
@@ -120,16 +111,10 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
 
 
 def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity) -> Path:
-    """Copy a session whose file was removed into a new dataset, which appears complete or not at all.
-
-    Args:
-        source: The file's content.
-        file: Where it was, `<dataset>/<session>.mcap`.
-        folder: Where to create the dataset, under the same name, or that name with a number.
-        identity: Hand and camera.
+    """Copy a session whose file was removed into a new dataset in `folder`, which appears complete or not at all.
 
     Returns:
-        The new dataset.
+        The dataset: its name is that of `file`'s folder, or that name with a number.
     """
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)

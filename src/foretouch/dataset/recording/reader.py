@@ -5,24 +5,27 @@ The offsets of the samples are found without decoding other messages: the index 
 chunks without samples are skipped. A recording that was cut off is read as far as it is intact.
 """
 
+import struct
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata, Statistics
 
 from foretouch.checked_files import open_regular
-from foretouch.dataset.record import Identity
+from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, recorded_files
-from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.folder import is_dataset, recorded_files, session_files
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     IN_SUMMARY,
     MAGIC,
     Damage,
     Declarations,
+    MessageCounts,
     Record,
     RecordedMessage,
     is_finished,
@@ -31,6 +34,7 @@ from foretouch.dataset.recording.records import (
     summary_of,
     walk,
 )
+from foretouch.dataset.recording.repair import readable, salvaged
 from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPE, StoredSample, decode_sample
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
@@ -45,7 +49,7 @@ class _Sample(NamedTuple):
 
 
 class RecordedDataset:
-    """The samples of a recorded dataset, or of one of its `.mcap` files; a context manager.
+    """The samples of a recorded dataset, or of one of its `.mcap` files.
 
     Attributes:
         path: As given.
@@ -61,38 +65,22 @@ class RecordedDataset:
         self.path = Path(path)
         self.files = recorded_files(self.path)
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
-        self._closed = False
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []
         for file in self.files:
             data = mapped(file)
-            found = [_Sample(file, data, message) for message in sample_messages(file, data)]
+            found = [_Sample(file, data, message) for message in _sample_messages(file, data)]
             if is_finished(data):
                 _check_count(file, data, len(found))
             else:
                 self.unfinished.append(file)
             self._samples += found
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the files; may be called more than once."""
-        self._closed = True
-        self._samples = []
-
     def __len__(self) -> int:
         return len(self._samples)
 
     def __getitem__(self, index: int) -> StoredSample:
-        """One sample with the edits applied, its bytes verified by their SHA-256.
-
-        Raises:
-            FileError: If it is damaged or of another schema version; names file and position.
-        """
+        """One sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
         stored = self.as_recorded(index)
         return stored._replace(record=self.edits.apply(stored.record))
 
@@ -102,16 +90,14 @@ class RecordedDataset:
 
     def as_recorded(self, index: int) -> StoredSample:
         """One sample before any edit (raises as indexing)."""
-        if self._closed:
-            raise FileError(self.path, "is closed")
         file, data, message = self._samples[index]
         try:
-            return decode_sample(bytes(data[message.start : message.end]))
+            return decode_sample(data[message.start : message.end])
         except DatasetError as err:
             raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
 
-    def message_counts(self) -> MessageCounts:
-        """The message counts, summed over the last ones of each recording; a `FileError` if they are damaged."""
+    def message_counts(self) -> dict[str, dict[str, Any]]:
+        """The message counts by topic, summed over the last ones of each recording; a `FileError` for damage."""
         total = MessageCounts()
         for file in self.files:
             declared = Declarations()
@@ -119,7 +105,7 @@ class RecordedDataset:
                 if isinstance(record, Record):
                     _require(file, declared.add(record))
             total.add(declared.counts or MessageCounts())
-        return total
+        return total.to_record()
 
     def name(self, index: int) -> str:
         """File and offset of a sample, for messages."""
@@ -153,11 +139,10 @@ def _holds_samples(path: Path) -> bool:
     return start.startswith(MAGIC) and (begins or SAMPLE_TYPE.encode() in start)
 
 
-def sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
+def _sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
     """The messages with samples in a file, in order, up to its end or to where it is cut off.
 
-    Raises:
-        FileError: At the first invalid record, unless the file merely ends within it.
+    Raises a `FileError` at the first invalid record, unless the file merely ends within it.
     """
     damage = magic_damage(data)
     if damage is not None and len(data) >= len(MAGIC):
@@ -197,11 +182,65 @@ def _require(path: Path, found: _T | Damage) -> _T:
     return found
 
 
+class SampleIds:
+    """The ids of a dataset: each is used once, and numbers continue those of the session before. Not thread-safe."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._taken = {sample_id for file in session_files(path) for sample_id in _sample_ids(file)}
+        self._last = max(map(id_number, self._taken), default=0)
+
+    def with_id(self, record: SampleRecord) -> SampleRecord:
+        """The record with its id; an empty one becomes `<object>/<number>`, one above the highest.
+
+        Raises a `DatasetError` if the object is no plain name, or the id is taken.
+        """
+        sample = record.sample
+        check_name(sample.object, "object")
+        if not sample.id:
+            sample = replace(sample, id=numbered_id(sample.object, self._last + 1))
+        if sample.id in self._taken:
+            raise DatasetError(
+                f"{self._path}: id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
+            )
+        return replace(record, sample=sample)
+
+    def add(self, sample_id: str) -> None:
+        """Mark an id as used."""
+        self._taken.add(sample_id)
+        self._last = max(self._last, id_number(sample_id))
+
+
+def _sample_ids(path: Path) -> list[str]:
+    """The ids in a file, including those after damage that `repair` would save (raises as `_sample_messages`)."""
+    data = mapped(path)
+    cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
+    saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
+    return [_id_of(path, data, message) for message in chain(_sample_messages(path, data), saved)]
+
+
+def _id_of(path: Path, data: memoryview, sample: RecordedMessage) -> str:
+    """The id in a serialised sample, which follows the header (stamp, frame) and the schema version."""
+    try:
+        start = sample.start + 4  # CDR aligns from the end of the encapsulation header
+        (frame,) = struct.unpack_from("<I", data, start + 8)
+        offset = 12 + frame
+        offset += -offset % 2 + 2  # the schema version
+        offset += -offset % 4
+        (length,) = struct.unpack_from("<I", data, start + offset)
+        begin = start + offset + 4
+        if begin + length > sample.end:
+            raise ValueError("an id longer than its message")
+        return bytes(data[begin : begin + length]).rstrip(b"\0").decode()
+    except (struct.error, ValueError) as err:
+        rule = f"damaged: the id of a sample cannot be read: {err}"
+        raise FileError(path, rule, field=f"byte {sample.start}") from err
+
+
 def _open_samples(path: Path, unfinished: bool) -> SampleSet:
     dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
-        dataset.close()
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
     return SampleSet(
         path=path,
@@ -210,9 +249,8 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
         record=lambda k: dataset[k].record,
         name=dataset.name,
         identity=dataset[0].identity if len(dataset) else Identity(),
-        close=dataset.close,
         unfinished=cut,
-        message_counts=lambda: dataset.message_counts().to_record(),
+        message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
     )
 

@@ -8,6 +8,7 @@ the message counts match the contents.
 
 import zlib
 from collections import Counter
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -17,20 +18,20 @@ from mcap.records import ChunkIndex, Header, Statistics
 
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files
-from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     IN_SUMMARY,
     Chunk,
     Damage,
     Declarations,
-    Record,
+    MessageCounts,
     RecordedMessage,
     is_finished,
     magic_damage,
     mapped,
     summary_of,
     walk,
+    walk_on,
 )
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
 from foretouch.errors import DatasetError
@@ -47,14 +48,18 @@ class FileReport:
     finished: bool = False  # whether it was closed
     ids: list[str] = field(default_factory=list)  # ids of its samples, in order
     messages: Counter[str] = field(default_factory=Counter)  # messages by topic
-    counts: MessageCounts | None = None  # the last message counts in the file; None if there are none
-    about: dict[str, str] = field(default_factory=dict)  # schema version, hand, camera and so on, as text
+    declared: Declarations = field(default_factory=Declarations)  # its topics, its message counts and so on
     faults: list[Damage] = field(default_factory=list)  # the faults, with their offsets
 
     @property
     def clean(self) -> bool:
         """Whether there are no faults."""
         return not self.faults
+
+    @property
+    def counts(self) -> MessageCounts | None:
+        """The last message counts in the file; None if there are none."""
+        return self.declared.counts
 
     def fault_lines(self) -> list[str]:
         """The faults, one line each, with file and offset."""
@@ -87,7 +92,8 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
 def verify_file(path: Path) -> FileReport:
     """Verify one recording; a `FileError` if it cannot be read."""
     report = FileReport(path)
-    _Verification(report, mapped(path)).run()
+    for fault in _Verification(report, mapped(path)).faults():
+        report.faults.append(fault)  # one at a time: some checks are made only where there are none so far
     del report.faults[_MAX_FAULTS:]
     return report
 
@@ -98,104 +104,99 @@ class _Verification:
     def __init__(self, report: FileReport, data: memoryview) -> None:
         self.report = report
         self.data = data
-        self.declared = Declarations()
+        self.declared = report.declared
         self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
+        report.size = len(data)
+        report.finished = is_finished(data)
 
-    def run(self) -> None:
-        self.report.size = len(self.data)
-        self.report.finished = is_finished(self.data)
-        self._note(magic_damage(self.data))
-        summary = self._data_section()
-        if summary is not None:
-            self._summary(summary)
+    def faults(self) -> Iterator[Damage]:
+        """Find all faults, and fill the report meanwhile."""
+        if damage := magic_damage(self.data):
+            yield damage
+        data_end = yield from self._data_section()
+        summary = summary_of(self.data)
+        if not isinstance(summary, Damage):
+            yield from self._summary(data_end, *summary)
+        elif data_end is not None or self.report.finished:
+            yield summary
         elif self.report.clean:
-            self._fault(len(self.data), "not finished: no index; repair creates one")
+            yield Damage(len(self.data), "not finished: no index; repair creates one")
         for number, count in self.found.items():
             self.report.messages[self.declared.channels[number].topic] += count
-        self.report.counts, self.report.about = self.declared.counts, self.declared.about
         if self.report.clean:
-            self._check_counts()
+            yield from self._count_faults()
 
-    def _fault(self, offset: int, rule: str) -> None:
-        self.report.faults.append(Damage(offset, rule))
-
-    def _note(self, damage: Damage | None) -> None:
-        if damage is not None:
-            self.report.faults.append(damage)
-
-    def _data_section(self) -> int | None:
-        """Check up to the record that ends the data, and return where that record ends; None if it is missing."""
-        for number, record in enumerate(walk(self.data)):
+    def _data_section(self) -> Generator[Damage, None, int | None]:
+        """Check up to the record that ends the data, and return where that record ends; None if it is not reached."""
+        for number, record in enumerate(walk_on(self.data)):
             if isinstance(record, Damage):
-                self._note(record)
+                yield record
                 continue
             if number == 0 and not (isinstance(record.content, Header) and record.content.profile == "ros2"):
-                self._fault(record.offset, "damaged: no header of a ROS 2 recording")
+                yield Damage(record.offset, "damaged: no header of a ROS 2 recording")
             if record.opcode == Opcode.DATA_END:
                 if record.content.data_section_crc != zlib.crc32(self.data[: record.offset]):
-                    self._fault(record.offset, "damaged: the bytes before do not match this checksum")
+                    yield Damage(record.offset, "damaged: the bytes before do not match this checksum")
                 return record.end
-            self._note(self.declared.add(record))
+            if damage := self.declared.add(record):
+                yield damage
             if isinstance(record.content, Chunk):
-                self._chunk(record.offset, record.content)
+                yield from self._chunk(record.offset, record.content)
         return None
 
-    def _chunk(self, offset: int, chunk: Chunk) -> None:
+    def _chunk(self, offset: int, chunk: Chunk) -> Iterator[Damage]:
         if not chunk.intact(self.data):
-            self._fault(offset, "damaged: a chunk that does not match its checksum")
+            yield Damage(offset, "damaged: a chunk that does not match its checksum")
             return
         self.chunks.append(offset)
         for item in walk(self.data, chunk.start, chunk.end, IN_CHUNK):
             if isinstance(item, Damage):
-                self._note(item)
+                yield item
             elif isinstance(item.content, RecordedMessage):
-                self._message(item.content)
+                yield from self._message(item.content)
             else:
                 self.declared.add(item)
 
-    def _message(self, message: RecordedMessage) -> None:
+    def _message(self, message: RecordedMessage) -> Iterator[Damage]:
         type_name = self.declared.type_of(message.channel)
         if not type_name:
-            self._fault(message.start, f"a message of channel {message.channel}, which is not declared")
+            yield Damage(message.start, f"a message of channel {message.channel}, which is not declared")
             return
         self.found[message.channel] += 1
         if type_name != SAMPLE_TYPE:
             return
         try:
-            stored = decode_sample(bytes(self.data[message.start : message.end]))
+            self.report.ids.append(decode_sample(self.data[message.start : message.end]).record.sample.id)
         except DatasetError as err:
-            self._fault(message.start, f"sample: {err}")
-        else:
-            self.report.ids.append(stored.record.sample.id)
+            yield Damage(message.start, f"sample: {err}")
 
-    def _summary(self, start: int) -> None:
-        ends = summary_of(self.data)
-        if isinstance(ends, Damage):
-            self._note(ends)
-            return
-        if ends[0] != start:
-            self._fault(start, "damaged: the summary begins elsewhere")
-        records = list(walk(self.data, *ends, IN_SUMMARY))
-        self.report.faults += [record for record in records if isinstance(record, Damage)]
-        contents = [record.content for record in records if isinstance(record, Record)]
-        chunks = [one.chunk_start_offset for one in contents if isinstance(one, ChunkIndex)]
-        if self.report.clean and chunks != self.chunks:
-            self._fault(start, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
-        for one in contents:
-            if isinstance(one, Statistics) and self.report.clean and one.message_count != self.found.total():
-                self._fault(start, f"declares {one.message_count} messages, {self.found.total()} are there")
+    def _summary(self, data_end: int | None, start: int, end: int) -> Iterator[Damage]:
+        chunks = []
+        for record in walk(self.data, start, end, IN_SUMMARY):
+            if isinstance(record, Damage):
+                yield record
+                continue
+            self.declared.add(record)
+            if isinstance(record.content, ChunkIndex):
+                chunks.append(record.content.chunk_start_offset)
+            elif isinstance(record.content, Statistics) and self.report.clean:
+                declared, found = record.content.message_count, self.found.total()
+                if declared != found:
+                    yield Damage(record.offset, f"declares {declared} messages, {found} are there")
+        if self.report.clean and (start != data_end or chunks != self.chunks):
+            yield Damage(start, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
 
-    def _check_counts(self) -> None:
+    def _count_faults(self) -> Iterator[Damage]:
         """Compare the message counts with the contents."""
         if self.report.counts is None:
-            self._fault(0, "holds no message counts")
+            yield Damage(0, "holds no message counts")
             return
-        topics, found = self.report.counts.topics, self.report.messages
-        rules = self.report.counts.faults()
-        for topic in sorted(topics.keys() | found.keys()):
-            written = topics[topic].written if topic in topics else 0
-            if written != found[topic]:
-                rules.append(f"{topic}: {written} messages are counted as written, {found[topic]} are there")
-        for rule in rules:
-            self._fault(0, rule)
+        found = self.report.messages
+        for topic in sorted(self.report.counts.topics.keys() | found.keys()):
+            counts = self.report.counts.topic(topic)
+            if counts.pending:
+                total = f"written {counts.written} + dropped {counts.dropped.total()}"
+                yield Damage(0, f"{topic}: received {counts.received} is not {total}")
+            if counts.written != found[topic]:
+                yield Damage(0, f"{topic}: {counts.written} messages are counted as written, {found[topic]} are there")

@@ -19,7 +19,7 @@ Guarantees:
 - received = written + dropped, by topic; the counts are stored in the file.
 - When the disk is almost full, or fails, the session ends with an error that says so, and the file holds everything
   that was acknowledged.
-- When the file is removed while it is written, `removed` says so within the call, and `close` copies the whole session
+- When the file is removed while it is written, `output.removed` is true at once, and `close` copies the whole session
   into a new dataset in `fallback_folder`; without such a folder, its messages and samples are counted as dropped.
 """
 
@@ -36,11 +36,12 @@ from mcap.records import Message
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
-from foretouch.dataset.disk import sync_folder
+from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.reader import SampleIds
+from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
@@ -50,7 +51,6 @@ from foretouch.dataset.recording.sample_codec import (
     encode_sample,
     sample_types,
 )
-from foretouch.dataset.recording.sample_ids import SampleIds
 from foretouch.errors import DatasetError, FileError, ForetouchError
 
 _MB: Final = 1_000_000
@@ -62,8 +62,8 @@ class RecordingConfig(Settings):
     """How often a recording is written to the disk, and when it ends for lack of space."""
 
     fsync_samples: int = setting(
-        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a minute",
-        minimum=0,
+        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a "
+        "minute", minimum=0,
     )  # fmt: skip
     fsync_s: float = setting(
         5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", unit="s", minimum=0.0
@@ -86,6 +86,9 @@ class RecordingWriter:
 
     Attributes:
         path: The dataset; that in `fallback_folder` after the session was copied there.
+        file: The path of the session's file.
+        output: The open file; once it is `removed`, nothing more should be recorded.
+        closed: Whether the session has ended, by `close` or because the disk is full or failed.
         counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
         samples: Samples appended.
         labelled: Samples appended with a touch.
@@ -114,7 +117,7 @@ class RecordingWriter:
         self.before_end: Callable[[], None] = lambda: None
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
-        self._closed = False
+        self.closed = False
         self._unsynced_samples = 0
         self._guard = threading.RLock()
         self._pending: list[tuple[str, Message]] = []
@@ -122,10 +125,11 @@ class RecordingWriter:
         with ExitStack() as stack:
             stack.enter_context(opened_to_write(self.path, identity))
             self._ids = SampleIds(self.path)
-            self._file = McapFile(new_session_path(self.path))
-            stack.callback(self._file.abandon)
-            self._file.write_metadata(ABOUT, _about(self.file.stem, identity))
-            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
+            self.file = new_session_path(self.path)
+            self.output = McapFile(self.file)
+            stack.callback(self.output.abandon)
+            self.output.write_metadata(ABOUT, _about(self.file.stem, identity))
+            self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
             sync_folder(self.path)
             self._release = stack.pop_all()
@@ -138,42 +142,20 @@ class RecordingWriter:
         self.close()
 
     @property
-    def file(self) -> Path:
-        """The file of the session."""
-        return self._file.path
-
-    @property
-    def closed(self) -> bool:
-        """Whether the session has ended, by `close` or because the disk is full or failed."""
-        return self._closed
-
-    @property
-    def bytes_written(self) -> int:
-        """Size of the session's file so far [bytes]."""
-        return self._file.size
-
-    @property
     def free_bytes(self) -> int:
         """Disk space available to this user, less `min_free_mb` [bytes]; the session ends at 0. 0 after its end."""
-        return max(0, self._file.free_bytes - int(self.config.min_free_mb * _MB))
-
-    @property
-    def removed(self) -> bool:
-        """Whether the file was removed, moved or unmounted while it is open; nothing more should then be recorded."""
-        return self._file.removed
+        return max(0, self.output.free_bytes - int(self.config.min_free_mb * _MB))
 
     def add_topic(self, topic: str, type_name: str) -> None:
         """Declare a topic of messages such as `sensor_msgs/msg/PointCloud2`, before its first message.
 
-        Raises:
-            DatasetError: If the definition of the type is not found, or the topic has another type.
-            FileError: If the session has ended.
+        Raises a `DatasetError` if the type has no definition, or the topic another type.
         """
         with self._guard:
-            known = self._file.types.get(topic)
+            known = self.output.types.get(topic)
             if known is None:
                 self._require_open()
-                self._file.declare(topic, type_name, sample_types().text(type_name))
+                self.output.declare(topic, type_name, sample_types().text(type_name))
             elif known != type_name:
                 raise DatasetError(f"{topic}: holds {known}, not {type_name}")
 
@@ -185,7 +167,7 @@ class RecordingWriter:
     def drop(self, topic: str, reason: str, count: int = 1) -> None:
         """Count discarded messages under a short, constant reason such as "queue full"."""
         with self._guard:
-            self.counts.topic(topic).dropped[reason] += count
+            self.counts.topic(topic).drop(reason, count)
 
     def lose(self, topic: str, total: int) -> None:
         """Update the total of messages that the middleware lost before they were received; it never decreases."""
@@ -222,7 +204,7 @@ class RecordingWriter:
             if sequence is None:
                 sequence = self.counts.topics[topic].written if topic in self.counts.topics else 0
             sent = log_time_ns if publish_time_ns is None else publish_time_ns
-            self._pending.append((topic, self._file.message(topic, data, log_time_ns, sent, sequence)))
+            self._pending.append((topic, self.output.message(topic, data, log_time_ns, sent, sequence)))
             self._pending_bytes += len(data)
             late = time.monotonic() - self._flushed_s >= self.config.chunk_s
             if late or self._pending_bytes >= _CHUNK_BYTES:
@@ -248,7 +230,7 @@ class RecordingWriter:
             data = encode_sample(record, self.identity)
             now = time.time_ns() if log_time_ns is None else log_time_ns
             sample = record.sample
-            message = self._file.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
+            message = self.output.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
             self._write_pending()
             self._pending = [(SAMPLE_TOPIC, message)]
@@ -271,12 +253,11 @@ class RecordingWriter:
     def close(self) -> None:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
 
-        Raises:
-            FileError: If the disk is full or fails; everything that was acknowledged is in the file. If the file was
-                removed; the message names where the session was copied, or what is lost.
+        Raises a `FileError` if the disk is full or fails: everything that was acknowledged is in the file. If the file
+        was removed, the message names where the session was copied, or what is lost.
         """
         with self._guard:
-            if self._closed:
+            if self.closed:
                 return
             self._write_pending()
             self._end("not written when the session ended")
@@ -284,7 +265,7 @@ class RecordingWriter:
                 raise FileError(self.file, self._removal)
 
     def _require_open(self) -> None:
-        if self._closed:
+        if self.closed:
             raise FileError(self.file, "the session has ended")
 
     def _write_pending(self) -> None:
@@ -292,7 +273,7 @@ class RecordingWriter:
             return
         if self.free_bytes < self._pending_bytes:
             self._stop(f"disk almost full: less than {self.config.min_free_mb:g} MB would be left", "disk full")
-        self._guarded(lambda: self._file.write_chunk([message for _, message in self._pending]))
+        self._guarded(lambda: self.output.write_chunk([message for _, message in self._pending]))
         for topic, _ in self._pending:
             self.counts.topic(topic).written += 1
         self._pending, self._pending_bytes = [], 0
@@ -309,10 +290,10 @@ class RecordingWriter:
             self._guarded(self._sync)
 
     def _write_counts(self) -> None:
-        self._file.write_metadata(COUNTS, self.counts.to_mapping())
+        self.output.write_metadata(COUNTS, self.counts.to_mapping())
 
     def _sync(self) -> None:
-        self._file.sync()
+        self.output.sync()
         self._unsynced_samples = 0
         self._synced_s = time.monotonic()
 
@@ -332,13 +313,14 @@ class RecordingWriter:
         raise FileError(self.file, f"{rule}: {rest}") from cause
 
     def _end(self, reason: str) -> None:
-        self._closed = True
+        self.closed = True
         self.before_end()
-        self.counts.drop_pending(reason)
+        for counts in self.counts.topics.values():
+            counts.drop(reason, counts.pending)
         with ExitStack() as stack:
             stack.enter_context(self._release)
-            if self._file.removed:
-                remains = stack.enter_context(self._file.reopen())
+            if self.output.removed:
+                remains = stack.enter_context(self.output.reopen())
                 with suppress(FileError):  # without its index it is worth a copy too
                     self._finish()
                 self._removal = self._save(remains)
@@ -347,10 +329,10 @@ class RecordingWriter:
 
     def _finish(self) -> None:
         self._write_counts()
-        self._file.finish()
+        self.output.finish()
 
     def _save(self, remains: BinaryIO) -> str:
-        """Copy a file that was removed into the fallback folder, or count its content as lost; says which in one line."""
+        """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""
         if os.fstat(remains.fileno()).st_nlink:
             with_samples = f"with its {self.samples} samples: the session has ended"
             return f"was moved or unmounted during the recording, {with_samples}"
@@ -363,7 +345,9 @@ class RecordingWriter:
                 lost = str(err)
         samples, self.samples, self.labelled = self.samples, 0, 0
         messages = sum(counts.written for counts in self.counts.topics.values()) - samples
-        self.counts.drop_written("file removed")
+        for counts in self.counts.topics.values():
+            counts.drop("file removed", counts.written)
+            counts.written = 0
         return f"{removed} {samples} samples and {messages} messages are lost: {lost}"
 
 

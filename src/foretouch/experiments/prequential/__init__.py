@@ -7,13 +7,13 @@ know neither them nor the object (a fit for each pair). `past_mean` stands for a
 readings before the object was taken, so that nothing later enters but the parameters.
 
 Where tares were recorded, the tracker reads each before the prediction of its grasp, as a difference from the mean of
-those of the other objects.
+those of the other objects; and it is scored once more without them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Final
 
@@ -46,7 +46,6 @@ class PrequentialSettings(Settings):
     training_fraction: float = setting(
         1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
     )
-    tares: bool = setting(True, "Whether tares that were recorded are read as well, at the time of their grasps")
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -82,16 +81,20 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
     result: list[Row] = []
     for predictor, own in grouped(rows, "predictor"):
-        recordings = _recordings(own, settings)
-        if recordings is not None:
-            result += prequential_rows(predictor, recordings, settings.bootstrap, past=predictor == _MEAN)
+        recordings = _recordings(own)
+        past = predictor == _MEAN
+        if any(recording.tares is not None for recording in recordings.values()):
+            result += prequential_rows(f"{predictor}, with tares", recordings, settings.bootstrap)
+            recordings = {name: replace(recording, tares=None) for name, recording in recordings.items()}
+        if recordings:
+            result += prequential_rows(predictor, recordings, settings.bootstrap, past=past)
     return result
 
 
-def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str, Recording] | None:
+def _recordings(rows: Sequence[Row]) -> dict[str, Recording]:
     """For each object, all readings with predictions that know neither the object of the reading nor this one.
 
-    None if a cell is missing.
+    Nothing if a cell is missing.
     """
     found = {(tuple(row["without"]), row["object"]): row for row in rows}
     objects = sorted({row["object"] for row in rows})
@@ -102,17 +105,16 @@ def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str,
             whole = found.get(((name,), name))
             row = whole if name == target else found.get((tuple(sorted((name, target))), name))
             if whole is None or row is None:
-                return None
+                return {}
             parts.append({"name": name, **whole, "expected": row["expected"]})
         names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts]).astype(np.str_)
         stamps, readings, expected = (
             np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
         )
-        tares = None
-        if settings.tares and any(tare is not None for part in parts for tare in part["tares"]):
-            unknown = np.full(readings.shape[1], np.nan)
-            tares = np.array([unknown if tare is None else tare for part in parts for tare in part["tares"]])
-        recordings[target] = Recording(stamps, names, readings, expected, tares).ordered()
+        unknown = np.full(readings.shape[1], np.nan)
+        tares = np.array([unknown if tare is None else tare for part in parts for tare in part["tares"]])
+        known = None if np.isnan(tares).all() else tares
+        recordings[target] = Recording(stamps, names, readings, expected, known).ordered()
     return recordings
 
 
@@ -129,6 +131,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=summarise_prequential,
     figure=draw_prequential,
-    resumable_settings=("predictors", "tares", "bootstrap"),
+    resumable_settings=("predictors", "bootstrap"),
     data_folder="vision2tactile",
 )

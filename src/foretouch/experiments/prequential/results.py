@@ -107,7 +107,7 @@ def prequential_rows(
             whole.add(method, own, played.counts[own], played.half[own])
             for run in np.unique(runs[own]) if past else ():
                 if run:
-                    played = replay(SensorTracker(parameters), _with_past_mean(recording, int(run)), keep_sensors=keep)
+                    played = replay(SensorTracker(parameters), with_past_mean(recording, int(run)), keep_sensors=keep)
                     last = runs[runs <= run] == run
                     strict.add(method, runs == run, played.counts[last], played.half[last])
         others_mean = other_objects_mean(recording)
@@ -119,15 +119,11 @@ def prequential_rows(
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
 
-def _with_past_mean(recording: Recording, run: int) -> Recording:
+def with_past_mean(recording: Recording, run: int) -> Recording:
     """A recording up to the end of a run of grasps, with the mean of all readings before that run as prediction."""
     runs = recording.runs()
-    past, shown = runs < run, recording.take(runs <= run)
-    if shown.tares is not None and recording.tares is not None:
-        known = np.isfinite(recording.tares[past]).all(axis=1)
-        level = recording.tares[past][known].mean(axis=0) if known.any() else np.nan
-        shown = replace(shown, tares=shown.tares - level)
-    mean = recording.readings[past].mean(axis=0)
+    shown = recording.take(runs <= run)
+    mean = recording.readings[runs < run].mean(axis=0)
     return replace(shown, expected=np.tile(mean, (len(shown.readings), 1)))
 
 

@@ -175,7 +175,7 @@ class MonitorNode(GuardedCallbacks, Node):
                 self._drawable.append(message)
                 if self._with_hand:
                     header, grasps = message.header, [one.grasp for one in message.predictions]
-                    self._assembler.add_grasps(stamp_ns(header.stamp), header.frame_id, grasps)
+                    self._assembler.matcher.add_plan(stamp_ns(header.stamp), header.frame_id, grasps)
             if self._on_touch is not None:
                 self._on_touch(message)
 
@@ -189,7 +189,7 @@ class MonitorNode(GuardedCallbacks, Node):
                 self._assembler.add(role, message, received_ns=self.get_clock().now().nanoseconds, now_s=now_s)
             except (TactileError, DatasetError):
                 return  # the node that uses the message counts it
-            results = self._assembler.poll(now_s) if self._assembler.pending else []
+            results = self._assembler.poll(now_s) if self._assembler.matcher.pending else []
             predictions = [one for answer in self._drawable for one in answer.predictions] if results else []
         for result in results:
             if isinstance(result, AssembledSample) and result.cut is not None:

@@ -19,8 +19,7 @@ from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, TopicCoun
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
-from foretouch.ros.recorder.subscriptions import MessageQueue, TopicStatistics
-from foretouch.ros.runtime.serialized_input import SerializedMessage
+from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
@@ -95,7 +94,7 @@ class RecordingSession:
     def label(self, label: Label) -> tuple[str, str]:
         """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
         with self._assembler_lock:
-            return self._assembler.label(label, time.monotonic())
+            return self._assembler.matcher.add_label(label, time.monotonic())
 
     def close(self) -> None:
         """Write all messages received so far, complete pending grasps, and close the file."""
@@ -106,10 +105,10 @@ class RecordingSession:
 
     def _run(self) -> None:
         try:
-            while not self._queue.closed and not self.writer.removed:
+            while not self._queue.closed and not self.writer.output.removed:
                 self._process(*self._queue.take(_POLL_S))
             self._queue.close()
-            if self.writer.removed:  # it is still open: what waits is written too, and `close` then copies it
+            if self.writer.output.removed:  # it is still open: what waits is written too, and `close` then copies it
                 self._error = f"{self.writer.file}: was removed during the recording"
                 self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
@@ -119,7 +118,7 @@ class RecordingSession:
             self._warn(traceback.format_exc())
             self._error = f"{type(err).__name__}: {err}"
         try:
-            removed = self.writer.removed
+            removed = self.writer.output.removed
             self.writer.close()
         except ForetouchError as err:
             self._error = str(err) if removed else self._error or str(err)
@@ -184,14 +183,15 @@ class RecordingSession:
                 self._warn(f"{one.topic}: {err}")
 
     def _update_status(self) -> None:
-        now, size = time.monotonic(), self.writer.bytes_written
+        now, size = time.monotonic(), self.writer.output.size
         self._sizes.append((now, size))
         while self._sizes[0][0] < now - _RATE_WINDOW_S:
             self._sizes.popleft()
         since_s, before = self._sizes[0]
         accounts = self.writer.counts.topics
         with self._assembler_lock:
-            results, anomalies = +self._assembler.results, self._assembler.anomalies + self._unreadable
+            results = +self._assembler.results
+            anomalies = self._assembler.readings.anomalies + self._assembler.rejected_clouds + self._unreadable
             sensors = self._assembler.sensor_states(now)
         self.status = SessionStatus(
             accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},

@@ -58,7 +58,7 @@ class OnlineAdapter:
         keeper: HistoryKeeper,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
-        warn: Callable[[str], None],
+        warn: Callable[[str], object],
     ) -> None:
         settings = config()
         self._model = model
@@ -89,14 +89,14 @@ class OnlineAdapter:
         received_ns = self._now_ns()
         with self._input_lock:
             self._received += 1
-            jumps = self._assembler.clock_jumps
+            jumps = self._assembler.readings.anomalies["clock_jump"]
             try:
                 accepted = self._assembler.add_tactile(message, received_ns=received_ns, now_s=time.monotonic())
             except TactileError as err:
                 self._unreadable += 1
                 self._texts["tactile.last_unreadable"] = str(err)
                 return
-            if self._assembler.clock_jumps != jumps:
+            if self._assembler.readings.anomalies["clock_jump"] != jumps:
                 self._tare.reset()
             for reading in accepted:
                 self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
@@ -123,13 +123,13 @@ class OnlineAdapter:
         if not self._config().use_touches or not self._received or not stamp or not named:
             return
         with self._input_lock:
-            known = requested and self._assembler.has_cloud(stamp)
+            known = requested and self._assembler.clouds.get(stamp) is not None
         data = b"" if known else bytes(serialize_message(cloud.message if isinstance(cloud, TargetCloud) else cloud))
         with self._input_lock:
             if not known:
                 message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))
-                self._assembler.add_cloud(message, now_s=time.monotonic())
-            self._assembler.add_grasps(stamp, cloud.header.frame_id, named)
+                self._assembler.add("cloud", message, received_ns=0, now_s=time.monotonic())
+            self._assembler.matcher.add_plan(stamp, cloud.header.frame_id, named)
 
     # Output, for the thread that predicts.
 
@@ -180,7 +180,7 @@ class OnlineAdapter:
             if age_s is not None and age_s > config.forget_after_s:
                 self._history.start_object()
             with self._input_lock:
-                results = self._assembler.poll(now_s) if self._assembler.pending else []
+                results = self._assembler.poll(now_s) if self._assembler.matcher.pending else []
             for result in results:
                 if isinstance(result, RejectedGrasp):
                     self._refuse(result.grasp_id, result.reason, result.message)
@@ -209,7 +209,7 @@ class OnlineAdapter:
         """Entries for /diagnostics."""
         with self._input_lock:
             age_s, self._texts["tare.fault"] = self._tare.age_s(time.monotonic()), self._tare.fault
-            counts = {"waiting": self._assembler.pending, **self._touch_counts}
+            counts = {"waiting": len(self._assembler.matcher.pending), **self._touch_counts}
         return {
             "regime": self._calibration_group,
             "touches": str(self._history.touches),

@@ -77,11 +77,7 @@ class TactileReader:
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the settings.
-
-    Raises:
-        ConfigError: If the type has no finger of that name, or both names are the same.
-    """
+    """The decoder for the settings; a `ConfigError` if the type has no finger of that name, or both are the same."""
     thumb, middle = config.fingers
     if thumb == middle:
         raise ConfigError(f"TactileConfig.middle: {middle!r} is the thumb already")
@@ -90,11 +86,7 @@ def make_reader(config: TactileConfig) -> TactileReader:
 
 
 def named_index(name: str, names: Sequence[str], setting_name: str) -> int:
-    """Index of a finger among the names that a type has.
-
-    Raises:
-        ConfigError: If the name is none of them.
-    """
+    """Index of a finger among the names that a type has; a `ConfigError` if the name is none of them."""
     if name not in names:
         raise ConfigError(f"TactileConfig.{setting_name}: {name!r} is none of {', '.join(names)}")
     return names.index(name)
