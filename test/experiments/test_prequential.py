@@ -11,16 +11,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.experiments import find_experiment
 from foretouch.experiments.framework.manifest import read_results, write_results
 from foretouch.experiments.prequential import _recordings
-from foretouch.experiments.prequential.results import TRACKER, with_past_mean
+from foretouch.experiments.prequential.results import CONSTANT, EVERYTHING
 from foretouch.experiments.shared.tables import select, unique
 from foretouch.learning.data import labels_of
 from foretouch.types import Touch
 
 
+def left_out(rows: list) -> list:
+    """Rows of fits without one object or two."""
+    return [row for row in rows if "without" in row]
+
+
 def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
     data = make_collection(6, 4)
     rows, _ = cell_rows("prequential", data)
-    recordings = _recordings(rows)
+    recordings = _recordings(left_out(rows))
     assert len(recordings) == 6
     names = np.array([sample.object for sample in data.samples])
     labels = labels_of(data.samples)
@@ -30,42 +35,63 @@ def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
             known = labels[(names != target) & (names != name)]
             own = recording.expected[recording.objects == name]
             np.testing.assert_allclose(own, np.tile(known.mean(axis=0), (len(own), 1)))
-    assert _recordings([row for row in rows if row["without"] != ["campbells", "spam"]]) == {}
+    assert _recordings([row for row in left_out(rows) if row["without"] != ["campbells", "spam"]]) == {}
 
 
-def test_tares_are_read_and_left_out() -> None:
+def test_tares_and_temperatures_are_joined_with_their_grasps() -> None:
     data = make_collection(3, 4)
     tare = Touch.from_vector(labels_of(data.samples).mean(axis=0))
-    samples = [replace(one, tare=tare if k % 4 == 0 else None) for k, one in enumerate(data.samples)]
+    samples = [
+        replace(one, tare=tare if k % 4 == 0 else None, extra={"TDC_TH": 2400.0 + k} if k % 2 else {})
+        for k, one in enumerate(data.samples)
+    ]
     rows, settings = cell_rows("prequential", replace(data, samples=samples))
-    for recording in _recordings(rows).values():
+    for recording in _recordings(left_out(rows)).values():
         assert_array_equal(np.isfinite(recording.tares).all(axis=1), np.arange(12) % 4 == 0)
         assert_allclose(recording.tares[::4], 0.0, atol=1e-9)  # from the mean of the others' tares
+        assert_array_equal(recording.tdc[1::2, 0], 2400.0 + np.arange(1, 12, 2))
+        assert np.isnan(recording.tdc[::2]).all()
     table = find_experiment("prequential").tabulate(settings, rows)
-    assert unique(table, "vision") == ["training_mean, with tares", "training_mean", "past_mean"]
+    assert {"temperature", EVERYTHING} < set(unique(table, "sources"))
 
 
 def test_every_grasp_is_scored_once_and_tables_are_made_of_the_rows(tmp_path: Path) -> None:
     cells, settings = cell_rows("prequential", make_collection(6, 6))
     experiment = find_experiment("prequential")
     rows = write_results(tmp_path, experiment.tabulate(settings, cells))
-    own = select(rows, method=TRACKER, vision="training_mean", modality="E_TH", object="all")
-    grasps = {row["bin"]: row["grasps"] for row in own}
-    assert grasps["all"] == 36
-    assert grasps["none"] == grasps["1 touch"] == 6
-    assert grasps["first 3"] + grasps["3-9"] == 36
-    past = select(rows, vision="past_mean", bin="all", object="all")
-    assert {row["grasps"] for row in past} == {30}  # nothing was read before the first object
+    own = select(rows, sources="history + touches", vision=CONSTANT, modality="E_TH", object="all")
+    grasps = {row["regime"]: row["grasps"] for row in own}
+    assert grasps == {
+        "never touched": 5,
+        "first three": 15,
+        "later": 15,
+        "all": 30,
+    }  # nothing was read before the first object
     assert all(np.isfinite(row["skill"]) for row in rows if row["skill"] is not None)
     assert read_results(tmp_path / "results.csv") == rows
     titles = [table.title for table in experiment.summarise(rows)]
-    assert sum(title.startswith("training_mean") for title in titles) == 4
+    assert [title.partition(":")[0] for title in titles[1:5]] == ["never touched", "first three", "later", "all"]
     (figure,) = experiment.draw(rows, tmp_path)
     assert figure.stat().st_size > 5_000
 
 
-def test_nothing_later_enters_the_past() -> None:
-    first = _recordings(cell_rows("prequential", make_collection(4, 6))[0])["cheezit"]
-    shown = with_past_mean(first, 1)
-    assert set(shown.objects) == {"campbells", "cheezit"}
-    assert_allclose(shown.expected, np.tile(first.readings[:6].mean(axis=0), (12, 1)))
+def test_nothing_later_enters_a_prediction() -> None:
+    """Predictions before a run change with no later sample, and know neither the object nor that of an earlier reading."""
+    data = make_collection(4, 6)
+    labels = labels_of(data.samples)
+    rows, _ = cell_rows("prequential", data)
+    before = {row["before"]: np.array(row["expected"]) for row in rows if "before" in row}
+    assert_allclose(before[1], np.tile(labels[:6].mean(axis=0), (12, 1)))  # of one object: its mean
+    assert_allclose(before[3][18:], np.tile(labels[:18].mean(axis=0), (6, 1)))
+    assert_allclose(before[3][:6], np.tile(labels[6:18].mean(axis=0), (6, 1)))
+
+
+def test_sources_that_carry_no_knowledge_change_nothing(rng) -> None:
+    """Sensors without drift, objects without an effect: only vision differs from the mean, and touches gain nothing."""
+    cells, settings = cell_rows("prequential", make_collection(6, 6))
+    for row in cells:
+        row["readings"] = None if "readings" not in row else (2000.0 + rng.normal(0.0, 20.0, (6, 50))).tolist()
+        row["expected"] = np.full_like(row["expected"], 2000.0).tolist()
+    rows = find_experiment("prequential").tabulate(settings, cells)
+    for row in select(rows, object="all", regime="later"):
+        assert abs(row["skill"]) < 0.25

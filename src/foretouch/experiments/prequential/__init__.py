@@ -1,27 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predict each real grasp from vision and all that was read before it, of whatever object, in order of time.
+"""What does each source of knowledge buy? Each grasp is predicted from what was known before it, in order of time.
 
-This is what a robot at work does. The predictor of an object by vision is fitted to the other objects, earlier and later
-ones; the parameters of the tracker are fitted without the object too, from predictions of the others by models that
-know neither them nor the object (a fit for each pair). `past_mean` stands for a vision that predicts the mean of all
-readings before the object was taken, so that nothing later enters but the parameters.
+The sources are vision, the name of the object, the time, the temperature of the fingers, what the hand has read on other
+objects (its history), and touches of this object: alone, and added to each other, without vision and with it.
 
-Where tares were recorded, the tracker reads each before the prediction of its grasp, as a difference from the mean of
-those of the other objects; and it is scored once more without them.
+What predicts the grasps of one run on an object, with or without vision, is fitted to the readings before that run on
+other objects; where these are of fewer than two objects, it is their mean. It predicts earlier readings too, each object
+by a fit without that object, as the tracker compares readings with predictions. The parameters of the tracker, its slopes
+over the temperature among them, are fitted without the object of the run, from earlier and later readings of all others.
+
+The temperature before a grasp is that of its tare. Recordings without tares hold the temperature in contact only, which
+stands for it; `last temperature` takes that of the grasp before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any, Final
 
 import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.prequential.results import draw_prequential, prequential_rows, summarise_prequential
+from foretouch.experiments.prequential.results import (
+    CONSTANT,
+    draw_prequential,
+    prequential_rows,
+    summarise_prequential,
+)
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
 from foretouch.experiments.shared.scores import labelled, load
 from foretouch.experiments.shared.tables import grouped
@@ -29,11 +37,12 @@ from foretouch.learning.data import Dataset, labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.calibration import rest_level
+from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "PrequentialSettings"]
 
-_MEAN: Final = "training_mean"
 _SEED: Final = 0
+_FEWEST_OBJECTS: Final = 2  # that vision is fitted to
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +50,7 @@ class PrequentialSettings(Settings):
     """Settings of `prequential`."""
 
     predictors: tuple[str, ...] = setting(
-        ("contact", _MEAN), "Predictors by vision whose errors are tracked", choices=tuple(PREDICTORS)
+        (CONSTANT, "contact"), "Predictors by vision; the training mean is none", choices=tuple(PREDICTORS)
     )
     training_fraction: float = setting(
         1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
@@ -49,46 +58,81 @@ class PrequentialSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
+def _ordered(data: Dataset) -> list[GraspSample]:
+    """Labelled samples in order of time."""
+    samples = labelled(data)
+    labels = labels_of(samples)
+    Recording.of_samples(samples, labels, labels, labels[0]).ordered()  # refuses samples without stamps
+    return sorted(samples, key=lambda sample: sample.stamp_ns)
+
+
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
-    """A fit without each object, and without each pair."""
-    objects = sorted({sample.object for sample in labelled(data)})
+    """A fit without each object and without each pair, and the fits before each run of grasps on an object but the first."""
+    names = [sample.object for sample in _ordered(data)]
+    objects = sorted(set(names))
+    runs = 1 + sum(one != other for one, other in pairwise(names))
     without = [(name,) for name in objects] + list(combinations(objects, 2))
     return [
-        Cell(f"{predictor}+{'-'.join(names)}", {"predictor": predictor, "without": list(names)})
+        cell
         for predictor in settings.predictors
-        for names in without
+        for cell in [
+            *(Cell(f"{predictor}+{'-'.join(out)}", {"predictor": predictor, "without": list(out)}) for out in without),
+            *(Cell(f"{predictor}+before{run}", {"predictor": predictor, "before": run}) for run in range(1, runs)),
+        ]
     ]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
-    """Predictions of the objects that the fit is without, with stamps and readings where it is without one only."""
+    samples = _ordered(data)
+
+    def predicted(train: Sequence[GraspSample], tested: Sequence[GraspSample]) -> Float64:
+        fit = find_predictor(cell.values["predictor"], settings.training_fraction)
+        return fit(train, labels_of(train), _SEED).predict(tested)
+
+    if "before" in cell.values:
+        return [{"expected": _before(samples, cell.values["before"], predicted).tolist()}]
     without = cell.values["without"]
-    samples = labelled(data)
     train = [sample for sample in samples if sample.object not in without]
-    fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels_of(train), _SEED)
-    rest, _ = rest_level(train)
-    rows: list[Row] = []
-    for name in without:
-        own = [sample for sample in samples if sample.object == name]
-        row: Row = {"object": name, "expected": fitted.predict(own).tolist()}
-        if len(without) == 1:
-            row |= {"stamps_ns": [sample.stamp_ns for sample in own], "readings": labels_of(own).tolist()}
-            row["tares"] = [None if sample.tare is None else (sample.tare.vector() - rest).tolist() for sample in own]
-        rows.append(row)
+    own = [[sample for sample in samples if sample.object == name] for name in without]
+    rows = [
+        {"object": name, "expected": predicted(train, one).tolist()} for name, one in zip(without, own, strict=True)
+    ]
+    if len(without) == 1:
+        rest, _ = rest_level(train)
+        known = Recording.of_samples(own[0], labels_of(own[0]), labels_of(own[0]), rest)
+        fields = ("stamps_ns", "readings", "tares", "tdc", "tare_tdc")
+        rows[0] |= {name: None if (values := getattr(known, name)) is None else values.tolist() for name in fields}
     return rows
 
 
+def _before(samples: Sequence[GraspSample], run: int, predicted: Any) -> Float64:
+    """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it."""
+    names = np.array([sample.object for sample in samples])
+    runs = np.cumsum(np.concatenate([[False], names[1:] != names[:-1]]))
+    target = str(names[runs == run][0])
+    past = labels_of([sample for sample, own in zip(samples, runs, strict=True) if own < run])
+    shown = [sample for sample, own in zip(samples, runs, strict=True) if own <= run]
+    found = np.tile(past.mean(axis=0), (len(shown), 1))
+    for name in {*names[runs <= run].tolist()}:
+        train = [
+            sample
+            for sample, own in zip(samples, runs, strict=True)
+            if own < run and sample.object not in (name, target)
+        ]
+        if len({sample.object for sample in train}) >= _FEWEST_OBJECTS:
+            where = [k for k, sample in enumerate(shown) if sample.object == name]
+            found[where] = predicted(train, [shown[k] for k in where])
+    return found
+
+
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
-    result: list[Row] = []
-    for predictor, own in grouped(rows, "predictor"):
-        recordings = _recordings(own)
-        past = predictor == _MEAN
-        if any(recording.tares is not None for recording in recordings.values()):
-            result += prequential_rows(f"{predictor}, with tares", recordings, settings.bootstrap)
-            recordings = {name: replace(recording, tares=None) for name, recording in recordings.items()}
-        if recordings:
-            result += prequential_rows(predictor, recordings, settings.bootstrap, past=past)
-    return result
+    fits = {}
+    for predictor, own in grouped([{"before": None, **row} for row in rows], "predictor"):
+        recordings = _recordings([row for row in own if row["before"] is None])
+        before = {row["before"]: np.array(row["expected"]) for row in own if row["before"] is not None}
+        if recordings and len(before) == next(iter(recordings.values())).runs()[-1]:
+            fits[predictor] = (recordings, before)
+    return prequential_rows(fits, settings.bootstrap)
 
 
 def _recordings(rows: Sequence[Row]) -> dict[str, Recording]:
@@ -107,24 +151,38 @@ def _recordings(rows: Sequence[Row]) -> dict[str, Recording]:
             if whole is None or row is None:
                 return {}
             parts.append({"name": name, **whole, "expected": row["expected"]})
-        names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts]).astype(np.str_)
-        stamps, readings, expected = (
-            np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
-        )
-        unknown = np.full(readings.shape[1], np.nan)
-        tares = np.array([unknown if tare is None else tare for part in parts for tare in part["tares"]])
-        known = None if np.isnan(tares).all() else tares
-        recordings[target] = Recording(stamps, names, readings, expected, known).ordered()
+        recordings[target] = _joined(parts)
     return recordings
+
+
+def _joined(parts: Sequence[dict[str, Any]]) -> Recording:
+    lengths = [len(part["stamps_ns"]) for part in parts]
+    names = np.repeat([part["name"] for part in parts], lengths).astype(np.str_)
+    stamps, readings, expected = (
+        np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
+    )
+    optional: dict[str, Any] = {}
+    for key, width in (("tares", readings.shape[1]), ("tdc", 2), ("tare_tdc", 2)):
+        rows = [
+            np.full((n, width), np.nan) if part[key] is None else np.array(part[key])
+            for n, part in zip(lengths, parts, strict=True)
+        ]
+        joined = np.concatenate(rows)
+        optional[key] = None if np.isnan(joined).all() else joined
+    return replace(Recording(stamps, names, readings, expected), **optional).ordered()
 
 
 EXPERIMENT = Experiment(
     name="prequential",
-    question="How accurate are predictions of a robot at work, which remembers all that it has read?",
+    question="What do vision, name, time, temperature, the hand's history and touches buy a robot at work?",
     module=__name__,
     order=5,
     settings=PrequentialSettings,
-    presets={"full": {}, "quick": {"predictors": [_MEAN]}, "smoke": {"predictors": [_MEAN], "bootstrap.draws": 200}},
+    presets={
+        "full": {},
+        "quick": {"predictors": [CONSTANT]},
+        "smoke": {"predictors": [CONSTANT], "bootstrap.draws": 200},
+    },
     load=load,
     cells=_cells,
     run=_run,

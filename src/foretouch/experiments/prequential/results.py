@@ -1,130 +1,155 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of the replay over touches of the object, as rows, tables and figures."""
+"""Scores of the sources of knowledge, as rows, tables and a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.figures import Line, draw_series, save_panels
+from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch.experiments.shared.scores import interval_columns
-from foretouch.experiments.shared.tables import (
-    ALL_OBJECTS,
-    findings,
-    grouped,
-    listed,
-    pivot,
-    select,
-    short,
-    unique,
-    with_notes,
-)
+from foretouch.experiments.shared.tables import ALL_OBJECTS, findings, grouped, pivot, select, short, unique, with_notes
 from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
-from foretouch.learning.evaluation.prequential import BINS, Recording, baselines, other_objects_mean, replay
+from foretouch.learning.evaluation.prequential import CLOCK_S, Recording, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration
-from foretouch.models.state_space import FINGERS, TrackerParameters
-from foretouch.models.tracker import SensorTracker
+from foretouch.models.state_space import FINGER_OF_VALUE, FINGERS, TrackerParameters
+from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+CONSTANT: Final = "training_mean"
+"""The predictor without vision."""
 
-TRACKER: Final = "tracker"
-MEMORY: Final = "memory"
-"""A tracker whose state ends with the object."""
+NOTHING: Final = "nothing"
+TOUCHES: Final = "touches"
+HISTORY: Final = "history"
+EVERYTHING: Final = "history + touches + temperature"
+SOURCES: Final = (
+    *(NOTHING, "name", "time", "temperature", HISTORY, "history + temperature", TOUCHES, "history + touches"),
+    *("history + touches + last temperature", EVERYTHING),
+)
+"""What is known besides vision: names of the rows, from the least to the most."""
 
-VISION: Final = "vision"
-"""The predictions that know no reading."""
-
-PAST: Final = "past_mean"
-LATER: Final = "4th on"
-"""All grasps of an object from the fourth on: the coverage of single objects."""
+REGIMES: Final[Mapping[str, tuple[int, int]]] = {
+    "never touched": (0, 0),
+    "first three": (0, 2),
+    "later": (3, 10**9),
+    "all": (0, 10**9),
+}
+"""Ranges of the number of touches of the object before a grasp, both ends included, by name."""
 
 AFTER_JUMP: Final = "after jump"
 _JUMP: Final = 100.0  # [counts]
 _JUMP_AFTER: Final = 25  # touches of the object
 _JUMP_GRASPS: Final = 50
-_RANGES: Final = {**BINS, LATER: (3, 10**9)}
-_OBJECT_BINS: Final = ("first 3", "3-9", "10+", "all", LATER)
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
 _COLUMNS: Final = (
-    *(VISION, "method", "bin", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
-    *("vs_memory_verdict", "coverage", "half_width", "width_at_equal_coverage", "noticed_after"),
+    *("vision", "sources", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
+    *("vs_constant_verdict", "coverage", "half_width", "interval_score", "noticed_after"),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class _Scored:
-    """Predictions of grasps, those of each object from a replay without it."""
+    """Predictions of the grasps of all runs but the first."""
 
     recording: Recording
-    counts: dict[str, Float64]  # by method, (S, 50); NaN where a method predicts nothing [counts]
-    half: dict[str, Float64]  # by method, (S, 50) [counts]
+    counts: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50); NaN where nothing is predicted
+    half: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50), of those with intervals
 
-    def add(self, method: str, where: npt.NDArray[np.bool_], counts: Float64, half: Float64 | None = None) -> None:
-        """Set the predictions of some grasps, and the half widths of their intervals."""
+    def add(self, sources: str, where: npt.NDArray[np.bool_], counts: Float64, half: Float64 | None = None) -> None:
         for kept, values in ((self.counts, counts), (self.half, half)):
             if values is not None:
-                kept.setdefault(method, np.full(self.recording.readings.shape, np.nan))[where] = values
+                kept.setdefault(sources, np.full(self.recording.readings.shape, np.nan))[where] = values
 
 
 def prequential_rows(
-    predictor: str, recordings: Mapping[str, Recording], config: BootstrapConfig, *, past: bool = False
+    fits: Mapping[str, tuple[Mapping[str, Recording], Mapping[int, Float64]]], config: BootstrapConfig
 ) -> list[Row]:
-    """Rows of `results.csv` for one predictor that knows no reading.
+    """Rows of `results.csv`.
 
     Args:
-        predictor: Its name.
-        recordings: By object: all readings, with predictions that are not of the object.
+        fits: By name of a predictor by vision: by object, all readings with predictions that are not of the object; and
+            by run, (S, 50) predictions of all grasps up to its end, by fits to earlier readings.
         config: Configuration of the bootstrap.
-        past: Whether the mean of all readings before the object was taken is scored as predictor as well.
     """
-    first = next(iter(recordings.values()))
-    whole, strict = _Scored(first, {}, {}), _Scored(first, {}, {})
-    jumps: list[Row] = []
-    for name, recording in recordings.items():
-        own, runs = recording.objects == name, recording.runs()
-        others = recording.take(~own)
-        group = fit_group(
-            HeldOutPredictions(others.expected, others.readings, others.objects, others.objects), new=True
-        )
-        calibration = Calibration(np.zeros(TOUCH_SIZE), {"new": group, "known": group})
-        fitted = {TRACKER: fit_tracker(others, group, group), MEMORY: calibration.tracker_parameters}
-        for method, parameters in fitted.items():
-            keep = method == TRACKER
-            played = replay(SensorTracker(parameters), recording, keep_sensors=keep)
-            whole.add(method, own, played.counts[own], played.half[own])
-            for run in np.unique(runs[own]) if past else ():
-                if run:
-                    played = replay(SensorTracker(parameters), with_past_mean(recording, int(run)), keep_sensors=keep)
-                    last = runs[runs <= run] == run
-                    strict.add(method, runs == run, played.counts[last], played.half[last])
-        others_mean = other_objects_mean(recording)
-        for method, values in ({VISION: recording.expected} | baselines(recording, others_mean)).items():
-            whole.add(method, own, values[own])
-        jumps += _jump_rows(name, recording, fitted[TRACKER])
-    rows = [{VISION: predictor, **row} for row in [*_score_rows(whole, config), *jumps]]
-    rows += [{VISION: PAST, **row} for row in _score_rows(strict, config)] if past else []
+    scored: dict[str, _Scored] = {}
+    rows: list[Row] = []
+    for predictor, (recordings, before) in fits.items():
+        whole = next(iter(recordings.values()))
+        fitted = {name: _parameters(name, recording) for name, recording in recordings.items()}
+        scored[predictor], runs = _Scored(whole), whole.runs()
+        for run, expected in before.items():
+            shown = replace(whole.take(runs <= run), expected=expected)
+            _score_run(scored[predictor], shown, runs == run, *fitted[str(whole.objects[runs == run][0])])
+        found = _score_rows(scored[predictor], scored.get(CONSTANT), config)
+        found += [row for name, recording in recordings.items() for row in _jump_rows(name, recording, fitted[name][0])]
+        rows += [{"vision": predictor} | row for row in found]
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
 
-def with_past_mean(recording: Recording, run: int) -> Recording:
-    """A recording up to the end of a run of grasps, with the mean of all readings before that run as prediction."""
-    runs = recording.runs()
-    shown = recording.take(runs <= run)
-    mean = recording.readings[runs < run].mean(axis=0)
-    return replace(shown, expected=np.tile(mean, (len(shown.readings), 1)))
+def _parameters(name: str, recording: Recording) -> tuple[TrackerParameters, TrackerParameters]:
+    """Of a tracker, and of one that ends with the object; fitted to the other objects."""
+    others = recording.take(recording.objects != name)
+    held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects)
+    group = fit_group(held_out, new=True)
+    ending = Calibration(np.zeros(TOUCH_SIZE), {"new": group, "known": group}).tracker_parameters
+    return fit_tracker(others, group, group), ending
+
+
+def _score_run(
+    scored: _Scored,
+    shown: Recording,
+    where: npt.NDArray[np.bool_],
+    tracker: TrackerParameters,
+    ending: TrackerParameters,
+) -> None:
+    """Add the predictions of the last run of a recording from each of the sources."""
+    last = shown.runs() == shown.runs()[-1]
+    cold = replace(shown, tdc=None, tare_tdc=None)
+    scored.add(NOTHING, where, shown.expected[last])
+    own = ~last & (shown.objects == shown.objects[-1])
+    named = shown.readings[own].mean(axis=0) if own.any() else shown.expected[last]
+    scored.add("name", where, np.broadcast_to(named, shown.expected[last].shape))
+    scored.add("time", where, _clock(shown, last))
+    untouched = np.where(last[:, None], np.nan, shown.readings)
+    played = {
+        HISTORY: (tracker, replace(cold, readings=untouched)),
+        TOUCHES: (ending, cold),
+        "history + touches": (tracker, cold),
+    }
+    if shown.tdc is not None:
+        earlier = replace(shown, tare_tdc=np.concatenate([shown.tdc[:1], shown.tdc[:-1]]))
+        before = np.array([shown.tdc_before(k) for k in range(len(last))])
+        known = np.isfinite(before) & ~last[:, None]
+        mean = np.where(known, before, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        change = np.nan_to_num(before - np.where(known.any(axis=0), mean, np.nan))[:, FINGER_OF_VALUE]
+        scored.add("temperature", where, (shown.expected + tracker.slope * change)[last])
+        played |= {"history + temperature": (tracker, replace(shown, readings=untouched)), EVERYTHING: (tracker, shown)}
+        if shown.tare_tdc is None:
+            played["history + touches + last temperature"] = (tracker, earlier)
+    for sources, (parameters, recording) in played.items():
+        found = replay(SensorTracker(parameters), recording, keep_sensors=parameters is tracker)
+        scored.add(sources, where, found.counts[last], found.half[last])
+
+
+def _clock(shown: Recording, last: npt.NDArray[np.bool_]) -> Float64:
+    """Readings of earlier runs with weights that fall by e in a day, and vision as far as it differs from its own."""
+    past = shown.take(~last)
+    seconds = shown.stamps_ns / 1e9
+    weights = np.exp(-(seconds[last][:, None] - seconds[~last]) / CLOCK_S) + 1e-12
+    weights /= weights.sum(axis=1, keepdims=True)
+    return np.asarray(shown.expected[last] + weights @ (past.readings - past.expected), np.float64)
 
 
 def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -> list[Row]:
@@ -146,36 +171,38 @@ def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -
             "coverage": inside[:, columns([modality])].mean(),
             "noticed_after": noticed[0] + 1 if noticed else None,
         }
-        place = {"method": TRACKER, "bin": AFTER_JUMP, "object": name, "modality": modality, "grasps": len(inside)}
-        rows.append(place | found)
+        place = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
+        rows.append(place | {"grasps": len(inside)} | found)
     return rows
 
 
-def _score_rows(scored: _Scored, config: BootstrapConfig) -> list[Row]:
-    """A row for each method, range of touches, object and modality."""
+def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConfig) -> list[Row]:
+    """A row for each of the sources, regime and modality, and for each object with all sources.
+
+    `constant` is the predictor without vision, which the others are compared with.
+    """
     recording = scored.recording
     reference, touches = other_objects_mean(recording), recording.touches()
-    predicted = np.isfinite(scored.counts[TRACKER]).all(axis=1)
     rows: list[Row] = []
-    for label, (low, high) in _RANGES.items():
-        chosen = (touches >= low) & (touches <= high) & predicted
-        if not chosen.any():
-            continue
-        errors = {method: _errors(recording, values, reference, chosen) for method, values in scored.counts.items()}
-        for method, own in errors.items():
-            estimates = skills(own, config)
-            versus = compare(own, errors[MEMORY], config) if method != MEMORY else {}
-            by_object = own.objects if method in scored.half and label in _OBJECT_BINS else ()
-            single = {name: skills(own.only(name), config) for name in by_object}
+    for regime, (low, high) in REGIMES.items():
+        chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
+        for sources in (one for one in SOURCES if one in scored.counts):
+            errors = _errors(recording, scored.counts[sources], reference, chosen)
+            found, versus = skills(errors, config), None
+            if constant is not None and constant is not scored:
+                versus = compare(errors, _errors(recording, constant.counts[sources], reference, chosen), config)
+            place: Row = {"sources": sources, "regime": regime}
             for modality in MODALITIES:
-                place = {"method": method, "bin": label, "modality": modality}
-                verdict = versus[modality].verdict if versus else None
-                skill = {**interval_columns("skill", estimates[modality]), "vs_memory_verdict": verdict}
-                intervals = _interval_columns(scored, method, modality, chosen)
-                rows.append({**place, "object": ALL_OBJECTS, **skill, **intervals})
-                for name, found in single.items():
-                    mine = _interval_columns(scored, method, modality, chosen & (recording.objects == name))
-                    rows.append({**place, "object": name, "skill": found[modality].value, **mine})
+                row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
+                    "skill", found[modality]
+                )
+                row["vs_constant_verdict"] = versus[modality].verdict if versus else None
+                rows.append(row | _interval_scores(scored, sources, modality, chosen))
+            for name in errors.objects if regime == "later" and sources == EVERYTHING else ():
+                skill, where = skills(errors.only(name), config), chosen & (recording.objects == name)
+                for modality in MODALITIES:
+                    row = {**place, "object": name, "modality": modality, "skill": skill[modality].value}
+                    rows.append(row | _interval_scores(scored, sources, modality, where))
     return rows
 
 
@@ -188,140 +215,103 @@ def _errors(recording: Recording, values: Float64, reference: Float64, chosen: n
     return ObjectErrors.total(parts)
 
 
-def _interval_columns(scored: _Scored, method: str, modality: str, chosen: npt.NDArray[np.bool_]) -> Row:
-    """Coverage and mean half width, and the latter over that of the memory scaled to the same coverage."""
+def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: npt.NDArray[np.bool_]) -> Row:
+    """Number of grasps; coverage, mean half width and mean score of the 90 % intervals [Gneiting and Raftery 2007, eq. 43].
+
+    The score is the width of an interval, and 20 times the distance of a reading from it where it is outside: the lower
+    the better, so that neither wide intervals nor missed readings gain anything.
+    """
     result: Row = {"grasps": int(chosen.sum())}
-    if method not in scored.half:
-        return result
-    rows = np.ix_(chosen, columns([modality]))
-    readings, half = scored.recording.readings[rows], scored.half[method][rows]
-    coverage = float((np.abs(readings - scored.counts[method][rows]) <= half).mean())
-    result |= {"coverage": coverage, "half_width": float(half.mean())}
-    if method != MEMORY:
-        memory = scored.half[MEMORY][rows]
-        scale = float(np.quantile(np.abs(readings - scored.counts[MEMORY][rows]) / memory, coverage))
-        result["width_at_equal_coverage"] = float(half.mean() / (scale * memory.mean()))
+    if sources in scored.half:
+        rows = np.ix_(chosen, columns([modality]))
+        half = scored.half[sources][rows]
+        beyond = np.abs(scored.recording.readings[rows] - scored.counts[sources][rows]) - half
+        score = 2.0 * half + 2.0 / MISS_RATE * np.maximum(beyond, 0.0)
+        result |= {"coverage": float((beyond <= 0.0).mean()), "half_width": float(half.mean())}
+        result["interval_score"] = float(score.mean())
     return result
 
 
 def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
-    """Tables of skill over touches, each object, intervals and jump, for each predictor that knows no reading."""
-    tables, sentences = [], []
-    for vision, own in grouped(rows, VISION):
-        tables += [replace(table, title=f"{vision}: {table.title}") for table in _tables(own)]
-        sentences += [f"{vision}: {text}" for text in _sentences(own)]
+    """What each source buys, the intervals, and the coverage of each object and after a jump."""
+    together = select(rows, object=ALL_OBJECTS)
     notes = [
-        "skill: 0 is the mean of all readings of the other objects, earlier and later; the four numbers are PDC_TH, PDC_MF, E_TH, E_MF",
-        "touches: of the object, since it was taken; an object that returns begins with 0",
-        f"▲ ▼: significantly better or worse than `{MEMORY}`, a tracker that ends with the object (95 % interval by bootstrap over objects)",
-        f"vision is fitted to all other objects, later ones included; `{PAST}` uses earlier readings only (the parameters of tracker and memory do not)",
-        f"width: mean half width over that of `{MEMORY}`, after the latter was scaled to the same coverage",
+        "skill: 0 is the mean of all readings of the other objects, earlier and later; 1 is perfect; [95 % interval by bootstrap over objects]",
+        "never touched: the first grasp of a run on an object; first three: grasps before which it was touched at most twice; later: all others",
+        "▲ ▼ =: vision is significantly better, worse or not different from the mean of earlier readings, with the same sources",
+        "nothing: vision or the mean alone; name: mean of earlier runs on the object; time: earlier readings with weights that fall by e in a day",
+        "history: the state of the sensors from readings on other objects; touches: of this object, in this run",
+        "interval score [counts]: width, plus 20 times the distance of readings outside; the lower the better",
     ]
-    return [findings(sentences), *with_notes(tables, notes)]
-
-
-def _sentences(rows: Rows) -> list[str]:
-    """Skills and coverage of the tracker."""
-    together = dict(grouped(select(rows, method=TRACKER, object=ALL_OBJECTS), "bin"))
-    before = f"{listed(together['none'], 'skill')} before the first touch of an object, " if "none" in together else ""
-    first, every = listed(together["first 3"], "skill"), listed(together["all"], "skill")
-    later = [row["coverage"] for row in select(rows, method=TRACKER, bin=LATER) if row["object"] != ALL_OBJECTS]
-    text = f"its 90 % intervals cover {listed(together['all'], 'coverage')}"
-    text += f", of each object from its fourth grasp at least {short(min(later))}" if later else ""
-    if jumps := [row["coverage"] for row in select(rows, bin=AFTER_JUMP)]:
-        text += (
-            f", and after a jump of all values {short(float(np.mean(jumps)))} on average, at least {short(min(jumps))}"
-        )
-    return [f"the tracker has skills of {before}{first} on its first three grasps, {every} on all", text]
-
-
-def _tables(rows: Rows) -> list[Table]:
-    """Tables of skill over touches, of each object, of intervals, and after a jump if there is one."""
-    together = [row for row in select(rows, object=ALL_OBJECTS) if row["bin"] in BINS]
-    labels = unique(together, "bin")
-    counts = [f"{label} ({select(together, bin=label)[0]['grasps']})" for label in labels]
-    lines = [
-        {**row, "line": f"{method}, {row['bin']}"}
-        for method in (TRACKER, MEMORY)
-        for row in select(rows, method=method)
-        if row["object"] != ALL_OBJECTS
-        and row["bin"] in ("first 3", "3-9", "all")  # a single grasp has no skill of its own
-    ]
-    objects = sorted(set(unique(lines, "object")))
-    body = pivot(lines, "line", partial(_four, "skill"), "object", objects)
-    for line, (_, own) in zip(body, grouped(lines, "line"), strict=True):
-        lowest = (min(row["skill"] for row in one) for _, one in grouped(own, "modality"))
-        line.append(" ".join(f"{skill:.2f}" for skill in lowest))
-    tables = [
-        Table("skill over touches", ["method", *counts], pivot(together, "method", _skills, "bin", labels)),
-        Table("skill of each object", ["touches", *objects, "worst"], body),
-        Table("90 % intervals", ["touches", "coverage", "half width [counts]", "width"], _intervals(rows)),
-    ]
-    if jumps := select(rows, bin=AFTER_JUMP):
+    tables = [findings(_sentences(together))]
+    for regime in REGIMES:
+        own = select(together, regime=regime)
+        lines = [{**row, "line": f"{row['sources']}{_SIGHTED[row['vision'] != CONSTANT]}"} for row in own]
+        lines.sort(key=lambda row: SOURCES.index(row["sources"]))
+        title = f"{regime}: {own[0]['grasps']} grasps"
+        body = pivot(lines, "line", _skill)
+        tables.append(Table(title, ["known", *MODALITIES], body))
+    scored = [row for row in together if row["interval_score"] is not None]
+    for vision, own in grouped(scored, "vision"):
         body = [
-            [name, _four("coverage", *own), _four("noticed_after", *own)]
-            for name, own in sorted(grouped(jumps, "object"))
+            [f"{regime}, {sources}", *(_four(key, part) for key in ("coverage", "half_width", "interval_score"))]
+            for (regime, sources), part in grouped(own, "regime", "sources")
         ]
-        means = " ".join(f"{np.mean([row['coverage'] for row in own]):.2f}" for _, own in grouped(jumps, "modality"))
-        names = ["while touching", "coverage", "finger restarted after touches"]
-        title = f"{_JUMP_GRASPS} grasps after a jump of all values"
-        tables.append(Table(title, names, [*body, ["mean", means, ""]]))
-    return tables
+        tables.append(Table(f"90 % intervals, {vision}", ["known", "coverage", "half width [counts]", "score"], body))
+    single = [row for row in rows if row["object"] != ALL_OBJECTS]
+    for vision, own in grouped(single, "vision"):
+        body = [
+            [f"{name}, {regime}", *(_four(key, part) for key in ("coverage", "noticed_after"))]
+            for (regime, name), part in grouped(own, "regime", "object")
+        ]
+        title = f"each object, and {_JUMP_GRASPS} grasps after a jump of all values by {_JUMP:.0f} counts, {vision}"
+        tables.append(Table(title, ["object", "coverage", "finger restarted after touches"], body))
+    return with_notes(tables, notes)
 
 
-def _intervals(rows: Rows) -> list[list[str]]:
-    """Coverage and width of each range of touches, and of each object from the fourth grasp on."""
-    body = []
-    for method in (TRACKER, MEMORY):
-        own = select(rows, method=method)
-        for label, cells in grouped(select(own, object=ALL_OBJECTS), "bin"):
-            if label in ("none", "first 3", "3-9", "10+", "all"):
-                texts = (_four(key, *cells) for key in ("coverage", "half_width", "width_at_equal_coverage"))
-                body.append([f"{method}, {label}", *texts])
-        for name, cells in grouped(select(own, bin=LATER), "object"):
-            if name != ALL_OBJECTS:
-                texts = (_four(key, *cells) for key in ("coverage", "half_width"))
-                body.append([f"{method}, {name} from the 4th grasp", *texts, ""])
-    return body
+_SIGHTED: Final = ("", " + vision")
 
 
-def _skills(*rows: Row) -> str:
-    signs = {"better": "▲", "worse": "▼"}
-    return " ".join(f"{row['skill']:.2f}{signs.get(row['vs_memory_verdict'], '')}" for row in rows)
+def _sentences(rows: Sequence[Row]) -> list[str]:
+    """Skills with everything, with and without vision, in each regime."""
+    found = []
+    for (regime, vision), own in grouped(rows, "regime", "vision"):
+        known = dict(grouped(own, "sources"))
+        best = known[EVERYTHING if EVERYTHING in known else "history + touches"]
+        words = "the mean of earlier readings" if vision == CONSTANT else f"vision ({vision})"
+        text = f"{regime}, with {words}: {_listed(known[NOTHING])} alone, {_listed(best)} with {best[0]['sources']}"
+        found.append(text)
+    return found
 
 
-def _four(key: str, *rows: Mapping[str, Any]) -> str:
-    decimals = 0 if key in ("half_width", "noticed_after") else 2
+def _listed(rows: Sequence[Row]) -> str:
+    return " ".join(short(row["skill"]) for row in rows)
+
+
+def _skill(row: Row) -> str:
+    sign = {"better": " ▲", "worse": " ▼", "tie": " ="}.get(row["vs_constant_verdict"] or "", "")
+    ends = "" if row["skill_low"] is None else f" [{short(row['skill_low'])}, {short(row['skill_high'])}]"
+    return f"{short(row['skill'])}{sign}{ends}"
+
+
+def _four(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    decimals = 2 if key == "coverage" else 0
     return " ".join("–" if row[key] is None else f"{row[key]:.{decimals}f}" for row in rows)
 
 
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `touches.png`: skill over touches, with 95 % intervals of the first two; below it width and coverage."""
-    vision, shown = rows[0][VISION], (TRACKER, MEMORY, "object mean", "clock", "running mean", VISION)
-    labels = [
-        label for label in ("none", "1 touch", "2 touches", "3-9", "10+") if select(rows, vision=vision, bin=label)
+    """Draw `sources.png`: for each regime and modality, the skill of all sources, without vision and with it."""
+    together = select(rows, object=ALL_OBJECTS)
+    named = [{**row, "line": f"{row['sources']}{_SIGHTED[row['vision'] != CONSTANT]}"} for row in together]
+    named.sort(key=lambda row: SOURCES.index(row["sources"]))
+    lines = unique(named, "line")
+
+    def colour(row: Mapping[str, Any]) -> str:
+        return f"C{int(row['vision'] != CONSTANT)}"
+
+    draw = partial(draw_intervals, column="line", names=lines, lowest=-0.8, colour=colour)
+    panels = [
+        Line(0.8 + 0.22 * len(lines), select(named, regime=regime), draw, regime, "skill")
+        for regime in ("never touched", "first three", "later")
     ]
-    own = [row for row in select(rows, vision=vision, object=ALL_OBJECTS) if row["bin"] in labels]
-    # Intervals of the first two alone: six would hide each other.
-    skills_ = [row if row["method"] in (TRACKER, MEMORY) else {**row, "skill_low": None} for row in own]
-    widths = [row for row in own if row["coverage"] is not None]
-    draw = partial(draw_series, x="bin", series="method", places=labels)
-
-    def draw_skill(axes: Axes, rows: Rows) -> None:
-        draw(axes, rows, names=shown, spread=0.08)
-        axes.set_ylim(-0.6, 1.0)
-
-    def draw_width(axes: Axes, rows: Rows) -> None:
-        draw(axes, rows, names=(TRACKER, MEMORY), values="half_width")
-        for row in rows:
-            number, place = (TRACKER, MEMORY).index(row["method"]), (labels.index(row["bin"]), row["half_width"])
-            how: Any = {"ha": "center", "fontsize": 8, "color": f"C{number}", "textcoords": "offset points"}
-            axes.annotate(f"{row['coverage']:.2f}", place, (0, 6 if number else -13), **how)
-        axes.set_xticks(range(len(labels)), [label.split()[0] for label in labels])
-        axes.set_ylim(bottom=0.0)
-
-    lines = [
-        Line(2.4, skills_, draw_skill, y_label=f"skill (vision: {vision})", legend="lower center"),
-        Line(2.4, widths, draw_width, "", "touches of the object", "half width [counts], coverage"),
-    ]
-    return save_panels(folder / "touches.png", 9.0, lines, sharex=True)
+    return save_panels(folder / "sources.png", 12.0, panels, sharex=True, sharey=True)
