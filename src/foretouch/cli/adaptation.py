@@ -213,8 +213,7 @@ def read_samples(paths: Sequence[str]) -> list[GraspSample]:
     """All samples of some datasets."""
     samples: list[GraspSample] = []
     for path in paths:
-        with open_samples(path) as found:
-            samples += [record.sample for record in found.records()]
+        samples += [record.sample for record in open_samples(path).records()]
     return samples
 
 

@@ -21,7 +21,7 @@ from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
     from foretouch.learning.data import Dataset
-    from foretouch.learning.training.learners import RunConfig
+    from foretouch.learning.training.run_config import RunConfig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 0 with a model on disk; an error stops the training, and the last good state stays."""
     from foretouch.learning.training.device import process_group
-    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.run_config import load_run_config
 
     config = load_run_config(arguments.config, arguments.overrides)  # before the samples: errors appear at once
     if config.data is None:
