@@ -9,7 +9,7 @@ OWN = "own_experiments.counting"
 
 
 @pytest.fixture
-def numbers(tmp_path: Path) -> Path:
+def numbers(tmp_path) -> Path:
     path = tmp_path / "numbers.txt"
     path.write_text("1 2.5\n")
     return path

@@ -7,7 +7,6 @@ import json
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -22,7 +21,7 @@ def record(environment: dict[str, str], *words: object) -> subprocess.Popen[str]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 
 
-def test_ctrl_c_ends_the_recording_in_order(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_ctrl_c_ends_the_recording_in_order(tmp_path, environment) -> None:
     process = record(environment, "-o", tmp_path / "set", "--object", "can", "--hand", "shadow:1", "--json")
     assert process.stdout is not None
     assert json.loads(process.stdout.readline())["recording"]

@@ -8,13 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_answer import Answer
 from every_case import every_case
 from scene_builders import scene_cloud, write_scenes
 from websocket_client import WebSocketClient
@@ -42,7 +41,7 @@ def started(environment: dict[str, str], *words: object) -> Iterator[subprocess.
         yield process
 
 
-def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment) -> None:
     picture = tmp_path / "touch.png"
     status, lines, err = run(environment, "--source", write_scenes(tmp_path / "bag", 5), "--picture", picture)
     assert status == 0, err
@@ -54,7 +53,7 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, enviro
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_mistakes_are_one_line_before_anything_starts(call: Callable[..., Answer], tmp_path: Path) -> None:
+def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     write_cloud(tmp_path / "8.npz", scene_cloud(0))
     scene = tmp_path / "scene.yaml"
     scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
@@ -84,7 +83,7 @@ def test_mistakes_are_one_line_before_anything_starts(call: Callable[..., Answer
 
 
 @pytest.mark.slow
-def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path, environment) -> None:
     for k in range(3):
         write_cloud(tmp_path / f"{k + 8}.npz", scene_cloud(k))
     status, lines, err = run(environment, "--source", tmp_path)
@@ -95,7 +94,7 @@ def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -> None:
     words = ("--source", write_scenes(tmp_path / "bag", 5), "--wait-for", "touch", "--wait-limit", 60)
     with started(environment, *words) as process:
         command = [sys.executable, str(LISTENER), "--count", "5"]
@@ -108,9 +107,7 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environm
 
 
 @pytest.mark.slow
-def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
-    tmp_path: Path, environment: dict[str, str]
-) -> None:
+def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(tmp_path, environment) -> None:
     scene, picture = tmp_path / "scene.yaml", tmp_path / "touch.png"
     scene.write_text("camera: {width: 424, height: 320}\ngrasps: {insertion_m: 0.01}\n", encoding="utf-8")
     status, lines, err = run(environment, "--source", scene, "--count", 10, "--picture", picture)
@@ -122,7 +119,7 @@ def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_ctrl_c_ends_it_cleanly(tmp_path, environment) -> None:
     with started(environment, "--source", write_scenes(tmp_path / "bag", 150)) as process:
         assert process.stdout is not None
         process.stdout.readline()  # the first answer: it is under way
@@ -135,7 +132,7 @@ def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> 
 
 
 @pytest.mark.slow
-def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_status(environment: dict[str, str]) -> None:
+def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_status(environment) -> None:
     with started(environment, "--source", "camera") as process:
         assert process.stderr is not None
         lines = []
@@ -152,7 +149,7 @@ def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_statu
 
 
 @pytest.mark.slow
-def test_serve_gives_the_answers_to_a_websocket_client(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_serve_gives_the_answers_to_a_websocket_client(tmp_path, environment) -> None:
     pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
     for k in range(40):
         write_cloud(tmp_path / f"{k + 10}.npz", scene_cloud(k % 2, objects=1))
