@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,6 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
 from foretouch.types import ASSUMED_TABLE
-
-Call = Callable[..., Any]
 
 
 def test_segment_prints_plane_objects_times_and_labels(call, files, tmp_path) -> None:
@@ -111,7 +108,7 @@ def test_predict_takes_given_grasps_in_their_order(call, files) -> None:
     given = [[*one["grasp"]["g1"], *one["grasp"]["g2"]] for one in record["predictions"]]
     np.testing.assert_allclose(given, [[*g1, *g2] for g1, g2 in pairs], atol=1e-6)
     refused = call("predict", files / "object.pcd", "--json", "--grasp", "0,0,1,0,0,1")
-    assert (refused.status, refused.err.count("\n")) == (1, 1)
+    refused.check_refused("both contacts")
     assert "both contacts" in refused.records[0]["reason"]
 
 
@@ -122,8 +119,7 @@ def test_a_config_file_and_set_change_the_pipeline(call, files, tmp_path) -> Non
     assert from_file["counts"] == from_option["counts"]
     assert from_file["counts"] != call("grasp", files / "object.pcd", "--json").records[0]["counts"]
     unknown = call("grasp", files / "object.pcd", "--set", "grasp.tipp_mm=3")
-    assert unknown.status == 1
-    assert "grasp.tipp_mm: unknown setting; known: tip_mm" in unknown.err
+    unknown.check_refused("grasp.tipp_mm: unknown setting; known: tip_mm")
     assert main([]) == 2
 
 

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch dataset`: JSON output, exit status and one-line errors."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from every_case import every_case
@@ -11,8 +9,6 @@ from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, 
 
 from foretouch.dataset.recording import RecordingWriter
 from foretouch.learning.data.splits import read_splits
-
-Call = Callable[..., Any]
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ def jsonnpy(tmp_path, monkeypatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("jsonnpy")
-def test_a_new_format_is_read_built_exported_and_imported(tmp_path, call) -> None:
+def test_a_new_format_is_read_built_exported_imported_and_listed(tmp_path, call, capsys) -> None:
     write_dataset(tmp_path / "ds", 3)
     out = tmp_path / "pairs"
     exported = call("dataset", "export", tmp_path / "ds", "-o", out, "--format", "jsonnpy", "--json")
@@ -82,10 +82,6 @@ def test_a_new_format_is_read_built_exported_and_imported(tmp_path, call) -> Non
     source = open_source(out)
     assert source.kind == "samples"
     assert [item.sample.id for item in source if item.sample] == ["ball/000001", "ball/000002", "ball/000003"]
-
-
-@pytest.mark.usefixtures("jsonnpy")
-def test_help_lists_the_formats_of_the_table(capsys) -> None:
     for action in ("info", "build", "import", "export", "show"):
         with pytest.raises(SystemExit):
             main(["dataset", action, "--help"])
@@ -98,9 +94,7 @@ def test_a_path_of_no_format_is_refused_with_the_list(tmp_path) -> None:
     (tmp_path / "notes.txt").write_text("x")
     for path in (tmp_path, tmp_path / "notes.txt"):
         assert not is_sample_set(path)
-        with pytest.raises(
-            FileError, match=r"is not a dataset: no recorded dataset \(MCAP\), training store \(Arrow\)"
-        ):
+        with pytest.raises(FileError, match=r"is not a dataset: no recorded dataset \(MCAP\), training store"):
             open_samples(path)
     with pytest.raises(FileError, match="does not exist"):
         export_samples(tmp_path / "absent", tmp_path / "out", "npz")

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import metadata
-from typing import Any
 
 import pytest
 from packaging.specifiers import SpecifierSet
 
 from foretouch.cli import doctor
-
-Call = Callable[..., Any]
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from typing import Any
 
 from calibrated_models import save_calibrated_contact, save_calibrated_network
@@ -12,8 +11,6 @@ from every_case import every_case
 
 from foretouch.models import available_models
 from foretouch.models.registry import find_card
-
-Call = Callable[..., Any]
 
 
 def test_every_model_of_the_package_has_skill_files_and_intervals(call) -> None:

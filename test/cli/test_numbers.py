@@ -52,10 +52,8 @@ def test_the_command_names_option_and_rule_in_one_line(call, capsys) -> None:
     def check(words: str, message: str) -> None:
         with pytest.raises(SystemExit, match="2"):
             call(*words.split())
-        assert (
-            capsys.readouterr().err.splitlines()[-1]
-            == f"foretouch {words.split(maxsplit=1)[0]}: error: argument {message}"
-        )
+        command, line = words.split(maxsplit=1)[0], capsys.readouterr().err.splitlines()[-1]
+        assert line == f"foretouch {command}: error: argument {message}"
 
     every_case(
         [
@@ -77,10 +75,7 @@ def test_the_command_names_option_and_rule_in_one_line(call, capsys) -> None:
 def test_a_setting_is_refused_in_one_line(call, files) -> None:
     def check(name: str, text: str) -> None:
         command, option = name.split()
-        answer = call(command, files / "object.pcd", option, text)
-        (line,) = answer.err.splitlines()
-        assert answer.status == 1
-        assert CHECKED_LATER[name] in line
+        call(command, files / "object.pcd", option, text).check_refused(CHECKED_LATER[name])
 
     cases = {"grasp --tip-mm": ("nan", "-5", "0"), "grasp --count": ("-5", "0"), "grasp --slide-m": ("nan", "inf")}
     every_case([(name, text) for name, texts in cases.items() for text in texts], check)

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from every_case import every_case
@@ -15,8 +13,6 @@ from foretouch.dataset.store import Store
 
 SCENE = "objects: [{name: can, shape: can, size_m: [0.07, 0.07, 0.1], pose: {rest: side}}]\n"
 SLIPPERY = SCENE.replace("rest: side}", "rest: side}, friction: 0.01")
-
-Call = Callable[..., Any]
 
 
 @pytest.fixture

@@ -3,16 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from foretouch.cli.main import main
 from foretouch.models import load_model
 
-Call = Callable[..., Any]
 CONFIG = Path(__file__).parents[2] / "config"
 SMALL = ("model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.tnet=false", "model.n_points=64")
 
