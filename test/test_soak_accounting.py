@@ -1,15 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How `benchmarks/soak` explains what became of a cloud."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "soak"))
-accounting = importlib.import_module("accounting")
-sys.path.pop(0)
+from benchmarks.soak import accounting
 
 ALL = {1, 2, 3, 4, 5}
 CLOUDS = {number: 10.0 * number for number in ALL}

@@ -7,37 +7,25 @@ that is not finite, no node may count an internal error, and the recording must 
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.ros import CALL_S, NAMESPACE, Client, end, prepare_domain, spawn, stamp_ns, stamped
+
 DOMAIN = 92
-os.environ.update(ROS_DOMAIN_ID=str(DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+prepare_domain(DOMAIN)
 
-from foretouch.ros.runtime.environment import prepare_environment  # noqa: E402
-
-prepare_environment()
-
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
-from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters  # noqa: E402
+from rcl_interfaces.msg import ParameterValue  # noqa: E402
+from rcl_interfaces.srv import GetParameters, ListParameters  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.parameter import Parameter as PythonParameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
@@ -50,27 +38,13 @@ from foretouch_msgs.action import SampleGrasps  # noqa: E402
 from foretouch_msgs.msg import GraspArray, RecorderStatus, Status, TouchPredictionArray  # noqa: E402
 from foretouch_msgs.srv import LabelGrasp, PredictTouch, StartRecording, StopRecording  # noqa: E402
 
-NAMESPACE = "/foretouch"
 NODES = ("segmentation", "grasp", "touch_predictor", "recorder", "hand")
-SCENE = ROOT / "config" / "scenes" / "clean.yaml"
 START_S = 120.0
-ANSWER_S = 30.0  # that an answer may take on a busy computer
 BATCH = 50  # messages or requests between two checks
 DAMAGED = 0.3  # share of the messages whose bytes are damaged
 
 
-@dataclass
-class Heard:
-    """What the graph has sent."""
-
-    touch: dict[int, Any] = field(default_factory=dict)  # by stamp
-    refused: int = 0
-    not_finite: list[str] = field(default_factory=list)
-    reports: dict[str, tuple[float, dict[str, str]]] = field(default_factory=dict)  # diagnostics by node
-    recorder: Any = None
-
-
-class Graph:
+class Graph(Client):
     """The graph in a child process, and a node here that talks to it.
 
     Args:
@@ -78,141 +52,104 @@ class Graph:
     """
 
     def __init__(self, folder: Path) -> None:
+        super().__init__("fuzzer", DOMAIN)
         self.folder = folder
-        self.heard = Heard()
-        self.sessions = 0
+        self.touch: dict[int, Any] = {}  # received predictions by stamp
+        self.refused = 0
+        self.not_finite: list[str] = []
+        self.recorder: Any = None
         self.own = ""  # topic on which absurd messages are being sent from here
+        self._sessions = 0
         self._known_errors: Counter[str] = Counter()
-
-        rclpy.init()
-        self.node = rclpy.create_node("fuzzer", namespace=NAMESPACE)
-        self._deep = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
-        for kind, topic, heard in (
+        for kind, topic, hear in (
             (TouchPredictionArray, "touch", self._hear_touch),
             (GraspArray, "grasps", self._hear_grasps),
-            (RecorderStatus, "recorder_status", lambda message: setattr(self.heard, "recorder", message)),
-            (DiagnosticArray, "/diagnostics", self._hear_diagnostics),
+            (RecorderStatus, "recorder_status", lambda message: setattr(self, "recorder", message)),
         ):
-            self.node.create_subscription(kind, topic, heard, self._deep)
-        self.publishers: dict[str, Any] = {}
-        self._clients: dict[str, Any] = {}
+            self.node.create_subscription(kind, topic, hear, self.deep)
+        self._publishers: dict[str, Any] = {}
         self._action = ActionClient(self.node, SampleGrasps, "sample_grasps")
-        executor = SingleThreadedExecutor()
-        executor.add_node(self.node)
-        threading.Thread(target=executor.spin, daemon=True).start()
+        self.serve()
         self.start()
 
     def start(self) -> None:
         """Start the child, wait until all nodes are active, and begin a recording."""
-        given: dict[str, Any] = {
+        given = {
             "diagnostics_period_s": 0.2,
             "grasp_hold": 0.0,  # a held grasp would depend on the clouds before
-            "scene.path": SCENE,
+            "scene.path": ROOT / "config" / "scenes" / "clean.yaml",
             "automatic": False,
             "folder": self.folder,
         }
-        words = [word for key, value in given.items() for word in ("-p", f"{key}:={value}")]
-        code = f"import sys; from foretouch.ros.executables import run; sys.exit(run(*{NODES!r}))"
-        with (self.folder / "graph.log").open("ab") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", code, "--ros-args", *words], stdout=log, stderr=subprocess.STDOUT
-            )
-        self.heard.reports.clear()
+        self.process = spawn(NODES, given, self.folder / "graph.log")
+        with self.lock:
+            self.reports.clear()
         self._known_errors.clear()
-        self.until(lambda: all(self.report(n).get("state") == "active" for n in NODES), START_S, "the graph starts")
-        self.sessions += 1
-        self.call(StartRecording, "start_recording", StartRecording.Request(path=f"set-{self.sessions}", object="can"))
+        self.wait(lambda: self.is_active(NODES), START_S, "the graph starts")
+        self.record()
+
+    def record(self) -> bool:
+        """Begin another recording; False if it is refused."""
+        self._sessions += 1
+        request = StartRecording.Request(path=f"set-{self._sessions}", object="can")
+        return bool(self.call(StartRecording, "start_recording", request).success)
 
     def close(self) -> None:
         """End the child."""
-        self.process.send_signal(signal.SIGINT)
-        try:
-            self.process.wait(20.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        end(self.process)
 
-    def report(self, node: str, since: float = 0.0) -> dict[str, str]:
-        """The last diagnostics of a node; empty if they are older than that."""
-        time_s, values = self.heard.reports.get(node, (0.0, {}))
-        return values if time_s >= since else {}
-
-    def until(self, condition: Callable[[], Any], timeout_s: float, what: str) -> None:
+    def wait(self, condition: Callable[[], Any], timeout_s: float, what: str = "an answer") -> bool:
         """Wait; a `TimeoutError` if it takes longer, a `ChildProcessError` if the graph has ended."""
-        end = time.monotonic() + timeout_s
-        while not condition():
-            if self.process.poll() is not None:
-                raise ChildProcessError(f"exit status {self.process.returncode}")
-            if time.monotonic() > end:
-                raise TimeoutError(f"{what}: not within {timeout_s:g} s")
-            time.sleep(0.005)
+        if not super().wait(lambda: self.process.poll() is not None or condition(), timeout_s):
+            raise TimeoutError(f"{what}: not within {timeout_s:g} s")
+        if self.process.poll() is not None:
+            raise ChildProcessError(f"exit status {self.process.returncode}")
+        return True
 
     def send(self, topic: str, message: Any, kind: type | None = None) -> None:
         """Publish a message, or serialised bytes of a type."""
-        if topic not in self.publishers:
-            self.publishers[topic] = self.node.create_publisher(kind or type(message), topic, self._deep)
-            self.until(self.publishers[topic].get_subscription_count, ANSWER_S, f"{topic}: a subscriber")
-        self.publishers[topic].publish(message)
-
-    def call(self, kind: type, name: str, request: Any) -> Any:
-        """The answer of a service."""
-        client = self._clients.get(name)
-        if client is None:
-            client = self._clients[name] = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, ANSWER_S, f"{name}: the service")
-        future = client.call_async(request)
-        self.until(future.done, ANSWER_S, f"{name}: an answer")
-        return future.result()
+        if topic not in self._publishers:
+            self._publishers[topic] = self.node.create_publisher(kind or type(message), topic, self.deep)
+            self.wait(self._publishers[topic].get_subscription_count, CALL_S, f"{topic}: a subscriber")
+        self._publishers[topic].publish(message)
 
     def act(self, goal: Any) -> Any:
         """The result of the action; None for a goal that is rejected."""
-        self.until(self._action.server_is_ready, ANSWER_S, "sample_grasps: the action")
+        self.wait(self._action.server_is_ready, CALL_S, "sample_grasps: the action")
         accepted = self._action.send_goal_async(goal)
-        self.until(accepted.done, ANSWER_S, "sample_grasps: an acceptance")
+        self.wait(accepted.done, CALL_S, "sample_grasps: an acceptance")
         if not accepted.result().accepted:
             return None
         result = accepted.result().get_result_async()
-        self.until(result.done, ANSWER_S, "sample_grasps: a result")
+        self.wait(result.done, CALL_S, "sample_grasps: a result")
         return result.result().result
 
-    def set(self, node: str, name: str, value: Any) -> Any:
-        """Set a parameter; `value` is a `ParameterValue`, or a value of Python."""
-        if not isinstance(value, ParameterValue):
-            value = PythonParameter(name, value=value).get_parameter_value()
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-        return self.call(SetParameters, f"{NAMESPACE}/{node}/set_parameters", request).results[0]
-
-    def answer(self, cloud: Any) -> list[Any]:
-        """The predictions for a cloud from vision alone, as numbers."""
+    def answer(self) -> list[Any]:
+        """The predictions for a good cloud from vision alone, as numbers."""
+        cloud = valid.scene_message()
         for name in ("use_tare", "use_touches"):
-            self.set("touch_predictor", name, False)
-        self.heard.touch.clear()
+            self.set_parameter("touch_predictor", name, False)
+        self.touch.clear()
         sent: set[int] = set()
-        end = time.monotonic() + ANSWER_S
-        while not (answered := sent & self.heard.touch.keys()):  # an earlier flood may still fill the queues
-            if time.monotonic() > end:
+        last = time.monotonic() + CALL_S
+        while not (answered := sent & self.touch.keys()):  # an earlier flood may still fill the queues
+            if time.monotonic() > last:
                 raise TimeoutError("points: a good cloud is not answered")
             sent.add(stamped(cloud))
             self.send("points", cloud)
             with suppress(TimeoutError):
-                self.until(lambda: sent & self.heard.touch.keys(), ANSWER_S / 10, "an answer")
-        message = self.heard.touch[answered.pop()]
+                self.wait(lambda: sent & self.touch.keys(), CALL_S / 10)
+        message = self.touch[answered.pop()]
         for name in ("use_tare", "use_touches"):
-            self.set("touch_predictor", name, True)
+            self.set_parameter("touch_predictor", name, True)
         return [message.status, *(numbers_of(one) for one in message.predictions)]
 
     def internal_errors(self) -> list[str]:
         """Internal errors that were counted since the last call."""
         since = time.monotonic()
-        self.until(lambda: all(self.report(n, since) for n in NODES), ANSWER_S, "diagnostics of all nodes")
-        found = Counter(
-            {
-                f"{node}: {key}": int(value)
-                for node in NODES
-                for key, value in self.report(node).items()
-                if key.startswith("internal_errors.")
-            }
-        )
+        self.wait(lambda: all(self.report(name, since) for name in NODES), CALL_S, "diagnostics of all nodes")
+        values = {f"{node}: {key}": value for node in NODES for key, value in self.report(node).items()}
+        found = Counter({name: int(value) for name, value in values.items() if ": internal_errors." in name})
         new, self._known_errors = found - self._known_errors, found
         return [f"{count} {name}" for name, count in new.items()]
 
@@ -225,48 +162,24 @@ class Graph:
     def _hear_touch(self, message: Any) -> None:
         if self.own == "touch":
             return
-        self.heard.touch[valid_stamp(message.header.stamp)] = message
-        self.heard.refused += message.status != 0
-        if message.status and not message.reason:
-            self.heard.not_finite.append(f"touch: status {message.status} without a reason")
+        self.touch[stamp_ns(message.header.stamp)] = message
+        self.refused += message.status != 0
         try:
             valid.check_predictions(message)
         except (valid.NotFiniteError, valid.UnnamedError) as err:
-            self.heard.not_finite.append(f"touch: {err}")
+            self.not_finite.append(f"touch: {err}")
 
     def _hear_grasps(self, message: Any) -> None:
-        if self.own == "grasps":
-            return
-        for one in message.grasps:
-            numbers = [one.g1.x, one.g1.y, one.g1.z, one.g2.x, one.g2.y, one.g2.z, *one.rotation]
-            if not np.isfinite(numbers).all():
-                self.heard.not_finite.append(f"grasps: {numbers}")
-
-    def _hear_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            values = {pair.key: pair.value for pair in status.values}
-            self.heard.reports[status.name.rpartition("/")[2]] = (time.monotonic(), values)
-
-
-def valid_stamp(stamp: Any) -> int:
-    """Nanoseconds of a stamp."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def stamped(*sent: Any) -> int:
-    """Give messages the stamp of now; returns it [ns]."""
-    now = time.time_ns()
-    for message in sent:
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 1_000_000_000)
-    return now
+        for one in message.grasps if self.own != "grasps" else ():
+            if not np.isfinite(numbers := [*valid.contacts(one), *one.rotation]).all():
+                self.not_finite.append(f"grasps: {numbers}")
 
 
 def numbers_of(one: Any) -> list[Any]:
     """All numbers of a prediction, as they were sent."""
-    grasp = one.grasp
-    contacts = [grasp.g1.x, grasp.g1.y, grasp.g1.z, grasp.g2.x, grasp.g2.y, grasp.g2.z]
     intervals = [(i.value, i.lower, i.upper) for i in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)]
-    return [one.status, repr(contacts), repr(list(grasp.rotation)), grasp.score, repr(intervals)]
+    texts = repr(valid.contacts(one.grasp)), repr(list(one.grasp.rotation))
+    return [one.status, *texts, one.grasp.score, repr(intervals)]
 
 
 # --- what is sent -----------------------------------------------------------------------------------------------
@@ -274,11 +187,11 @@ def numbers_of(one: Any) -> list[Any]:
 
 def topics() -> dict[str, tuple[Sequence[Any], tuple[str, Any] | None, float]]:
     """By topic: valid messages, a valid message of another topic that completes a set, and a pause [s]."""
-    clouds, tables = valid.object_messages(), valid.table_message()
+    clouds, table = valid.object_messages(), valid.table_message()
     return {
         "points": ([valid.scene_message()], None, 0.05),
-        "object_cloud": (clouds, ("table", tables), 0.03),
-        "table": ([tables], ("object_cloud", clouds[0]), 0.03),
+        "object_cloud": (clouds, ("table", table), 0.03),
+        "table": ([table], ("object_cloud", clouds[0]), 0.03),
         "grasps": ([valid.grasps_message()], ("object_cloud", clouds[0]), 0.03),
         "touch": ([valid.touch_message()], None, 0.01),
         "/rh/tactile": ([valid.tactile_message()], None, 0.005),
@@ -289,6 +202,7 @@ def topics() -> dict[str, tuple[Sequence[Any], tuple[str, Any] | None, float]]:
 def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None:
     """A batch of absurd messages and of damaged bytes on one topic."""
     kept, other, pause = topics()[topic]
+    graph.own = topic
     for _ in range(size):
         message = pick(kept, rng)
         stamped(message, *(other[1:] if other else ()))
@@ -300,6 +214,8 @@ def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None
         else:
             graph.send(topic, change(deserialize_message(data, type(message)), rng))
         time.sleep(pause)
+    time.sleep(1.0)
+    graph.own = ""
 
 
 def judged(status: int, reason: str) -> str:
@@ -328,34 +244,17 @@ def ask_label(graph: Graph, rng: np.random.Generator) -> str:
     return "read" if answer.success else judged(2, answer.message)
 
 
-PATHS = (
-    "",
-    "a" * 5000,
-    "x\0y",
-    "\n",
-    "a/b/c",
-    "set",
-    "/dev/null/x",
-    "/proc/self/x",
-    "..",
-    ".",
-    "\u00e9\U0001f4a5",
-    "-rf",
-)
+PATHS = ("", "a" * 5000, "x\0y", "\n", "a/b/c", "set", "/dev/null/x", "/proc/self/x", "..", ".", "é\U0001f4a5", "-rf")
 
 
 def ask_recording(graph: Graph, rng: np.random.Generator) -> str:
     """A recording that is begun twice, at absurd paths, or ended twice; at last, one that goes on."""
     if rng.random() < 0.5:
         graph.call(StopRecording, "stop_recording", StopRecording.Request())
-    request = StartRecording.Request(
-        path=pick(PATHS, rng), object=value_of("string", rng), note=value_of("string", rng)
-    )
-    answer = graph.call(StartRecording, "start_recording", request)
+    names = {"object": value_of("string", rng), "note": value_of("string", rng)}
+    answer = graph.call(StartRecording, "start_recording", StartRecording.Request(path=pick(PATHS, rng), **names))
     graph.call(StopRecording, "stop_recording", StopRecording.Request())
-    graph.sessions += 1
-    again = StartRecording.Request(path=f"set-{graph.sessions}", object="can")
-    if not graph.call(StartRecording, "start_recording", again).success:
+    if not graph.record():
         return "uncaught"
     return "read" if answer.success else judged(2, answer.message)
 
@@ -376,11 +275,11 @@ def ask_parameter(graph: Graph, rng: np.random.Generator) -> str:
     value = change(ParameterValue(type=int(rng.integers(0, 12))), rng)
     if rng.random() < 0.5:
         value.type = before.type
-    result = graph.set(node, name, value)
+    result = graph.set_parameter(node, name, value)
     if result.successful:
         graph.send("points", valid.scene_message())
         time.sleep(0.1)
-        graph.set(node, name, before)
+        graph.set_parameter(node, name, before)
     return "read" if result.successful else judged(2, result.reason)
 
 
@@ -405,14 +304,10 @@ def batch(
     """One batch and the checks after it: outcomes, faults, and the longest answer to a request [s]."""
     counts: Counter[str] = Counter()
     faults: list[str] = []
-    slowest = 0.0
-    refused = graph.heard.refused
+    slowest, refused = 0.0, graph.refused
     try:
         if kind in TOPICS:
-            graph.own = kind
             flood(graph, kind, rng, size)
-            time.sleep(1.0)
-            graph.own = ""
         for _ in range(0 if kind in TOPICS else size):
             began = time.monotonic()
             try:
@@ -422,61 +317,41 @@ def batch(
                 faults.append(f"uncaught: {err}")
             slowest = max(slowest, time.monotonic() - began)
             counts[outcome] += 1
-        again = graph.answer(valid.scene_message())
+        again = graph.answer()
         if again != expected:
             counts["changed in silence"] += 1
             faults.append(f"changed in silence: a good cloud is answered with {again} instead of {expected}"[:600])
         faults += [f"uncaught: {text}: {graph.log()}" for text in graph.internal_errors()]
-        faults += [f"uncaught: {text}" for text in graph.heard.not_finite[:3]]
-        graph.heard.not_finite.clear()
-        if not graph.heard.recorder.recording:
-            faults.append(f"uncaught: the recording has ended: {graph.heard.recorder.reason}")
-            ask_recording(graph, rng)
-    except ChildProcessError as err:
-        faults.append(f"signal: {err}: {graph.log()}")
-        counts["signal"] += 1
-        graph.start()
-    except TimeoutError as err:
-        faults.append(f"slow: {err}")
-        counts["slow"] += 1
+        faults += [f"uncaught: {text}" for text in graph.not_finite[:3]]
+        graph.not_finite.clear()
+        if not graph.recorder.recording:
+            faults.append(f"uncaught: the recording has ended: {graph.recorder.reason}")
+            graph.record()
+    except (ChildProcessError, TimeoutError) as err:
+        outcome = "slow" if isinstance(err, TimeoutError) else "signal"
+        faults.append(f"{outcome}: {err}: {graph.log()}")
+        counts[outcome] += 1
         graph.close()
         graph.start()
     counts["uncaught"] = max(counts["uncaught"], sum(text.startswith("uncaught") for text in faults))
     if kind in TOPICS:
-        counts["refused"] = min(graph.heard.refused - refused, size)
+        counts["refused"] = min(graph.refused - refused, size)
         counts["read"] = max(0, size - counts.total())
     return counts, faults, slowest
 
 
-def run(
-    cases: int, seed: int, kinds: Sequence[str] = KINDS, size: int = BATCH
-) -> tuple[list[dict[str, Any]], list[str]]:
-    """Rows of the table, and a line for each fault."""
-    rows, faults = [], []
-    with tempfile.TemporaryDirectory(prefix="foretouch-live-") as name:
-        graph = Graph(Path(name))
-        try:
-            expected = graph.answer(valid.scene_message())
-            if len(expected) < 2:
-                raise SystemExit(f"the good cloud has no prediction: {expected}")
-            for kind in kinds:
-                total: Counter[str] = Counter()
-                slowest = 0.0
-                batches = max(1, round(cases / len(kinds) / size))
-                for k in range(batches):
-                    rng = np.random.default_rng([seed, KINDS.index(kind), k])
-                    counts, found, slow = batch(graph, kind, rng, expected, size)
-                    total += counts
-                    slowest = max(slowest, slow)
-                    faults += [f"{kind} {seed} {k}: {text}" for text in found]
-                    for text in found:
-                        print(f"  {kind} {seed} {k}: {text}", flush=True)
-                row = {"kind": f"live {kind}", "cases": batches * size, **{c: total[c] for c in COLUMNS[2:-1]}}
-                rows.append({**row, "slowest_ms": round(slowest * 1e3, 1)})
-                print("  ".join(str(value) for value in rows[-1].values()), flush=True)
-        finally:
-            graph.close()
-    return rows, faults
+def run(graph: Graph, kind: str, batches: int, size: int, seed: int, expected: Any) -> tuple[Mapping[str, Any], bool]:
+    """A row of the table, and whether a rule was broken; prints a line for each fault."""
+    total: Counter[str] = Counter()
+    slowest, failed = 0.0, False
+    for number in range(batches):
+        rng = np.random.default_rng([seed, KINDS.index(kind), number])
+        counts, faults, longest = batch(graph, kind, rng, expected, size)
+        total += counts
+        slowest, failed = max(slowest, longest), failed or bool(faults)
+        print("".join(f"  {kind} {seed} {number}: {text}\n" for text in faults), end="", flush=True)
+    row = {"kind": f"live {kind}", "cases": batches * size, **{column: total[column] for column in COLUMNS[2:-1]}}
+    return {**row, "slowest_ms": round(slowest * 1e3, 1)}, failed
 
 
 def main() -> int:
@@ -484,11 +359,24 @@ def main() -> int:
     options = parser(__doc__, KINDS, 1300)
     options.add_argument("--batch", type=int, default=BATCH, help=f"messages between two checks (default {BATCH})")
     arguments = options.parse_args()
+    kinds, rows, failed = arguments.kind or KINDS, [], False
     print("  ".join(COLUMNS))
-    rows, faults = run(arguments.cases, arguments.seed, arguments.kind or KINDS, arguments.batch)
+    with tempfile.TemporaryDirectory(prefix="foretouch-live-") as folder:
+        graph = Graph(Path(folder))
+        try:
+            expected = graph.answer()
+            if len(expected) < 2:
+                raise SystemExit(f"the good cloud has no prediction: {expected}")
+            batches = max(1, round(arguments.cases / len(kinds) / arguments.batch))
+            for kind in kinds:
+                row, broken = run(graph, kind, batches, arguments.batch, arguments.seed, expected)
+                rows, failed = [*rows, row], failed or broken
+                print("  ".join(str(value) for value in row.values()), flush=True)
+        finally:
+            graph.close()
     if arguments.out:
         write_csv(arguments.out, rows)
-    return int(bool(faults))
+    return int(failed)
 
 
 if __name__ == "__main__":

@@ -10,15 +10,16 @@ from __future__ import annotations
 import copy
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rclpy.parameter import parameter_value_to_python
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
 from rich.console import Console
 from sensor_msgs.msg import PointCloud2
@@ -77,6 +78,12 @@ class UnnamedError(ValueError):
     """An answer with neither content nor a reason."""
 
 
+def named(status: Any, reason: str) -> None:
+    """Check that a status other than OK has a reason."""
+    if status not in (0, "ok") and not reason:
+        raise UnnamedError(f"status {status} without a reason")
+
+
 def finite(what: str, *values: Any) -> None:
     """Check that all numbers of an answer are finite."""
     for value in values:
@@ -113,6 +120,11 @@ def grasp_message(name: str = "1/7/0") -> Any:
     """A grasp across the box."""
     rotation = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]).T
     return grasp_to_msg(Grasp(np.array([0.03, 0, 0.6]), np.array([-0.03, 0, 0.6]), rotation, 1.0, name, "7"))
+
+
+def contacts(grasp: Any) -> list[float]:
+    """Coordinates of both contacts."""
+    return [grasp.g1.x, grasp.g1.y, grasp.g1.z, grasp.g2.x, grasp.g2.y, grasp.g2.z]
 
 
 def grasps_message() -> Any:
@@ -177,8 +189,7 @@ def segmented() -> Reader:
 
     def read(message: Any) -> None:
         scene = pipeline.segment(read_cloud(message), np.zeros(3))
-        if scene.status != "ok" and not scene.reason:
-            raise UnnamedError(f"{scene.status} without a reason")
+        named(scene.status, scene.reason)
         finite("table", plane_to_msg(scene.segmentation.plane).coef)
         objects_to_msg(scene.targets, FRAME, NOW_NS)
         for one in scene.segmentation.objects:
@@ -201,17 +212,16 @@ def object_clouds() -> Reader:
 def planned() -> Reader:
     """Object clouds and a table through GeoGrasp, both methods."""
     pipelines = [Pipeline(PipelineConfig(grasp=GeoGraspConfig(method=method))) for method in ("original", "stable")]
-    held, table, numbers = GraspHold(0.005), table_message(), _numbers()
+    held, table, numbers = GraspHold(0.005), table_message(), count()
 
     def read(message: Any) -> None:
         number = next(numbers)
         targets = read_targets(message, read_table(table, table.header), ObjectLimits())[:3]
         hold = held if number % 2 else None
         answer = plan_targets(pipelines[number % 2], targets, message.header, "", hold, 1.0)
-        if answer.status > 1 and not answer.reason:
-            raise UnnamedError(f"status {answer.status} without a reason")
+        named(answer.status * (answer.status > 1), answer.reason)
         for one in answer.grasps:
-            finite("grasp", [one.g1.x, one.g1.y, one.g1.z, one.g2.x, one.g2.y, one.g2.z], one.rotation)
+            finite("grasp", contacts(one), one.rotation)
 
     return object_messages(), read
 
@@ -236,13 +246,11 @@ def grasps() -> Reader:
 
 def check_predictions(message: Any) -> None:
     """Each prediction is finite, or has a status with a reason."""
-    if message.status and not message.reason:
-        raise UnnamedError(f"status {message.status} without a reason")
+    named(message.status, message.reason)
     for one in message.predictions:
+        named(one.status, one.reason)
         if one.status == 0:
             finite("prediction", [row.value for row in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)])
-        elif not one.reason:
-            raise UnnamedError(f"status {one.status} without a reason")
 
 
 def predicted() -> Reader:
@@ -292,12 +300,8 @@ class _Hand:
         self.assembler.add(kind, message, received_ns=0, now_s=now_s)
 
 
-def _numbers() -> Iterator[int]:
-    return iter(range(10**9))
-
-
 def _tactile(type_name: str, valid: Any) -> Reader:
-    hand, numbers = _Hand(type_name), _numbers()
+    hand, numbers = _Hand(type_name), count()
 
     def read(message: Any) -> None:
         hand.adapter.add_tactile(message)  # counts what it cannot decode
@@ -343,7 +347,7 @@ def tactile_state() -> Reader:
 
 def executed() -> Reader:
     """Reports of executed grasps, for the predictor and the recorder, between readings, clouds and plans."""
-    hand, numbers = _Hand(), _numbers()
+    hand, numbers = _Hand(), count()
     tactile, plan, cloud = tactile_message(), grasps_message(), object_messages()[0]
 
     def read(message: Any) -> None:
@@ -362,15 +366,14 @@ def executed() -> Reader:
         hand.add("executed", message, now_s)
         hand.adapter.process_touches()
         for result in hand.assembler.poll(now_s):
-            if not getattr(result, "reason", "x"):
-                raise UnnamedError("rejected without a reason")
+            named("rejected", getattr(result, "reason", "a sample"))
 
     return [executed_message()], read
 
 
 def plans() -> Reader:
     """Clouds with plans, as the recorder and the predictor keep them until a grasp is reported."""
-    hand, numbers, cloud, report = _Hand(), _numbers(), object_messages()[0], executed_message()
+    hand, numbers, cloud, report = _Hand(), count(), object_messages()[0], executed_message()
     hand.adapter.add_tactile(tactile_message())
 
     def read(message: Any) -> None:
@@ -391,7 +394,7 @@ def plans() -> Reader:
 
 def recorded_clouds() -> Reader:
     """Serialised clouds as the recorder receives them."""
-    hand, numbers, plan = _Hand(), _numbers(), grasps_message()
+    hand, numbers, plan = _Hand(), count(), grasps_message()
 
     def read(message: Any) -> None:
         number = next(numbers)
@@ -405,7 +408,7 @@ def recorded_clouds() -> Reader:
 
 def touches() -> Reader:
     """Predictions as `foretouch run` and the pictures read them."""
-    console, numbers = Console(file=sys.stderr), _numbers()
+    console, numbers = Console(file=sys.stderr), count()
 
     def read(message: Any) -> None:
         print_json(answer_record(message))
@@ -417,7 +420,7 @@ def touches() -> Reader:
 
 def labels() -> Reader:
     """Requests of `label_grasp`."""
-    hand, numbers = _Hand(), _numbers()
+    hand, numbers = _Hand(), count()
 
     def read(request: Any) -> None:
         now_s = next(numbers) * 0.1
@@ -429,21 +432,21 @@ def labels() -> Reader:
 
 
 _CONFIGS = {
-    "segmentation": ("foretouch.ros.nodes.segmentation", "SegmentationNodeConfig"),
-    "grasp": ("foretouch.ros.nodes.grasp", "GraspNodeConfig"),
-    "touch_predictor": ("foretouch.ros.touch.config", "TouchPredictorConfig"),
-    "recorder": ("foretouch.ros.nodes.recorder", "RecorderConfig"),
-    "camera": ("foretouch.ros.nodes.camera", "CameraNodeConfig"),
-    "hand": ("foretouch.ros.nodes.hand", "HandConfig"),
+    "segmentation": "nodes.segmentation:SegmentationNodeConfig",
+    "grasp": "nodes.grasp:GraspNodeConfig",
+    "touch_predictor": "touch.config:TouchPredictorConfig",
+    "recorder": "nodes.recorder:RecorderConfig",
+    "camera": "nodes.camera:CameraNodeConfig",
+    "hand": "nodes.hand:HandConfig",
 }
 
 
 def _settings(node: str) -> Reader:
     """Changes of the parameters of one node, and what it makes of them."""
-    module, name = _CONFIGS[node]
-    config: Settings = getattr(import_module(module), name)()
+    module, name = _CONFIGS[node].split(":")
+    config: Settings = getattr(import_module(f"foretouch.ros.{module}"), name)()
     flat = config.to_mapping()
-    names, numbers = _flattened(flat), _numbers()
+    names, numbers = _flattened(flat), count()
 
     def read(value: Any) -> None:
         if value.type > ParameterType.PARAMETER_STRING_ARRAY:
@@ -453,32 +456,21 @@ def _settings(node: str) -> Reader:
         repr(changed)
         json.dumps(changed.to_mapping())
 
-    return [
-        ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1.0),
-        ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=5),
-        ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="all"),
-        ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True),
-        ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0, 2.0, 3.0]),
-        ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=["a", "b"]),
-    ], read
+    values = (1.0, 5, "all", True, [1.0, 2.0, 3.0], ["a", "b"])
+    return [Parameter("value", value=value).get_parameter_value() for value in values], read
 
 
 def _flattened(mapping: dict[str, Any], prefix: str = "") -> list[str]:
-    names = []
-    for key, value in mapping.items():
-        names += _flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else [f"{prefix}{key}"]
-    return names
+    parts = ([prefix + k] if not isinstance(v, dict) else _flattened(v, f"{prefix}{k}.") for k, v in mapping.items())
+    return [name for names in parts for name in names]
 
 
 def _kind(reader: Callable[[], Reader], weight: float = 1.0) -> Kind:
-    def prepare(folder: Path) -> Case:
-        del folder
+    def prepare(_: Path) -> Case:
         valid, read = reader()
-        data = [bytes(serialize_message(one)) if _is_message(one) else b"" for one in valid]
 
         def case(rng: np.random.Generator) -> str:
-            number = int(rng.integers(0, len(valid)))
-            read(_changed(valid[number], data[number], rng))
+            read(_changed(valid[int(rng.integers(0, len(valid)))], rng))
             return "read"
 
         return case
@@ -486,18 +478,15 @@ def _kind(reader: Callable[[], Reader], weight: float = 1.0) -> Kind:
     return Kind(prepare, weight)
 
 
-def _is_message(value: Any) -> bool:
-    return hasattr(value, "get_fields_and_field_types")
-
-
 class _MiddlewareError(ForetouchError):
     """Damaged bytes that cannot be deserialised, which the middleware refuses."""
 
 
-def _changed(valid: Any, data: bytes, rng: np.random.Generator) -> Any:
+def _changed(valid: Any, rng: np.random.Generator) -> Any:
     """A valid message with absurd values, or made of its damaged bytes."""
-    if not _is_message(valid):
+    if not hasattr(valid, "get_fields_and_field_types"):
         return change(copy.deepcopy(valid), rng)
+    data = bytes(serialize_message(valid))
     if rng.random() >= DAMAGED:
         return change(deserialize_message(data, type(valid)), rng)
     try:

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.pcl_filters import voxel_grid
 from foretouch.grasp import GeoGraspConfig
-from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.ranking import ContactSide, Ranking, SurfacePoints, contact_radius, find_grasp_plane, rank_pairs
+from foretouch.grasp.axis import find_axis
+from foretouch.grasp.ranking import ContactSide, Ranking, SurfacePoints, _contact_radius, find_grasp_plane, rank_pairs
 from foretouch.types import Float32, Float64, Plane
 
 
@@ -39,12 +39,11 @@ def plan(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> tuple[Ranking, t
     xyz = inliers(xyz, config)
     normals, curvature = normals_everywhere(xyz, config.normal_radius_m)
     axis = find_axis(xyz, plane, config)
-    side = side_coordinate(axis.direction, plane)
-    grasp_plane = find_grasp_plane(xyz, axis.centroid, axis.direction, side, config.slab_half_width_m)
+    grasp_plane = find_grasp_plane(xyz, axis.centroid, axis.direction, axis.side, config.slab_half_width_m)
     tree = cKDTree(xyz)
     sides = []
     for initial in (grasp_plane.first, grasp_plane.second):
-        near = np.sort(tree.query_ball_point(xyz[initial], contact_radius(grasp_plane.width_m, config)))
+        near = np.sort(tree.query_ball_point(xyz[initial], _contact_radius(grasp_plane.width_m, config)))
         columns = np.column_stack([xyz[near].astype(np.float64), normals[near], curvature[near]])
         mean = voxel_grid(xyz[near], config.voxel_m).mean(columns)
         unit = mean[:, 3:6] / np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
-from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.grasp.axis import find_axis
 from foretouch.grasp.ranking import find_grasp_plane
 from foretouch.types import Cloud, Float64, Plane
 
@@ -143,11 +143,10 @@ def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
     xyz = read_cloud(grasp.cloud).xyz.reshape(-1, 3)
     xyz = xyz[inlier_mask(xyz, config.neighbours, config.outlier_deviations)]
     axis = find_axis(xyz, TOP_VIEW, config)
-    side = side_coordinate(axis.direction, TOP_VIEW)
     slides = np.linspace(*grasp.slide_range_m, n)
     for slide in slides[np.argsort(np.abs(slides - grasp.slide_m), kind="stable")]:
         centre = axis.centroid + slide * axis.direction
-        grasp_plane = find_grasp_plane(xyz, centre, axis.direction, side, config.slab_half_width_m)
+        grasp_plane = find_grasp_plane(xyz, centre, axis.direction, axis.side, config.slab_half_width_m)
         if _are_executed(grasp, xyz[[grasp_plane.first, grasp_plane.second]]) and reproduces(grasp, float(slide)):
             return float(slide)
     return None

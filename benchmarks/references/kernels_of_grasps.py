@@ -26,7 +26,7 @@ from benchmarks.references.reference import (
 from foretouch.dataset.messages import rotation_from_quaternion
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
-from foretouch.grasp.ranking import GraspPlane, SurfacePoints, _ScaledSide, _two_rankings
+from foretouch.grasp.ranking import GraspPlane, SurfacePoints, _plane_distance, _ScaledSide, _two_rankings
 from foretouch.grasp.stable import (
     ObjectFrame,
     StableRanking,
@@ -50,7 +50,7 @@ def _unit(vector: Exact) -> Exact:
 
 
 @kernel("distance from the grasp plane")
-def _plane_distance(t: float, rng: np.random.Generator) -> tuple[float, float]:
+def _distance(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points nearer and nearer to a plane, up to 10 km from the origin."""
     turn = rotation(rng)
     origin = rng.normal(size=3) * span(t, 1.0, 1e4)
@@ -58,7 +58,7 @@ def _plane_distance(t: float, rng: np.random.Generator) -> tuple[float, float]:
     plane = GraspPlane(origin, turn[:, 2], 0, 1, 2, 0.1)
     offset = exact(point) - exact(origin)
     distance = np.abs(offset @ exact(turn[:, 2]))
-    return float(norm(offset) / distance), relative_gap(plane.distance(point[None])[0], distance)
+    return float(norm(offset) / distance), relative_gap(_plane_distance(point[None], plane)[0], distance)
 
 
 def _surface(rng: np.random.Generator, n: int, spread: float) -> SurfacePoints:
@@ -251,7 +251,7 @@ def _stable_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         curvature = rng.uniform(0.0, 0.3, 5) * span(t, 1.0, 1e-6)
         sides.append(StableSide(xyz, rng.uniform(0.1, 1.0, 5), normal, curvature, 5))
-    points = WeightedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0)
+    points = WeightedPoints(sides[0].xyz, np.ones(5), np.ones(5), 0)
     computed = StableRanking(points, (sides[0], sides[1]), frame, 0.0, 0.03).pairs().score
     axis, scaled, kappa = exact(frame.axis), [], 10.0
     for side in sides:

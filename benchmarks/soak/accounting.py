@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 STAGES = (("segmentation", ("object_cloud", "table")), ("grasp", ("grasps",)), ("touch_predictor", ("touch",)))
 """Node and the topics of its answer, in the order of the chain."""
 
@@ -56,46 +58,32 @@ def account(
         clouds with their node.
     """
     seen = {topic: set(stamps) for topic, stamps in outputs.items()}
-    left = [[drop, drop.count] for drop in sorted(drops, key=lambda one: one.end_s)]
+    left = [[drop] * drop.count for drop in sorted(drops, key=lambda one: one.end_s)]
     fates: Counter[str] = Counter()
     unexplained = []
     for stamp, time_s in sorted(clouds.items(), key=lambda item: item[1]):
-        node = _lost_at(stamp, seen)
-        if node is None:
+        if stamp in seen["touch"]:
             fates["answered"] += 1
             continue
-        reason = _counted(node, time_s, left) or next(
-            (one.reason for one in outages if one.node == node and one.covers(time_s)), None
-        )
-        if reason is None:
+        node = next(node for node, topics in STAGES if any(stamp not in seen[topic] for topic in topics))
+        counted = next((one for one in left if one and _explains(one[0], node, time_s)), None)
+        outage = next((one for one in outages if one.node == node and one.covers(time_s)), None)
+        if counted:
+            fates[f"dropped by {node}: {counted.pop().reason}"] += 1  # each explains one cloud
+        elif outage:
+            fates[f"dropped by {node}: {outage.reason}"] += 1
+        else:
+            fates[f"unexplained at {node}"] += 1
             unexplained.append((stamp, node))
-        fates[f"unexplained at {node}" if reason is None else f"dropped by {node}: {reason}"] += 1
     return fates, unexplained
 
 
-def _lost_at(stamp: int, seen: Mapping[str, set[int]]) -> str | None:
-    """The first node of the chain that did not answer; None for a cloud with an answer at the end."""
-    if stamp in seen["touch"]:
-        return None
-    return next(node for node, topics in STAGES if any(stamp not in seen[topic] for topic in topics))
-
-
-def _counted(node: str, time_s: float, left: list[list[object]]) -> str | None:
-    """The reason of a drop that the node counted at about this time; each is used once."""
-    for entry in left:
-        drop, count = entry
-        assert isinstance(drop, Drop)
-        assert isinstance(count, int)
-        if drop.node == node and count and drop.end_s >= time_s and drop.start_s <= time_s + COUNTED_S:
-            entry[1] = count - 1
-            return drop.reason
-    return None
+def _explains(drop: Drop, node: str, time_s: float) -> bool:
+    return drop.node == node and drop.end_s >= time_s and drop.start_s <= time_s + COUNTED_S
 
 
 def slope_per_hour(times_s: Sequence[float], values: Sequence[float]) -> float:
     """Slope of a least-squares line through values over time [value/h]; NaN for fewer than three."""
-    import numpy as np
-
     if len(times_s) < 3:
         return float("nan")
     return float(np.polyfit(np.asarray(times_s) / 3600.0, np.asarray(values), 1)[0])

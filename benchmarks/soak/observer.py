@@ -5,171 +5,91 @@ from __future__ import annotations
 
 import math
 import struct
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Set as AbstractSet
 from functools import partial
 from typing import Any
 
-from accounting import Drop
+from benchmarks.ros import SECOND, Client, Report, stamp_ns
+from benchmarks.soak.accounting import Drop
 
+DOMAIN = 91
 _STAMP = struct.Struct("<4xiI")  # of the header with which a serialised message begins
 _TOPICS = ("points", "object_cloud", "table", "grasps")
-_CALL_S = 30.0
 
 
-def header_stamp(data: bytes) -> int:
-    """Stamp of a serialised little-endian message that begins with a header [ns]."""
-    sec, nanosec = _STAMP.unpack_from(data)
-    return int(sec) * 1_000_000_000 + int(nanosec)
+class Observer(Client):
+    """A node in this process. Times are those of `time.monotonic` [s]."""
 
-
-@dataclass
-class Report:
-    """The latest diagnostics of one process of a node."""
-
-    time_s: float
-    level: int
-    message: str
-    values: dict[str, str]
-
-
-@dataclass
-class Observations:
-    """All that was seen. Times are those of `time.monotonic` [s]."""
-
-    clouds: dict[int, float] = field(default_factory=dict)  # first time of each stamp on `points`
-    repeated: int = 0  # clouds with a stamp that was seen before
-    stamps: dict[str, set[int]] = field(default_factory=lambda: {name: set() for name in (*_TOPICS, "touch")})
-    answers: list[float] = field(default_factory=list)
-    answered_at: dict[int, float] = field(default_factory=dict)  # first answer by stamp
-    answered_again: int = 0
-    statuses: Counter[str] = field(default_factory=Counter)
-    not_finite: int = 0  # predictions with status OK and a value that is not finite
-    tactile_s: float = 0.0  # of the latest tactile message
-    recorder: Any = None  # latest RecorderStatus
-    reports: dict[tuple[str, bytes], Report] = field(default_factory=dict)  # by node and publisher
-    drops: list[Drop] = field(default_factory=list)
-    warnings: list[tuple[float, str, str]] = field(default_factory=list)  # time, node, message
-
-
-class Observer:
-    """A node in this process, served by one thread."""
-
-    def __init__(self, namespace: str) -> None:
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
+    def __init__(self) -> None:
+        super().__init__("observer", DOMAIN)
         from sensor_msgs.msg import PointCloud2
 
         from foretouch.topics import TACTILE_TOPIC
         from foretouch_msgs.msg import BiotacAll, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 
-        rclpy.init()
-        self.node = rclpy.create_node("observer", namespace=namespace)
-        self.seen = Observations()
-        self.lock = threading.Lock()
-        deep = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
-        kinds = (PointCloud2, PointCloud2, TablePlane, GraspArray)
-        for topic, kind in zip(_TOPICS, kinds, strict=True):
-            self.node.create_subscription(kind, topic, partial(self._stamped, topic), deep, raw=True)
-        self.node.create_subscription(TouchPredictionArray, "touch", self._touch, deep)
-        self.node.create_subscription(BiotacAll, TACTILE_TOPIC, self._tactile, deep, raw=True)
-        self.node.create_subscription(RecorderStatus, "recorder_status", self._recorder, deep)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, deep)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        threading.Thread(target=self._executor.spin, daemon=True).start()
+        self.clouds: dict[int, float] = {}  # first time of each stamp on `points`
+        self.repeated = 0  # clouds with a stamp that was seen before
+        self.stamps: dict[str, set[int]] = {name: set() for name in (*_TOPICS, "touch")}
+        self.answers: list[float] = []
+        self.answered_at: dict[int, float] = {}  # first answer by stamp
+        self.statuses: Counter[str] = Counter()
+        self.not_finite = 0  # answers with a prediction that has status OK and a value that is not finite
+        self.tactile_s = 0.0  # of the latest tactile message
+        self.recorder: Any = None  # latest RecorderStatus
+        self.drops: list[Drop] = []
+        self.warnings: list[tuple[float, str, str]] = []  # time, node, message
+        for topic, kind in zip(_TOPICS, (PointCloud2, PointCloud2, TablePlane, GraspArray), strict=True):
+            self.node.create_subscription(kind, topic, partial(self._see, topic), self.deep, raw=True)
+        self.node.create_subscription(TouchPredictionArray, "touch", self._see_touch, self.deep)
+        self.node.create_subscription(
+            BiotacAll, TACTILE_TOPIC, lambda _: setattr(self, "tactile_s", time.monotonic()), self.deep, raw=True
+        )
+        self.node.create_subscription(
+            RecorderStatus, "recorder_status", lambda message: setattr(self, "recorder", message), self.deep
+        )
+        self.serve()
 
-    def call(self, kind: type, name: str, request: Any) -> Any:
-        """The answer of a service of the graph; None if there is none in time."""
-        client = self.node.create_client(kind, name)
-        try:
-            if not client.wait_for_service(_CALL_S):
-                return None
-            future = client.call_async(request)
-            self.wait(future.done, _CALL_S)
-            return future.result() if future.done() else None
-        finally:
-            self.node.destroy_client(client)
-
-    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until a condition holds; False if it does not in time."""
-        end = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > end:
-                return False
-            time.sleep(0.01)
-        return True
-
-    def publishers(self, node: str) -> set[bytes]:
+    def processes(self, node: str) -> set[bytes]:
         """The processes of a node that have reported so far."""
         with self.lock:
-            return {gid for name, gid in self.seen.reports if name == node}
+            return {process for name, process in self.reports if name == node}
 
-    def active(self, node: str, besides: set[bytes]) -> bool:
+    def active(self, node: str, besides: AbstractSet[bytes]) -> bool:
         """Whether a process of a node, besides these, has reported that it is active."""
         with self.lock:
-            reports = [r for (name, gid), r in self.seen.reports.items() if name == node and gid not in besides]
-        return any(report.values.get("state") == "active" for report in reports)
+            found = [one for (name, process), one in self.reports.items() if name == node and process not in besides]
+        return any(report.values.get("state") == "active" for report in found)
 
-    def _stamped(self, topic: str, data: bytes) -> None:
-        stamp, now = header_stamp(data), time.monotonic()
+    def reported(self, node: str, before: Report | None, now: Report) -> None:
+        """Note warnings, and what was dropped since the report before."""
+        if now.level and (before is None or before.message != now.message):
+            self.warnings.append((now.time_s, node, now.message))
+        counts = {key: key.removeprefix("dropped.") for key in now.values if key.startswith("dropped.")}
+        counts |= {f"lost_on_the_way.{topic}": f"lost on the way, {topic}" for topic in _TOPICS}
+        for key, reason in counts.items():
+            more = int(now.values.get(key, 0)) - (int(before.values.get(key, 0)) if before else 0)
+            if more > 0:
+                self.drops.append(Drop(node, reason, more, before.time_s if before else now.time_s - 1.0, now.time_s))
+
+    def _see(self, topic: str, data: bytes) -> None:
+        sec, nanosec = _STAMP.unpack_from(data)
+        stamp, now = sec * SECOND + nanosec, time.monotonic()
         with self.lock:
             if topic == "points":
-                self.seen.repeated += stamp in self.seen.clouds
-                self.seen.clouds.setdefault(stamp, now)
-            self.seen.stamps[topic].add(stamp)
+                self.repeated += stamp in self.clouds
+                self.clouds.setdefault(stamp, now)
+            self.stamps[topic].add(stamp)
 
-    def _touch(self, message: Any) -> None:
+    def _see_touch(self, message: Any) -> None:
         from foretouch.ros.messages.requests import status_name
 
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        values = [
-            interval.value
-            for one in message.predictions
-            if one.status == 0
-            for interval in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)
-        ]
+        stamp, now = stamp_ns(message.header.stamp), time.monotonic()
+        good = [(one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf) for one in message.predictions if one.status == 0]
         with self.lock:
-            self.seen.stamps["touch"].add(stamp)
-            now = time.monotonic()
-            self.seen.answers.append(now)
-            self.seen.answered_again += stamp in self.seen.answered_at
-            self.seen.answered_at.setdefault(stamp, now)
-            self.seen.statuses[status_name(message.status)] += 1
-            self.seen.not_finite += not all(map(math.isfinite, values))
-
-    def _tactile(self, _data: bytes) -> None:
-        self.seen.tactile_s = time.monotonic()
-
-    def _recorder(self, message: Any) -> None:
-        self.seen.recorder = message
-
-    def _diagnose(self, message: Any, info: Any) -> None:
-        now, gid = time.monotonic(), bytes(info["publisher_gid"]["data"])
-        with self.lock:
-            for status in message.status:
-                name = status.name.rpartition("/")[2]
-                level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                report = Report(now, level, status.message, {pair.key: pair.value for pair in status.values})
-                before = self.seen.reports.get((name, gid))
-                self._add_drops(name, before, report)
-                if level and (before is None or before.message != status.message):
-                    self.seen.warnings.append((now, name, status.message))
-                self.seen.reports[name, gid] = report
-
-    def _add_drops(self, node: str, before: Report | None, now: Report) -> None:
-        counts = {key.removeprefix("dropped."): int(n) for key, n in now.values.items() if key.startswith("dropped.")}
-        keys = {f"dropped.{reason}": reason for reason in counts}
-        counts |= {topic: int(now.values.get(f"lost_on_the_way.{topic}", 0)) for topic in _TOPICS}
-        keys |= {f"lost_on_the_way.{topic}": topic for topic in _TOPICS}
-        for key, reason in keys.items():
-            more = counts[reason] - (int(before.values.get(key, 0)) if before else 0)
-            if more > 0:
-                start = before.time_s if before else now.time_s - 1.0
-                text = f"lost on the way, {reason}" if reason in _TOPICS else reason
-                self.seen.drops.append(Drop(node, text, more, start, now.time_s))
+            self.stamps["touch"].add(stamp)
+            self.answers.append(now)
+            self.answered_at.setdefault(stamp, now)
+            self.statuses[status_name(message.status)] += 1
+            self.not_finite += not all(math.isfinite(interval.value) for one in good for interval in one)

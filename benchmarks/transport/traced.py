@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs nodes as their executable does, and writes when each cloud passed them: `traced.py OUT NODE... --ros-args ...`."""
+"""Runs nodes as their executable does, and writes when each cloud passed them: `traced OUT NODE... --ros-args ...`."""
 
 from __future__ import annotations
 

@@ -114,19 +114,19 @@ def test_an_unplugged_camera_is_absent_until_it_is_back(source: SyntheticCamera,
     told: list[str] = []
     with source, RealSenseCamera(config, source, lambda status: told.append(status.state)) as camera:
         assert camera.read(2.0) is not None
-        source.unplug()
+        source.plugged = False
         _until(camera, lambda: camera.status.state == "absent")
         assert "Synthetic D415 synthetic: was unplugged; attempt 2 in 0.05 s" in camera.status.reason
         _until(camera, lambda: camera.status.failures >= 3)
         assert "synthetic camera: is unplugged" in camera.status.reason
-        source.plug()
+        source.plugged = True
         _until(camera, lambda: camera.status.state == "streaming")
     changes = [state for state in told if state != "reconnecting"]
     assert changes == ["streaming", "absent", "streaming", "closed"]
 
 
 def test_pauses_between_attempts_cost_no_processor_time(source: SyntheticCamera, config: RealSenseConfig) -> None:
-    source.unplug()
+    source.plugged = False
     with RealSenseCamera(config, source) as camera:
         started, used = time.monotonic(), time.process_time()
         assert camera.read(0.5) is None

@@ -115,10 +115,10 @@ def test_a_reconnected_camera_records_to_the_next_file(
                 camera.read(0.01)
             source.feed()
             assert camera.read(1.0) is not None
-            source.unplug()
+            source.plugged = False
             while camera.status.state != "absent":
                 camera.read(0.05)
-            source.plug()
+            source.plugged = True
     for name in ("seen.db3", "seen-2.db3"):
         with RealSenseCamera(_playing(tmp_path / name, config)) as camera:
             assert len(list(camera)) == 1

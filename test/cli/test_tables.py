@@ -6,7 +6,7 @@ from __future__ import annotations
 from every_case import every_case
 from rich.console import Console
 
-from foretouch.cli.tables import FittedTable
+from foretouch.cli.screen import FittedTable
 
 COLUMNS = ["finger", "value", "span of the electrodes", "why"]
 ROWS = [["thumb", "2931 ±158", "2737–3487 ±179", "adapted to three touches"], ["middle", "1858 ±99", "–", ""]]

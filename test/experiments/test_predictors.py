@@ -13,7 +13,7 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.shared.predictors import PREDICTORS, RECIPES, find_predictor, with_offset_correction
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.baselines import training_mean
-from foretouch.learning.training.learners import load_run_config
+from foretouch.learning.training.run_config import load_run_config
 from foretouch.learning.training.supervised import TrainConfig
 from foretouch.models import ModelConfig
 from foretouch.tactile import MODALITIES

@@ -7,7 +7,7 @@ from every_case import every_case
 
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, object_axis
-from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.grasp.axis import _side, find_axis
 from foretouch.types import Cloud, Plane
 
 SIDE_VIEW = Plane.from_coefficients([0.0, 1.0, 0.0, 0.0])
@@ -58,7 +58,7 @@ def test_sides_lie_across_the_axis(top_view):
     top = [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)]
     side = [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)]
     for plane, cases in ((top_view, top), (SIDE_VIEW, side)):
-        assert [side_coordinate(np.array(axis), plane) for axis, _ in cases] == [one for _, one in cases]
+        assert [_side(np.array(axis), plane) for axis, _ in cases] == [one for _, one in cases]
 
 
 def test_a_ball_has_a_ratio_near_one(top_view):

@@ -10,8 +10,8 @@ from foretouch.grasp.ranking import (
     ContactSide,
     GraspPlane,
     SurfacePoints,
-    contact_radius,
-    contact_side,
+    _contact_radius,
+    _contact_side,
     find_grasp_plane,
     initial_score,
     rank_pairs,
@@ -47,12 +47,12 @@ def test_a_plane_without_two_contacts_is_reported():
 
 def test_two_spheres_of_candidates_stay_apart():
     for width, radius in ((0.2, 0.05), (0.1, 0.035), (0.06, 0.021)):
-        assert contact_radius(width, CONFIG) == pytest.approx(radius)
+        assert _contact_radius(width, CONFIG) == pytest.approx(radius)
 
 
 def test_candidates_average_their_voxels(rng):
     xyz = rng.uniform([-0.02, -0.02, 0.98], [0.02, 0.02, 1.02], (400, 3)).astype(np.float32)
-    candidates, initial, n_near = contact_side(xyz, 7, 0.015, CONFIG)
+    candidates, initial, n_near = _contact_side(xyz, 7, 0.015, CONFIG)
     assert n_near == np.count_nonzero(np.linalg.norm(xyz.astype(float) - xyz[7], axis=1) < 0.015)
     np.testing.assert_allclose(np.linalg.norm(candidates.normal, axis=1), 1.0)
     np.testing.assert_array_equal(initial.xyz[0], xyz[7])
@@ -66,7 +66,7 @@ def test_a_point_without_a_normal_takes_it_from_its_voxel():
     )
     lonely = [[0.5, 0.0, 1.0]]
     xyz = np.concatenate([plane, lonely]).astype(np.float32)
-    candidates, initial, n_near = contact_side(xyz, 400, 0.02, CONFIG)
+    candidates, initial, n_near = _contact_side(xyz, 400, 0.02, CONFIG)
     assert n_near == 1
     assert np.isnan(candidates.normal).all()
     assert np.isnan(initial.curvature).all()

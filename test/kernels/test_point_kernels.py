@@ -135,15 +135,13 @@ def test_plans_of_hard_objects() -> None:
     """Of method `original` to the bit; of `stable`, whose sums are ordered otherwise, within 1e-9 m."""
     patches = {
         geograsp_module: {
-            "count_without_normal": lambda xyz, radius_m, grid: reference.count_without_normal(xyz, radius_m)
+            "count_without_normal": lambda xyz, radius_m, grid: reference.count_without_normal(xyz, radius_m),
+            "mean_neighbour_distance": reference.mean_neighbour_distance,
         },
         pcl_filters: {"mean_neighbour_distance": reference.mean_neighbour_distance},
         axis: {"voxel_grid": _voxel_grid},
         ranking: {"normals_and_curvature": reference.normals_and_curvature, "voxel_grid": _voxel_grid},
-        preprocessing: {
-            "mean_neighbour_distance": reference.mean_neighbour_distance,
-            "_canonical_order": reference.canonical_order,
-        },
+        preprocessing: {"_canonical_order": reference.canonical_order},
         stable: {
             "_node_sums": reference.node_sums,
             "_local_planes": reference.local_planes,

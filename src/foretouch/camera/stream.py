@@ -81,7 +81,7 @@ class FrameStream:
     def cloud(self, depth: Any, colour: Any | None) -> Cloud:
         """(H, W, 3) points of a depth frame filtered, aligned and deprojected, and rgb where the settings align colour."""
         stamp_ns = self._stamp_ns(depth, time.time_ns())
-        frameset = self.filters.process(self._join(*([depth] if colour is None else [depth, colour])))
+        frameset = self.filters(self._join(*([depth] if colour is None else [depth, colour])))
         if self._align is not None:
             frameset = self._align.process(frameset)
         image = frameset.get_depth_frame()
@@ -190,7 +190,7 @@ class FilterChain:
                 for one, name in options:
                     self._blocks[-1].set_option(one, float(getattr(settings, name)))
 
-    def process(self, frames: Any) -> Any:
+    def __call__(self, frames: Any) -> Any:
         """Filter the depth of a frameset; colour is only decimated, where the library does so."""
         for block in self._blocks:
             frames = block.process(frames).as_frameset()
@@ -257,11 +257,11 @@ def _lens_of(intrinsics: Any) -> Deprojector:
 def _keep_in(queue: BoundedQueue[Any]) -> Callable[[Any], None]:
     """A callback for the library's thread."""
 
-    def put(frame: Any) -> None:
+    def _put(frame: Any) -> None:
         frame.keep()  # the library lends only a few frames otherwise
         queue.put(frame)
 
-    return put
+    return _put
 
 
 def _aligner(config: RealSenseConfig) -> Any | None:

@@ -48,6 +48,7 @@ class SyntheticCamera(DeviceSource):
 
     Attributes:
         colour: Whether the colour sensor sends.
+        plugged: Whether the device is present.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class SyntheticCamera(DeviceSource):
         self._device, self._sensors, self._profiles = _software_device(first, fps, serial)
         self.colour = True
         self._number = 0
-        self._plugged = True
+        self.plugged = True
         self._feeding = threading.Event()
         self._stopping = threading.Event()
         self._lock = threading.Lock()
@@ -75,13 +76,13 @@ class SyntheticCamera(DeviceSource):
 
     def find(self) -> Any:
         """See `DeviceSource`."""
-        if not self._plugged:
+        if not self.plugged:
             raise CameraError("synthetic camera: is unplugged")
         return self._device
 
     def present(self, device: Any) -> bool:  # noqa: ARG002
         """See `DeviceSource`."""
-        return self._plugged
+        return self.plugged
 
     def feed(self) -> int:
         """Feed one frame now and return its number; a `CameraError` if it has another size than the first."""
@@ -91,7 +92,7 @@ class SyntheticCamera(DeviceSource):
             if frame.depth_mm.shape != self._shape:
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
             stamp_ns = self._stamp_ns(number)
-            if self._plugged and stamp_ns is not None:
+            if self.plugged and stamp_ns is not None:
                 images: list[npt.NDArray[Any]] = [frame.depth_mm, frame.rgb][: 1 + self.colour]
                 for sensor, profile, image in zip(self._sensors, self._profiles, images, strict=False):
                     sensor.on_video_frame(_video_frame(profile, image, number, stamp_ns / 1e6))
@@ -109,14 +110,6 @@ class SyntheticCamera(DeviceSource):
     def pause(self) -> None:
         """Send nothing until `start`, as a stalled camera does."""
         self._feeding.clear()
-
-    def unplug(self) -> None:
-        """Become absent until `plug`."""
-        self._plugged = False
-
-    def plug(self) -> None:
-        """Become present again."""
-        self._plugged = True
 
     def close(self) -> None:
         """Stop the thread."""

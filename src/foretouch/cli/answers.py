@@ -3,19 +3,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.tactile import MODALITIES
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import Grasp, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from foretouch.types import Grasp, TouchPrediction
     from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
     from foretouch_msgs.msg import TouchPredictionArray
 
@@ -46,7 +50,6 @@ def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
 def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
     """A `touch` message as `run --json` prints it."""
     from foretouch.ros.messages.requests import status_name
-    from foretouch.tactile.messages.table import stamp_ns
 
     return {
         "stamp_ns": stamp_ns(message.header.stamp),
@@ -71,8 +74,6 @@ def _message_record(message: TouchPredictionMsg) -> dict[str, Any]:
 
 def modality_text(value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None) -> str:
     """Value and half width of a pressure; of electrodes, least and largest value and mean half width [counts]."""
-    import numpy as np
-
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
@@ -110,50 +111,31 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
     return records
 
 
-def model_name(record: Mapping[str, Any]) -> str:
-    """Name of the model of an answer; "" if it holds none."""
-    model = record.get("model")
-    return str(model.get("name", "")) if isinstance(model, dict) else ""
-
-
 def prediction_from_record(record: Any) -> TouchPrediction:
     """A prediction from the JSON of `predict` and `run`.
 
     Raises:
         ConfigError: Names the field that is missing or wrong.
     """
-    import numpy as np
-
-    from foretouch.types import Grasp, Touch, TouchPrediction
-
     try:
         field = "grasp"
-        score = record["grasp"].get("score")
-        grasp = Grasp(
-            np.array(record["grasp"]["g1"], np.float64),
-            np.array(record["grasp"]["g2"], np.float64),
-            np.array(record["grasp"]["rotation"], np.float64).reshape(3, 3),
-            score=float("nan") if score is None else float(score),
+        shapes = {"g1": (3,), "g2": (3,), "rotation": (3, 3)}
+        g1, g2, rotation = (
+            np.array(record["grasp"][name], np.float64).reshape(shape) for name, shape in shapes.items()
         )
-        touches: dict[str, Touch | None] = {}
+        score = record["grasp"].get("score")
+        grasp = Grasp(g1, g2, rotation, score=math.nan if score is None else float(score))
+        touches: list[Touch | None] = []
         for end in ("value", "lower", "upper"):
-            parts = []
+            known = []
             for field in MODALITIES:
                 part = record[field][end]
-                parts.append(None if part is None else np.atleast_1d(np.array(part, np.float64)))
-            known = [part for part in parts if part is not None]
-            touches[end] = Touch.from_vector(np.concatenate(known)) if len(known) == len(MODALITIES) else None
+                known += [] if part is None else [np.atleast_1d(np.array(part, np.float64))]
+            touches.append(Touch.from_vector(np.concatenate(known)) if len(known) == len(MODALITIES) else None)
         field = "status"
-        return TouchPrediction(
-            grasp,
-            touches["value"],
-            touches["lower"],
-            touches["upper"],
-            reference=record["reference"],
-            flags=tuple(record["flags"]),
-            status=record["status"],
-            reason=record["reason"],
-        )
+        value, lower, upper = touches
+        others: dict[str, Any] = {name: record[name] for name in ("reference", "status", "reason")}
+        return TouchPrediction(grasp, value, lower, upper, flags=tuple(record["flags"]), **others)
     except (KeyError, TypeError, ValueError, AttributeError) as err:
         raise ConfigError(
             f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"

@@ -1,13 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch dataset`: inspect, verify, repair, edit and convert datasets. The actions are in `dataset_actions`."""
+"""`foretouch dataset`: inspect, verify, repair, edit and convert datasets."""
+
+from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import positive_number, seed_number
+from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.dataset.formats import export_formats, readable_formats
-from foretouch.tactile.messages import TACTILE_TYPES
+from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
+from foretouch.dataset.record import Identity
+from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
+from foretouch.errors import ConfigError, FileError, ForetouchError
+from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.types import GraspSample
 
 _SHEET_SAMPLES = 12
 
@@ -15,56 +28,62 @@ _SHEET_SAMPLES = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one action each, with its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    for name, (summary, add) in _ACTIONS.items():
-        action = actions.add_parser(name, help=summary, description=f"{summary}.")
-        add(action)
-        action.add_argument("--json", action="store_true", help="print JSON on stdout, and nothing else there")
+    dataset = f"dataset: {readable_formats()}"
+
+    info = _action(actions, "info", _info, "Print counts and ranges of a dataset")
+    info.add_argument("path", metavar="IN", help=dataset)
+
+    verify = _action(actions, "verify", _verify, "Verify the checksums of every byte")
+    verify.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, one of its files, or training store")
+
+    repair = _action(actions, "repair", _repair, "Repair unfinished or damaged recordings, and keep the originals")
+    repair.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, or one of its files")
+
+    summary = "Relabel, drop or merge samples in a log beside the recordings; can be undone"
+    edit = _action(actions, "edit", _edit, summary)
+    edit.add_argument("path", metavar="DS", help="recorded dataset; without an action, its edits are listed")
+    several = "id of a sample to relabel or drop; may be repeated"
+    edit.add_argument("--id", action="append", default=[], metavar="ID", help=several)
+    one = edit.add_mutually_exclusive_group()
+    one.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
+    one.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
+    one.add_argument("--merge", nargs=2, metavar=("LABEL", "INTO"), help="merge two objects into one")
+    one.add_argument("--undo", action="store_true", help="undo the latest edit that is in force")
+
+    build = _action(actions, "build", _build, "Build a training store with splits")
+    build.add_argument("sources", metavar="IN", nargs="+", help=dataset)
+    _add_out(build, "STORE", "training store to create; must not exist")
+    build.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
+
+    _add_import(_action(actions, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
+
+    export = _action(actions, "export", _export, "Write samples in another format")
+    export.add_argument("source", metavar="DS", help=dataset)
+    _add_out(export, "DIR", "folder to create; must not exist")
+    export.add_argument("--format", required=True, choices=export_formats(), help="format to write")
+
+    show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
+    show.add_argument("source", metavar="DS", help=dataset)
+    _add_out(show, "F.png", "image file")
+    count = "number of samples, evenly spaced over the dataset"
+    show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
+    show.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Run an action; exit status 1 if something is damaged."""
-    from foretouch.cli.dataset_actions import ACTIONS
-
-    return ACTIONS[arguments.action](arguments)
-
-
-def _fingers(text: str) -> tuple[int, int]:
-    """`TH,MF` indices for argparse."""
-    words = text.split(",")
-    if len(words) != 2 or not all(word.isdecimal() and int(word) < 5 for word in words):
-        raise argparse.ArgumentTypeError(f"{text!r} is not two indices from 0 to 4 with a comma between them")
-    return int(words[0]), int(words[1])
+def _action(actions: Any, name: str, act: Callable[..., int], summary: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=summary, description=f"{summary}.")
+    parser.set_defaults(act=act)
+    parser.add_argument("--json", action="store_true", help="print JSON on stdout, and nothing else there")
+    return parser
 
 
-def _dataset_argument(parser: argparse.ArgumentParser, name: str, metavar: str, nargs: str | None = None) -> None:
-    parser.add_argument(name, metavar=metavar, nargs=nargs, help=f"dataset: {readable_formats()}")
-
-
-def _out_argument(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
+def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, metavar=metavar, help=summary)
-
-
-def _add_info(parser: argparse.ArgumentParser) -> None:
-    _dataset_argument(parser, "path", "IN")
-
-
-def _add_verify(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, one of its files, or training store")
-
-
-def _add_repair(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, or one of its files")
-
-
-def _add_build(parser: argparse.ArgumentParser) -> None:
-    _dataset_argument(parser, "sources", "IN", nargs="+")
-    _out_argument(parser, "STORE", "training store to create; must not exist")
-    parser.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SRC", help=f"dataset ({readable_formats()}) or ROS bag")
-    _out_argument(parser, "DS", "recorded dataset to create or to extend")
+    _add_out(parser, "DS", "recorded dataset to create or to extend")
     group = parser.add_argument_group("ROS bags without foretouch samples")
     for name, topic, content in (
         ("cloud", CLOUD_TOPIC, "clouds of the object"),
@@ -86,44 +105,281 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def _add_export(parser: argparse.ArgumentParser) -> None:
-    _dataset_argument(parser, "source", "DS")
-    _out_argument(parser, "DIR", "folder to create; must not exist")
-    parser.add_argument("--format", required=True, choices=export_formats(), help="format to write")
+def _fingers(text: str) -> tuple[int, int]:
+    """`TH,MF` indices for argparse."""
+    words = text.split(",")
+    if len(words) != 2 or not all(word.isdecimal() and int(word) < 5 for word in words):
+        raise argparse.ArgumentTypeError(f"{text!r} is not two indices from 0 to 4 with a comma between them")
+    return int(words[0]), int(words[1])
 
 
-def _add_show(parser: argparse.ArgumentParser) -> None:
-    _dataset_argument(parser, "source", "DS")
-    _out_argument(parser, "F.png", "image file")
-    parser.add_argument(
-        "-n",
-        "--count",
-        type=positive_number,
-        default=_SHEET_SAMPLES,
-        help="number of samples, evenly spaced over the dataset",
+def run(arguments: argparse.Namespace) -> int:
+    """Run an action; exit status 1 if something is damaged."""
+    return int(arguments.act(arguments))
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    found = describe(arguments.path)
+    if arguments.json:
+        edges = [None if edge == float("inf") else edge for edge in PAIRING_EDGES_MS]
+        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": edges})
+        return 0
+    print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
+    return 0
+
+
+def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
+    yield "kind", found.kind
+    numbers = f"{found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded"
+    yield "samples", f"{found.samples} ({numbers})"
+    yield "objects", _counts(found.objects)
+    yield "outcomes", _counts(found.outcomes)
+    yield "flags", _counts(found.flags)
+    yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
+    yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
+    yield from ((name, f"{low:g} to {high:g} counts") for name, (low, high) in found.ranges.items())
+    yield "hand", _properties(found.hand)
+    yield "camera", _properties(found.camera)
+    if found.unfinished:
+        yield "not finished", f"{', '.join(found.unfinished)}: repair with `foretouch dataset repair`"
+    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found.pairing_ms, strict=False)
+    yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
+    yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
+    yield from (("edit", text) for text in found.edits)
+
+
+def _message_counts(counts: Mapping[str, Any]) -> str:
+    """The counts of one topic; messages lost before arrival are not among the received ones."""
+    dropped = sum(counts["dropped"].values())
+    reasons = f" ({_counts(counts['dropped'])})" if dropped else ""
+    return f"{counts['received']} = {counts['written']} written + {dropped} dropped{reasons}; {counts['lost']} lost"
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+
+
+def _properties(properties: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}: {value}" for name, value in properties.items())
+
+
+def _utc(stamp_ns: int) -> str:
+    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    failed = False
+    rows = []
+    for path in arguments.paths:
+        for record in _verified(path):
+            failed |= record["status"] != "ok"
+            if arguments.json:
+                print_json({"input": path, **record})
+            for fault in record["faults"]:
+                warn(fault)
+            counts = ["" if record[name] is None else str(record[name]) for name in ("samples", "messages", "bytes")]
+            lost = str(sum(record.get("lost", {}).values()))
+            rows.append([str(record["file"]), record["status"], *counts, lost, str(len(record["faults"]))])
+    if not arguments.json:
+        print_table("verified", ["file", "state", "samples", "messages", "bytes", "lost", "faults"], rows)
+    return int(failed)
+
+
+def _verified(path: str) -> Iterator[dict[str, Any]]:
+    """One record for each file of a recorded dataset, or one for a training store."""
+    from foretouch.dataset.recording import is_dataset, verify_dataset
+    from foretouch.dataset.store import Store, is_store
+
+    empty = {"file": path, "samples": None, "messages": None, "bytes": None}
+    try:
+        if is_store(path) and not is_dataset(path):
+            store = Store(path)
+            store.verify()
+            yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
+            return
+        for report in verify_dataset(path):
+            counts = {} if report.counts is None else report.counts.to_record()
+            yield {
+                "file": str(report.path),
+                "status": "ok" if report.clean else "damaged" if report.finished else "unfinished",
+                "samples": len(report.ids),
+                "messages": report.messages.total(),
+                "bytes": report.size,
+                "dropped": {topic: one["dropped"] for topic, one in counts.items() if one["dropped"]},
+                "lost": {topic: one["lost"] for topic, one in counts.items() if one["lost"]},
+                "faults": report.fault_lines(),
+            }
+    except ForetouchError as err:
+        yield {**empty, "status": "damaged", "faults": [str(err)]}
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    from foretouch.report.touch_figure import save_contact_sheet
+
+    require_writable(arguments.out)
+    samples = open_samples(arguments.source)
+    selected = list(_selected(samples, arguments))
+    if not selected:
+        raise FileError(arguments.source, "holds no sample to show")
+    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+    save_contact_sheet(arguments.out, selected, title)
+    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
+    return _print_result("drawn", record, as_json=arguments.json)
+
+
+def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[GraspSample]:
+    """The samples named by --id, or some evenly spaced over the dataset."""
+    if arguments.id:
+        missing = set(arguments.id)
+        for record in samples.records(discarded=True):
+            if record.sample.id in missing:
+                missing.discard(record.sample.id)
+                yield only_finite(record.sample)
+        if missing:
+            raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
+        return
+    count = min(arguments.count, len(samples))
+    for k in range(count):
+        yield only_finite(samples.record(k * len(samples) // count).sample)
+
+
+def _repair(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.recording import repair_dataset
+
+    rows = []
+    for path in arguments.paths:
+        for report in repair_dataset(path):
+            lost = [str(damage.error(report.path)) for damage in report.lost]
+            if arguments.json:
+                original = None if report.original is None else str(report.original)
+                counts = {"samples": report.samples, "messages": report.messages}
+                record = {"file": str(report.path), "changed": report.changed, **counts, "original": original}
+                print_json({"input": path, **record, "lost": lost})
+            for line in lost:
+                warn(f"{line}: not kept")
+            kept = report.original.name if report.original else ""
+            state = "repaired" if report.changed else "not damaged"
+            rows.append([str(report.path), state, str(report.samples), str(report.messages), kept])
+    if not arguments.json:
+        print_table("repaired", ["file", "state", "samples", "messages", "original"], rows)
+    return 0
+
+
+def _edit(arguments: argparse.Namespace) -> int:
+    """Apply one edit; without one, list the edits."""
+    from foretouch.dataset import editing
+    from foretouch.dataset.recording import RecordedDataset
+
+    path, ids = arguments.path, arguments.id
+    needs_ids = arguments.relabel is not None or arguments.drop
+    if needs_ids != bool(ids):
+        raise ConfigError("--relabel and --drop need --id" if needs_ids else "--id needs --relabel or --drop")
+    record: dict[str, Any] = {}
+    if arguments.relabel is not None:
+        record["edit"] = editing.relabel(path, ids, arguments.relabel)
+    elif arguments.drop:
+        record["edit"] = editing.drop(path, ids)
+    elif arguments.merge:
+        record["edit"] = editing.merge(path, *arguments.merge)
+    elif arguments.undo:
+        record["undone"] = editing.undo(path)
+    edits = RecordedDataset(path).edits.descriptions()
+    if arguments.json:
+        print_json({**record, "edits": edits})
+    else:
+        print_table("edits", ["number", "edit"], [text.split(": ", 1) for text in edits])
+    return 0
+
+
+def _build(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.store_writer import build_store
+    from foretouch.learning.data.splits import SPLITS_FILE, make_splits
+
+    with progress_bar("building", hidden=arguments.json, transient=True) as advance:
+        result = build_store(
+            arguments.sources,
+            arguments.out,
+            attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
+            progress=advance,
+        )
+    splits = json.loads(make_splits(result.samples, arguments.seed))
+    record = {
+        "out": str(arguments.out),
+        "samples": len(result.samples),
+        "labelled": sum(sample.labelled for sample in result.samples),
+        "left_out": dict(result.left_out),
+        "renumbered": result.renumbered,
+        "sha256": result.sha256,
+        "seed": splits["seed"],
+        "splits": {kind: [part["name"] for part in parts] for kind, parts in splits["splits"].items()},
+        "omitted": splits["omitted"],
+    }
+    return _print_result("built", record, as_json=arguments.json)
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.importing import BagTopics, import_samples
+
+    topics = BagTopics(
+        clouds=arguments.cloud_topic,
+        grasps=arguments.grasp_topic,
+        executed=arguments.executed_topic,
+        tactile=arguments.tactile_topic,
+        object=arguments.object,
+        fingers=arguments.fingers,
+        tactile_config=TactileConfig(thumb=arguments.thumb, middle=arguments.middle),
     )
-    parser.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
+    with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
+        result = import_samples(
+            arguments.source, arguments.out, identity=_identity(arguments), topics=topics, progress=advance
+        )
+    record = {
+        "out": str(arguments.out),
+        "samples": result.samples,
+        "labelled": result.labelled,
+        "left_out": {reason: count for reason, count in result.left_out.items() if count},
+    }
+    return _print_result("imported", record, as_json=arguments.json)
 
 
-def _add_edit(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", metavar="DS", help="recorded dataset; without an action, its edits are listed")
-    parser.add_argument(
-        "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
-    )
-    actions = parser.add_mutually_exclusive_group()
-    actions.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
-    actions.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
-    actions.add_argument("--merge", nargs=2, metavar=("LABEL", "INTO"), help="merge two objects into one")
-    actions.add_argument("--undo", action="store_true", help="undo the latest edit that is in force")
+def _identity(arguments: argparse.Namespace) -> Identity | None:
+    if not arguments.hand and not arguments.camera:
+        return None
+    hand, camera = (dict(_name_and_value(text) for text in texts) for texts in (arguments.hand, arguments.camera))
+    return Identity(hand=hand, camera=camera)
 
 
-_ACTIONS = {
-    "info": ("Print counts and ranges of a dataset", _add_info),
-    "verify": ("Verify the checksums of every byte", _add_verify),
-    "repair": ("Repair unfinished or damaged recordings, and keep the originals", _add_repair),
-    "edit": ("Relabel, drop or merge samples in a log beside the recordings; can be undone", _add_edit),
-    "build": ("Build a training store with splits", _add_build),
-    "import": ("Convert other datasets and ROS bags to a recorded dataset", _add_import),
-    "export": ("Write samples in another format", _add_export),
-    "show": ("Draw a contact sheet: clouds, contacts and electrode maps", _add_show),
-}
+def _name_and_value(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise ConfigError(f"{text}: is not NAME=VALUE")
+    return name, value
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
+        result = export_samples(arguments.source, arguments.out, arguments.format, advance)
+    record = {
+        "out": str(arguments.out),
+        "format": arguments.format,
+        "samples": result.written,
+        "left_out": dict(result.left_out),
+        "lost": {name: count for name, count in result.lost.items() if count},
+    }
+    return _print_result("exported", record, as_json=arguments.json)
+
+
+def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:
+    """Print a JSON object, or a table without empty values; exit status 0."""
+    if as_json:
+        print_json(record)
+        return 0
+    rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+    print_table(title, ["", "value"], rows)
+    return 0
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "; ".join(f"{name}: {_text(item)}" for name, item in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from foretouch.errors import ConfigError, FileError
 if TYPE_CHECKING:
     from foretouch.experiments import Experiment
     from foretouch.experiments.framework.executors import CellResult
+    from foretouch.experiments.framework.experiment import Row
     from foretouch.experiments.framework.sweep import SweepResult
 
 
@@ -69,27 +71,66 @@ def run(arguments: argparse.Namespace) -> int:
     from foretouch.experiments import find_experiment, list_experiments
 
     if arguments.name == "list":
-        return _list(list_experiments(), arguments.json)
-    experiment = find_experiment(arguments.name)
-    if arguments.out is None:
-        raise ConfigError("experiment: -o DIR is required")
-    if arguments.redraw:
-        return redraw(experiment, arguments)
-    return sweep(experiment, arguments)
+        experiments = list_experiments()
+        return print_list("experiments", {one.name: one for one in experiments}, as_json=arguments.json)
+    return run_experiment(find_experiment(arguments.name), arguments)
 
 
-def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
-    records = [{"name": one.name, "question": one.question, "presets": list(one.presets)} for one in experiments]
+def print_list(title: str, experiments: Mapping[str, Experiment[Any, Any]], *, as_json: bool) -> int:
+    """Print names, questions and presets of experiments; exit status 0."""
     if as_json:
-        for record in records:
-            print_json(record)
+        for name, one in experiments.items():
+            print_json({"name": name, "question": one.question, "presets": list(one.presets)})
     else:
-        rows = [[str(r["name"]), str(r["question"]), ", ".join(r["presets"])] for r in records]
-        print_table("experiments", ["name", "question", "presets"], rows)
+        rows = [[name, one.question, ", ".join(one.presets)] for name, one in experiments.items()]
+        print_table(title, ["name", "question", "presets"], rows)
     return 0
 
 
-def redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
+def run_experiment(
+    experiment: Experiment[Any, Any], arguments: argparse.Namespace, measure: Callable[..., Sequence[Row]] | None = None
+) -> int:
+    """Run, resume or redraw an experiment; the exit status is 1 if a cell failed.
+
+    Args:
+        experiment: To run.
+        arguments: As of `add_sweep_arguments`.
+        measure: Called in place of the sweep, with settings, output folder, path of the data and progress; returns rows.
+    """
+    from foretouch.experiments import run_sweep
+    from foretouch.experiments.framework.sweep import SweepResult
+
+    if arguments.out is None:
+        raise ConfigError(f"{arguments.command}: -o DIR is required")
+    if arguments.redraw:
+        return _redraw(experiment, arguments)
+    settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
+    source, folder = arguments.data, os.environ.get(ENVIRONMENT)
+    if source is None and folder and experiment.data_folder is not None:
+        source = Path(folder) / experiment.data_folder
+    with progress_bar("reading the data", hidden=arguments.json) as update:
+        times = partial(update, description="times")
+        if measure is not None:
+            return _show_result(
+                experiment, SweepResult(rows=list(measure(settings, arguments.out, source, times))), arguments
+            )
+        result = run_sweep(
+            experiment,
+            settings,
+            arguments.out,
+            preset=arguments.preset,
+            source=source,
+            resume=arguments.resume,
+            only_finished=arguments.finished,
+            workers=arguments.workers or len(os.sched_getaffinity(0)),
+            address=arguments.address,
+            progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
+            finishing=times,
+        )
+    return _show_result(experiment, result, arguments)
+
+
+def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
     """Write summary and figures of the table in a folder."""
     from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment
 
@@ -115,33 +156,7 @@ def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], ou
     return [path.name for path in experiment.draw(rows, out)]
 
 
-def sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
-    """Run or resume a sweep; the exit status is 1 if a cell failed."""
-    from foretouch.experiments import run_sweep
-
-    settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
-    with progress_bar("reading the data", hidden=arguments.json) as update:
-
-        def show(result: CellResult, done: int, total: int) -> None:
-            update(done, total, result.cell.key)
-
-        result = run_sweep(
-            experiment,
-            settings,
-            arguments.out,
-            preset=arguments.preset,
-            source=data_source(experiment, arguments.data),
-            resume=arguments.resume,
-            only_finished=arguments.finished,
-            workers=arguments.workers or len(os.sched_getaffinity(0)),
-            address=arguments.address,
-            progress=_print_cell if arguments.json else show,
-            finishing=lambda done, total: update(done, total, "times"),
-        )
-    return show_result(experiment, result, arguments)
-
-
-def show_result(experiment: Experiment[Any, Any], result: SweepResult, arguments: argparse.Namespace) -> int:
+def _show_result(experiment: Experiment[Any, Any], result: SweepResult, arguments: argparse.Namespace) -> int:
     """Write summary and figures of a sweep and print its result; the exit status is 1 if a cell failed."""
     summary = {
         "status": "failed" if result.failures else "done",
@@ -163,14 +178,6 @@ def show_result(experiment: Experiment[Any, Any], result: SweepResult, arguments
     for key, error in result.failures.items():
         warn(f"{key}: {error}")
     return 1 if result.failures else 0
-
-
-def data_source(experiment: Experiment[Any, Any], given: Path | None) -> Path | None:
-    """The given path of the data, else the folder of the experiment in the environment; None for neither."""
-    folder = os.environ.get(ENVIRONMENT)
-    if given is None and folder and experiment.data_folder is not None:
-        return Path(folder) / experiment.data_folder
-    return given
 
 
 def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summary: dict[str, Any]) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.answers import grasp_record
@@ -13,6 +16,7 @@ from foretouch.cli.output import print_table
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
+    from foretouch.pipeline import Pipeline
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,33 +35,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or has no grasp."""
-    import numpy as np
-
     from foretouch.pipeline import Pipeline
 
     options = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     changes = {key: value for key, value in options.items() if value is not None}
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
+    return inputs.process_inputs(arguments, partial(_plan, arguments, pipeline, rng), _show)
 
-    def process(item: SourceItem) -> Iterator[inputs.Record]:
-        for one in inputs.target_objects(item, arguments, pipeline):
-            plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
-            yield {
-                "object": one.id,
-                "status": plan.status,
-                "reason": plan.reason,
-                "plane": one.plane.coefficients,
-                "grasps": [grasp_record(grasp) for grasp in plan.grasps],
-                "initial_points": plan.initial_points,
-                "axis": plan.axis,
-                "centroid": plan.centroid,
-                "counts": plan.counts,
-                "ms": plan.ms,
-                "failed": not plan.grasps,
-            }
 
-    return inputs.process_inputs(arguments, process, _show)
+def _plan(
+    arguments: argparse.Namespace, pipeline: Pipeline, rng: np.random.Generator | None, item: SourceItem
+) -> Iterator[inputs.Record]:
+    for one in inputs.target_objects(item, arguments, pipeline):
+        plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
+        yield {
+            "object": one.id,
+            "status": plan.status,
+            "reason": plan.reason,
+            "plane": one.plane.coefficients,
+            "grasps": [grasp_record(grasp) for grasp in plan.grasps],
+            "initial_points": plan.initial_points,
+            "axis": plan.axis,
+            "centroid": plan.centroid,
+            "counts": plan.counts,
+            "ms": plan.ms,
+            "failed": not plan.grasps,
+        }
 
 
 def _show(record: dict[str, Any]) -> None:

@@ -6,17 +6,17 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.output import print_json, warn
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import CloudError, ForetouchError
+from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-    from foretouch.types import Cloud
-
 
 Record = dict[str, Any]
 
@@ -74,34 +74,20 @@ def positive_number(text: str, minimum: int = 1) -> int:
     return value
 
 
-def seed_number(text: str) -> int:
-    """A whole number of 0 or more for argparse."""
-    return positive_number(text, 0)
+seed_number = partial(positive_number, minimum=0)
+"""A whole number of 0 or more for argparse."""
 
 
-def positive_value(text: str) -> float:
+def positive_value(text: str, *, or_zero: bool = False) -> float:
     """A finite number above 0 for argparse, such as a rate or a time."""
-    value = _finite(text)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
-
-
-def waiting_time(text: str) -> float:
-    """A finite number of 0 or more for argparse [s]."""
-    value = _finite(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is not 0 or more")
-    return value
-
-
-def _finite(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    if value < 0.0 or (value == 0.0 and not or_zero):
+        raise argparse.ArgumentTypeError(f"{text} is not {'0 or more' if or_zero else 'above 0'}")
     return value
 
 
@@ -117,12 +103,11 @@ def pipeline_config(
     """
     from foretouch.pipeline import PipelineConfig
 
-    settings: dict[str, Any] = load_yaml(arguments.config) if arguments.config else {}
-    config = PipelineConfig().updated(defaults or {}).updated(settings, arguments.config or "")
+    config = PipelineConfig().updated(defaults or {})
+    if arguments.config:
+        config = config.updated(load_yaml(arguments.config), arguments.config)
     target = {"target.mode": arguments.target} if getattr(arguments, "target", None) else {}
-    for source, layer in (("--set", parse_overrides(arguments.set)), ("options", {**target, **(changes or {})})):
-        config = config.updated(layer, source)
-    return config
+    return config.updated(parse_overrides(arguments.set), "--set").updated(target | (changes or {}), "options")
 
 
 def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
@@ -150,7 +135,6 @@ def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
 def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
     """A cloud as one object, on --plane or on an assumed table."""
     from foretouch.pipeline import FoundObject
-    from foretouch.types import ASSUMED_TABLE, Plane
 
     table = ASSUMED_TABLE if arguments.plane is None else Plane.from_coefficients(arguments.plane)
     return FoundObject("1", cloud, table)
@@ -173,29 +157,35 @@ def process_inputs(
         process: Yields the records of one cloud; a record with `failed` set counts as a failure.
         show: Prints a record without --json.
     """
+    failed = False
+    for path in arguments.inputs:
+        for name, result in _results(path, arguments.topic, process):
+            if isinstance(result, ForetouchError):
+                failed = True
+                if arguments.json:
+                    print_json({"input": name, "status": "refused", "reason": str(result)})
+                warn(error_line(name, result))
+            else:
+                failed |= result.pop("failed", False)
+                (print_json if arguments.json else show)({"input": name, **result})
+    return int(failed)
+
+
+def _results(
+    path: str, topic: str | None, process: Callable[[SourceItem], Iterator[Record]]
+) -> Iterator[tuple[str, Record | ForetouchError]]:
+    """The records of each cloud, or why it was refused."""
     from foretouch.dataset.source import open_source
 
-    failed = False
-
-    def refuse(name: str, err: ForetouchError) -> None:
-        nonlocal failed
-        failed = True
-        if arguments.json:
-            print_json({"input": name, "status": "refused", "reason": str(err)})
-        warn(error_line(name, err))
-
-    for path in arguments.inputs:
-        try:
-            for item in open_source(path, topic=arguments.topic):
-                try:
-                    for record in process(item):
-                        failed |= record.pop("failed", False)
-                        (print_json if arguments.json else show)({"input": item.name, **record})
-                except ForetouchError as err:
-                    refuse(item.name, err)
-        except ForetouchError as err:
-            refuse(path, err)
-    return int(failed)
+    try:
+        for item in open_source(path, topic=topic):
+            try:
+                for record in process(item):
+                    yield item.name, record
+            except ForetouchError as err:
+                yield item.name, err
+    except ForetouchError as err:
+        yield path, err
 
 
 def error_line(name: str, err: ForetouchError) -> str:

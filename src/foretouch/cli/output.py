@@ -7,14 +7,11 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.errors import ForetouchError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 def print_json(record: Mapping[str, Any]) -> None:
@@ -24,32 +21,21 @@ def print_json(record: Mapping[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def terminal(*, stderr: bool = False) -> Console:
-    """The terminal, or what stands in for it, as rich draws on it; a closed pipe raises as it does for `print`."""
-    from rich.console import Console
-
-    class Terminal(Console):
-        def on_broken_pipe(self) -> None:
-            raise  # noqa: PLE0704  rich calls this from the handler
-
-    return Terminal(stderr=stderr)
-
-
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a title and, if there are rows, a table; the caller formats numbers and units."""
-    from foretouch.cli.tables import FittedTable
+    from foretouch.cli.screen import FittedTable, terminal
 
-    console = terminal()
-    # In a pipe, a line stays a line; on a terminal, it is folded between words.
-    console.print(title, style="bold", highlight=False, markup=False, soft_wrap=not console.is_terminal)
+    print_text(title, "bold")
     if rows:
-        console.print(FittedTable(columns, rows))
+        terminal().print(FittedTable(columns, rows))
 
 
-def print_text(text: str) -> None:
-    """Print a paragraph, folded between words on a terminal."""
+def print_text(text: str, style: str = "") -> None:
+    """Print a paragraph, folded between words on a terminal; in a pipe, a line stays a line."""
+    from foretouch.cli.screen import terminal
+
     console = terminal()
-    console.print(text, highlight=False, markup=False, soft_wrap=not console.is_terminal)
+    console.print(text, style=style, highlight=False, markup=False, soft_wrap=not console.is_terminal)
 
 
 def announce(wait: str) -> None:
@@ -78,6 +64,8 @@ def progress_bar(
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
+    from foretouch.cli.screen import terminal
+
     console = terminal(stderr=True)
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), "{task.description}")
     with Progress(*columns, console=console, disable=hidden or not console.is_terminal) as bar:
@@ -105,12 +93,8 @@ def _plain(value: Any) -> Any:
     """Convert arrays, mappings and numbers to JSON types."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not np.isfinite(value) else value

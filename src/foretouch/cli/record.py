@@ -6,81 +6,75 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
 from os.path import commonpath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import RenderableType
 from rich.text import Text
 
 from foretouch.cli.inputs import add_options, positive_number, positive_value
-from foretouch.cli.output import announce, print_json, terminal, warn
+from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
-from foretouch.cli.screen import FittedPanel, can_draw, draw_until
-from foretouch.cli.tables import FittedTable
+from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
+from foretouch.ros.graph import Graph
+from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, stamp_ns
 from foretouch.topics import TACTILE_TOPIC
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _GB = 1e9
-_REFRESH_S = 0.25
 _REPORT_S = 1.0  # between two lines of --json
 
 
 def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance."""
     parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status)]
-    if status.reason:
-        parts.append(Text(status.reason, "red"))
+    parts += [Text(status.reason, "red")] * bool(status.reason)
     parts.append(_topics(status.topics))
     for one in status.topics:
-        if one.drop_counts:
-            found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
-            parts.append(Text(f"{one.topic} dropped {found}"))
+        found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
+        parts += [Text(f"{one.topic} dropped {found}")] * bool(found)
     return FittedPanel(parts, title)
 
 
 def _samples(status: RecorderStatus) -> Text:
-    minutes, seconds = divmod(status.duration.sec, 60)
-    text = Text(f"{minutes}:{seconds:02d}  ", "bold" if status.recording else "dim")
-    text.append(f"{status.samples} samples", "bold green" if status.samples else "bold")
-    text.append(f" + {status.unlabelled} without touch")
-    if status.samples and status.duration.sec:
-        text.append(f", {60.0 * status.samples / status.duration.sec:.1f} a minute")
-    if status.last_sample:
-        text.append(f"; last {status.last_sample}")
-    left_s = status.disk_left
-    disk = (
-        f"disk full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "disk: -" if math.isinf(left_s) else "disk: weeks"
+    (minutes, seconds), left_s = divmod(status.duration.sec, 60), status.disk_left
+    left = f"full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "-" if math.isinf(left_s) else "weeks"
+    return Text.assemble(
+        (f"{minutes}:{seconds:02d}  ", "bold" if status.recording else "dim"),
+        (f"{status.samples} samples", "bold green" if status.samples else "bold"),
+        f" + {status.unlabelled} without touch",
+        f", {60.0 * status.samples / status.duration.sec:.1f} a minute"
+        if status.samples and status.duration.sec
+        else "",
+        f"; last {status.last_sample}" if status.last_sample else "",
+        f"  {status.bytes_written / _GB:.3f} GB, disk{':' * (left_s >= 1e6)} {left}",
     )
-    text.append(f"  {status.bytes_written / _GB:.3f} GB, {disk}")
-    return text
 
 
 def _grasps(status: RecorderStatus) -> Text:
-    text = Text("grasps executed: ")
-    pairs = list(zip(status.outcomes, status.outcome_counts, strict=True))
-    for name, count in pairs:
-        text.append(f"{count} {name.replace('_', ' ')}  ", "green" if name == "recorded" else "yellow")
-    if not pairs:
-        text.append("none yet  ", "dim")
-    if not math.isnan(status.pairing_error):
-        text.append(f"pairing error {1e3 * status.pairing_error:.0f} ms, at most {1e3 * status.pairing_error_max:.0f}")
-    return text
+    counts = [
+        (f"{count} {name.replace('_', ' ')}  ", "green" if name == "recorded" else "yellow")
+        for name, count in zip(status.outcomes, status.outcome_counts, strict=True)
+    ]
+    error, most = 1e3 * status.pairing_error, 1e3 * status.pairing_error_max
+    error_text = "" if math.isnan(error) else f"pairing error {error:.0f} ms, at most {most:.0f}"
+    return Text.assemble("grasps executed: ", *(counts or [("none yet  ", "dim")]), error_text)
 
 
 def _sensors(status: RecorderStatus) -> Text:
-    text = Text("sensors: ")
-    for name, state in zip(status.sensors, status.sensor_states, strict=True):
-        text.append(f"{name} {state}  ", "green" if state == "alive" else "red")
-    return text
+    states = zip(status.sensors, status.sensor_states, strict=True)
+    return Text.assemble(
+        "sensors: ", *((f"{name} {state}  ", "green" if state == "alive" else "red") for name, state in states)
+    )
 
 
 def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
@@ -133,14 +127,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Record; exit status 1 if the recording did not start, or ended by itself."""
-    from foretouch.ros.graph import Graph
-    from foretouch.ros.nodes.recorder import RecorderNode
-
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     announce("starting the recorder")
     with graph:
-        node = graph.nodes["recorder"]
-        if not isinstance(node, RecorderNode) or node.state_name != "active":
+        node = cast("RecorderNode", graph.nodes["recorder"])
+        if node.state_name != "active":
             raise ForetouchError("the recorder did not start; see its log")
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
@@ -148,7 +139,14 @@ def run(arguments: argparse.Namespace) -> int:
         with uninterrupted():
             node.end()
         report_conflicts(graph)
-        return _finish(node.status(), arguments)
+        status = node.status()
+        if arguments.json:
+            print_json(_status_record(status))
+        else:
+            terminal().print(record_panel(status, f"foretouch record: {status.path}"))
+        if status.reason:
+            warn(status.reason)
+        return int(bool(status.reason))
 
 
 def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -172,39 +170,29 @@ def _identity(what: str, given: str | None) -> dict[str, str | None]:
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     """Show the state until enough is recorded, the recording has ended by itself, or Ctrl-C."""
-    end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
-
-    def ended() -> bool:
-        enough = arguments.samples is not None and node.session_status().samples >= arguments.samples
-        return enough or not node.recording or (end is not None and time.monotonic() >= end)
-
-    try:
-        if not arguments.json and can_draw():
-            draw_until(ended, lambda: record_panel(node.status(), "foretouch record (Ctrl-C ends it)"), _REFRESH_S)
-        printed = -math.inf
-        while not ended():
-            if arguments.json and time.monotonic() - printed >= _REPORT_S:
-                printed = time.monotonic()
-                print_json(_status_record(node.status()))
-            time.sleep(_REFRESH_S)
-    except KeyboardInterrupt:
-        pass
+    end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
+    samples = math.inf if arguments.samples is None else arguments.samples
+    draw = None if arguments.json else partial(_panel, node)
+    with suppress(KeyboardInterrupt):
+        _print_status(node, arguments)
+        watch(partial(_ended, node, samples, end), draw, partial(_print_status, node, arguments), _REPORT_S)
 
 
-def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
+def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
+    return not node.recording or time.monotonic() >= end_s or node.session_status().samples >= samples
+
+
+def _panel(node: RecorderNode) -> FittedPanel:
+    return record_panel(node.status(), "foretouch record (Ctrl-C ends it)")
+
+
+def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:
     if arguments.json:
-        print_json(_status_record(status))
-    else:
-        terminal().print(record_panel(status, f"foretouch record: {status.path}"))
-    if status.reason:
-        warn(status.reason)
-    return 1 if status.reason else 0
+        print_json(_status_record(node.status()))
 
 
 def _status_record(status: RecorderStatus) -> dict[str, Any]:
     """The status as `--json` prints it."""
-    from foretouch.tactile.messages.table import stamp_ns
-
     errors = {"last": status.pairing_error, "max": status.pairing_error_max}
     return {
         "recording": status.recording,

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import add_input_arguments, pipeline_config, process_inputs
@@ -13,6 +16,7 @@ from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
+    from foretouch.cloud.segmentation.segment import SegmentationConfig
     from foretouch.dataset.source import SourceItem
 
 
@@ -29,41 +33,40 @@ def run(arguments: argparse.Namespace) -> int:
         if len(arguments.inputs) > 1:
             raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
         require_writable(arguments.labels_out)
-    config = pipeline_config(arguments).segmentation
-
-    def process(item: SourceItem) -> Iterator[dict[str, Any]]:
-        import numpy as np
-
-        from foretouch.cloud.segmentation.segment import segment
-
-        found = segment(item.cloud, config)
-        if arguments.labels_out:
-            np.save(arguments.labels_out, found.labels, allow_pickle=False)
-        yield {
-            "status": found.status,
-            "reason": found.reason,
-            "plane": None if found.plane is None else found.plane.coefficients,
-            "objects": [
-                {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
-                for one in found.objects
-            ],
-            "counts": found.counts,
-            "ms": found.ms,
-            "failed": found.status != "ok",
-        }
-
+    process = partial(_segment, config=pipeline_config(arguments).segmentation, labels_out=arguments.labels_out)
     return process_inputs(arguments, process, _show)
+
+
+def _segment(item: SourceItem, config: SegmentationConfig, labels_out: str | None) -> Iterator[dict[str, Any]]:
+    from foretouch.cloud.segmentation.segment import segment
+
+    found = segment(item.cloud, config)
+    if labels_out:
+        np.save(labels_out, found.labels, allow_pickle=False)
+    yield {
+        "status": found.status,
+        "reason": found.reason,
+        "plane": None if found.plane is None else found.plane.coefficients,
+        "objects": [
+            {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
+            for one in found.objects
+        ],
+        "counts": found.counts,
+        "ms": found.ms,
+        "failed": found.status != "ok",
+    }
 
 
 def _show(record: dict[str, Any]) -> None:
     rows = [
-        [str(one["id"]), str(one["n_points"]), " ".join(f"{v:.3f}" for v in one["centroid"]), _extent_mm(one["bounds"])]
+        [
+            str(one["id"]),
+            str(one["n_points"]),
+            " ".join(f"{v:.3f}" for v in one["centroid"]),
+            " x ".join(f"{1e3 * v:.0f}" for v in np.ptp(one["bounds"], axis=0)),
+        ]
         for one in record["objects"]
     ]
     state = " ".join(filter(None, (record["status"], record["reason"])))
     title = f"{record['input']}: {state} ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)
-
-
-def _extent_mm(bounds: Any) -> str:
-    return " x ".join(f"{1e3 * (high - low):.0f}" for low, high in zip(*bounds, strict=True))

@@ -4,15 +4,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from functools import partial
 
-from foretouch.cli.experiment import add_sweep_arguments, data_source, redraw, show_result, sweep
+from foretouch.cli.experiment import add_sweep_arguments, print_list, run_experiment
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
-from foretouch.config import parse_overrides
-from foretouch.errors import ConfigError
-
-if TYPE_CHECKING:
-    from foretouch.experiments.framework.tradeoff import Area
 
 _PROFILE_S = 30.0
 
@@ -33,38 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a skill could not be measured."""
-    from foretouch.experiments.framework.tradeoff import find_area, list_areas
+    from foretouch.experiments.framework.tradeoff import find_area, list_areas, measure_times
 
     if arguments.area == "list":
-        return _list(list_areas(), as_json=arguments.json)
+        return print_list("areas", {area.area: area for area in list_areas()}, as_json=arguments.json)
     if arguments.area == "profile":
         return _profile(arguments)
     area = find_area(arguments.area)
-    if arguments.out is None:
-        raise ConfigError("tradeoff: -o DIR is required")
-    if arguments.redraw:
-        return redraw(area, arguments)
-    return _times(area, arguments) if arguments.times else sweep(area, arguments)
-
-
-def _list(areas: list[Area[Any, Any]], *, as_json: bool) -> int:
-    if as_json:
-        for area in areas:
-            print_json({"name": area.area, "question": area.question, "presets": list(area.presets)})
-    else:
-        print_table("areas", ["name", "question"], [[area.area, area.question] for area in areas])
-    return 0
-
-
-def _times(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
-    from foretouch.experiments.framework.sweep import SweepResult
-    from foretouch.experiments.framework.tradeoff import measure_times
-
-    settings = area.resolve(arguments.preset, parse_overrides(arguments.overrides))
-    with progress_bar("reading the data", hidden=arguments.json) as update:
-        source = data_source(area, arguments.data)
-        rows = measure_times(area, settings, arguments.out, source, lambda done, total: update(done, total, "times"))
-    return show_result(area, SweepResult(rows=rows), arguments)
+    return run_experiment(area, arguments, partial(measure_times, area) if arguments.times else None)
 
 
 def _profile(arguments: argparse.Namespace) -> int:

@@ -10,20 +10,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.checked_files import require_existing
 from foretouch.cli import inputs
-from foretouch.cli.adaptation import add_adaptation_arguments, read_adaptation
-from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, model_name, prediction_from_record, read_answers
+from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation
+from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
+from foretouch.dataset.record import DISCARDED, SampleRecord
+from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import ForetouchError
+from foretouch.types import Cloud, Grasp, GraspSample
 
 if TYPE_CHECKING:
-    from foretouch.cli.adaptation import Adaptation
-    from foretouch.dataset.record import SampleRecord
     from foretouch.dataset.source import SourceItem
-    from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.pipeline import FoundObject
     from foretouch.report.rerun_view import ViewStep
-    from foretouch.types import Cloud, Grasp, GraspSample
-
 
 _CANDIDATES = 10  # grasps that are planned on each cloud
 
@@ -50,18 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud could not be read."""
-    from foretouch.checked_files import require_existing
     from foretouch.report.rerun_view import write_view
     from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 
     path = require_existing(arguments.path)
     steps = _Steps(arguments)
-    answered = path.suffix in ANSWER_SUFFIXES and path.is_file()
-    made = steps.of_answers(path) if answered else steps.of_source(arguments.path)
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         file = arguments.save or Path(folder) / "view.rrd"
         with progress_bar("reading", arguments.count) as advance:
-            counted = (step for step in itertools.islice(made, arguments.count) if advance() is None)
+            counted = (step for step in itertools.islice(steps, arguments.count) if advance() is None)
             write_view(file, counted, f"foretouch view {path}")
         if arguments.screenshot:
             save_screenshot(file, arguments.screenshot)
@@ -81,12 +78,16 @@ class _Steps:
         changes = {"model": arguments.model} if arguments.model else {}
         self.failed = False  # whether an input could not be read
         self._arguments = arguments
-        self._pipeline: Pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": _CANDIDATES}))
+        self._pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": _CANDIDATES}))
         self._adaptation: Adaptation
 
-    def of_source(self, path: str) -> Iterator[ViewStep]:
+    def __iter__(self) -> Iterator[ViewStep]:
+        path = Path(self._arguments.path)
+        answered = path.suffix in ANSWER_SUFFIXES and path.is_file()
+        yield from self._of_answers(path) if answered else self._of_source(self._arguments.path)
+
+    def _of_source(self, path: str) -> Iterator[ViewStep]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
-        from foretouch.dataset.samples import is_sample_set
         from foretouch.dataset.source import open_source
 
         self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
@@ -102,19 +103,16 @@ class _Steps:
 
     def _of_samples(self, path: str) -> Iterator[ViewStep]:
         """The samples of a dataset that the operator has not discarded."""
-        from foretouch.dataset.record import DISCARDED
-        from foretouch.dataset.samples import open_samples
+        samples = open_samples(path, unfinished=True)
+        for k in range(len(samples)):
+            try:
+                record = samples.record(k)
+                if DISCARDED not in record.flags:
+                    yield self._of_sample(record)
+            except ForetouchError as err:
+                self._refuse(samples.name(k), err)
 
-        with open_samples(path, unfinished=True) as samples:
-            for k in range(len(samples)):
-                try:
-                    record = samples.record(k)
-                    if DISCARDED not in record.flags:
-                        yield self._of_sample(record)
-                except ForetouchError as err:
-                    self._refuse(samples.name(k), err)
-
-    def of_answers(self, path: Path) -> Iterator[ViewStep]:
+    def _of_answers(self, path: Path) -> Iterator[ViewStep]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""
         from foretouch.cloud.io.files import CLOUD_SUFFIXES
         from foretouch.dataset.source import open_source
@@ -195,7 +193,7 @@ class _Steps:
         shown: dict[str, Any] = {
             "name": str(record.get("sample") or record.get("input") or record.get("stamp_ns", "")),
             "stamp_ns": int(record.get("stamp_ns") or 0),
-            "model": model_name(record),
+            "model": str(model.get("name", "")) if isinstance(model := record.get("model"), dict) else "",
         }
         try:
             if item is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.cloud.geometry.pcl_filters import VoxelGrid, voxel_grid
+from foretouch.cloud.geometry.pcl_filters import VoxelGrid, mean_neighbour_distance, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.preprocessing import finite_points
@@ -25,6 +25,7 @@ class ObjectAxis:
     direction: Float64  # (3,) float64, unit length, sign fixed by the rule of `find_axis`
     centroid: Float64  # (3,) float64 [m], mean of the voxel points
     ratio: float  # middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis
+    side: int  # index of the coordinate whose extremes are the initial points: 0 for x, 1 for y, 2 for z
     grid: VoxelGrid  # the voxel grid from which both were computed
 
 
@@ -45,7 +46,8 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
     """
     if config.method == "stable":
         points = finite_points(cloud).in_canonical_order().downsampled(config)
-        frame = object_frame(weigh_points(points.xyz, points.neighbour_distance(config), config), plane)
+        distance = mean_neighbour_distance(points.xyz, config.neighbours)
+        frame = object_frame(weigh_points(points.xyz, distance, config), plane)
         return frame.axis, frame.centroid
     axis = find_axis(finite_points(cloud).downsampled(config).without_outliers(config), plane, config)
     return axis.direction, axis.centroid
@@ -77,11 +79,10 @@ def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
         direction = -direction
     if _is_flipped(direction, plane):
         direction = -direction
-    return ObjectAxis(direction, centroid, float(max(values[1], 0.0) / values[2]), grid)
+    return ObjectAxis(direction, centroid, float(max(values[1], 0.0) / values[2]), _side(direction, plane), grid)
 
 
-def side_coordinate(axis: Float64, plane: Plane) -> int:
-    """Index of the coordinate whose extremes are the initial points: 0 for x, 1 for y, 2 for z."""
+def _side(axis: Float64, plane: Plane) -> int:
     if abs(plane.normal[2]) > _TOP_VIEW:
         return 1 if abs(axis[0]) > 0.5 else 0
     upright = abs(float(axis @ plane.normal))

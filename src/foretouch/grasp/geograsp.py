@@ -17,31 +17,15 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
-from foretouch.cloud.geometry.pcl_filters import count_without_normal
+from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.errors import CloudError, GraspError
-from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.grasp.axis import find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
-from foretouch.grasp.ranking import (
-    ContactSide,
-    GraspPlane,
-    contact_radius,
-    contact_side,
-    find_grasp_plane,
-    initial_score,
-    rank_pairs,
-)
-from foretouch.grasp.stable import (
-    StableRanking,
-    in_order_of_sides,
-    mean_contacts,
-    object_frame,
-    soft_extremes,
-    stable_side,
-    weigh_points,
-)
+from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
+from foretouch.grasp.stable import StableRanking, object_frame, soft_extremes, stable_side, weigh_points
 from foretouch.timing import timed
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
 
@@ -104,7 +88,7 @@ def plan_grasps(
         plane: The table, in the cloud's frame.
         config: Settings; at most `config.count` grasps are returned.
         slide_m: Shift of the grasp plane along the object's axis [m] (variety as in P2).
-        rng: Draws `slide_m` from the object's extent instead; see `random_slide`.
+        rng: Draws `slide_m` from a part of the object's extent (`config.slide_fraction`) instead.
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
@@ -168,16 +152,11 @@ def _plan_original(
         if rng is not None:
             plan.slide_m = _random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
         centre = found.centroid + plan.slide_m * found.direction
-        side = side_coordinate(found.direction, plane)
-        grasp_plane = find_grasp_plane(xyz, centre, found.direction, side, config.slab_half_width_m)
+        grasp_plane = find_grasp_plane(xyz, centre, found.direction, found.side, config.slab_half_width_m)
         counts["n_plane"] = grasp_plane.n_points
         plan.initial_points = xyz[[grasp_plane.first, grasp_plane.second]].astype(np.float64)
     with timed(plan.ms, "candidates"):
-        radius = contact_radius(grasp_plane.width_m, config)
-        sides = (
-            contact_side(xyz, grasp_plane.first, radius, config),
-            contact_side(xyz, grasp_plane.second, radius, config),
-        )
+        sides = contact_sides(xyz, grasp_plane, config)
         counts["n_first"], counts["n_second"] = (side.n_points for side in sides)
         counts["n_fv"], counts["n_sv"] = (len(side.candidates.xyz) for side in sides)
     _best_grasps(plan, sides, grasp_plane, found.centroid, config.count)
@@ -224,7 +203,7 @@ def _plan_stable(
         downsampled = points.in_canonical_order().downsampled(config)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
-        weighted = weigh_points(downsampled.xyz, downsampled.neighbour_distance(config), config)
+        weighted = weigh_points(downsampled.xyz, mean_neighbour_distance(downsampled.xyz, config.neighbours), config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated
     with timed(plan.ms, "axis"):
@@ -244,15 +223,14 @@ def _plan_stable(
     with timed(plan.ms, "ranking"):
         ranking = StableRanking(weighted, (first, second), frame, plan.slide_m, config.normal_radius_m)
         pairs = ranking.pairs()
-        contacts = mean_contacts(weighted, (first, second), pairs)
-        score, passes = ranking.score(contacts)
+        score, passes = ranking.score(pairs.contacts)
         counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
     with timed(plan.ms, "pose"):
-        best = Grasp(contacts[0], contacts[1], hand_rotation(contacts[0], contacts[1], frame.axis), score)
+        g1, g2 = pairs.contacts
+        best = Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), score)
         if held is not None:
             last, margin = held
-            ends = in_order_of_sides(last.grasp.g1, last.grasp.g2, frame)
-            held_score, held_passes = ranking.score(ends, frame.axis_near(last.axis))
+            held_score, held_passes = ranking.score_held(last)
             best, plan.outdone = held_or_new(last, held_score, best, margin)
             passes = held_passes if best.g1 is last.grasp.g1 else passes
         others = []

@@ -5,17 +5,10 @@ import numpy as np
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
 from foretouch.errors import CloudError
-from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.grasp.axis import find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.preprocessing import finite_points
-from foretouch.grasp.ranking import (
-    SurfacePoints,
-    _ScaledSide,
-    _two_rankings,
-    contact_radius,
-    contact_side,
-    find_grasp_plane,
-)
+from foretouch.grasp.ranking import SurfacePoints, _ScaledSide, _two_rankings, contact_sides, find_grasp_plane
 from foretouch.types import Cloud, Float64, Plane
 
 _ROUND = 0.9  # middle over major eigenvalue, above which the axis is arbitrary
@@ -41,13 +34,10 @@ class OriginalScore:
         self._xyz = finite_points(cloud).downsampled(config).without_outliers(config)
         axis = find_axis(self._xyz, plane, config)
         self.has_axis = axis.ratio < _ROUND
-        self._plane = find_grasp_plane(
-            self._xyz, axis.centroid, axis.direction, side_coordinate(axis.direction, plane), config.slab_half_width_m
-        )
-        radius = contact_radius(self._plane.width_m, config)
+        self._plane = find_grasp_plane(self._xyz, axis.centroid, axis.direction, axis.side, config.slab_half_width_m)
         self._sides = [
-            _ScaledSide(contact_side(self._xyz, one, radius, config).candidates, self._plane, axis.centroid)
-            for one in (self._plane.first, self._plane.second)
+            _ScaledSide(side.candidates, self._plane, axis.centroid)
+            for side in contact_sides(self._xyz, self._plane, config)
         ]
 
     def __call__(self, pair: Float64) -> tuple[float, bool]:
@@ -55,7 +45,7 @@ class OriginalScore:
         across = self._xyz[self._plane.second] - self._xyz[self._plane.first]
         first, second = (pair if (pair[1] - pair[0]) @ across >= 0.0 else pair[::-1])[:, None]
         a, b = self._surface(first), self._surface(second)
-        (_, pd_a, k_a), (_, pd_b, k_b) = self._sides[0].scaled(a), self._sides[1].scaled(b)
+        (_, pd_a, k_a), (_, pd_b, k_b) = self._sides[0](a), self._sides[1](b)
         unit = (second - first) / np.linalg.norm(second - first)
         r1, r2 = _two_rankings(unit, self._plane.normal, (a.normal, b.normal), (pd_a, pd_b), (k_a, k_b))
         return float(1.5 * r1[0] + r2[0]), bool(r1[0] >= 1.0 and r2[0] >= 1.0)

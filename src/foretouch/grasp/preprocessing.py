@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
@@ -68,10 +68,6 @@ class FinitePoints:
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
         return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations)]
-
-    def neighbour_distance(self, config: GeoGraspConfig) -> Float32:
-        """(N,) float32 [m], the mean distance of each point to its nearest neighbours."""
-        return mean_neighbour_distance(self.xyz, config.neighbours)
 
 
 def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:

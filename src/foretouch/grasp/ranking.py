@@ -36,10 +36,6 @@ class GraspPlane:
     n_points: int  # number of points near the plane
     width_m: float  # distance of the initial points [m]
 
-    def distance(self, points: npt.NDArray[np.floating]) -> Float64:
-        """(N,) float64: distance of (N, 3) points from the plane [m], not negative."""
-        return np.asarray(np.abs((points - self.origin) @ self.normal), np.float64)
-
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
@@ -86,21 +82,20 @@ def find_grasp_plane(xyz: Float32, centre: Float64, axis: Float64, side: int, ha
     return GraspPlane(centre, axis, first, second, len(inside), width)
 
 
-def contact_radius(width_m: float, config: GeoGraspConfig) -> float:
+def contact_sides(xyz: Float32, plane: GraspPlane, config: GeoGraspConfig) -> tuple[ContactSide, ContactSide]:
+    """Contact candidates of (N, 3) filtered points [m]: the surface around each initial point, averaged in voxels."""
+    radius = _contact_radius(plane.width_m, config)
+    return _contact_side(xyz, plane.first, radius, config), _contact_side(xyz, plane.second, radius, config)
+
+
+def _contact_radius(width_m: float, config: GeoGraspConfig) -> float:
     """Radius around each initial point in which contacts are searched [m]; the two spheres do not overlap."""
     full = config.contact_radius_m
     return _OVERLAP_FRACTION * width_m if 2.0 * full >= width_m else full
 
 
-def contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspConfig) -> ContactSide:
-    """Contact candidates: the surface around one initial point, averaged in voxels.
-
-    Args:
-        xyz: (N, 3) float32 [m], the filtered cloud.
-        initial: Index of the initial point.
-        radius_m: Points strictly within are candidates [m].
-        config: Settings.
-    """
+def _contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspConfig) -> ContactSide:
+    """The candidates strictly within a radius of the point with the index `initial`."""
     x, y, z = np.ascontiguousarray(xyz.T) - xyz[initial, :, None]
     near = np.flatnonzero(x * x + y * y + z * z < np.float32(radius_m) * np.float32(radius_m))
     normal, curvature = normals_and_curvature(xyz, near, config.normal_radius_m)
@@ -141,15 +136,19 @@ class _ScaledSide:
         self._grasp_plane, self._centroid = grasp_plane, centroid
         self.limits = [_limits(values) for values in self._quantities(points)]
         self.xyz, self.normal = points.xyz, points.normal
-        self.cd, self.pd, self.k = self.scaled(points)
+        self.cd, self.pd, self.k = self(points)
 
-    def scaled(self, points: SurfacePoints) -> list[Float64]:
+    def __call__(self, points: SurfacePoints) -> list[Float64]:
         """cd, pd and k of any points, in the scales of this side."""
         pairs = zip(self._quantities(points), self.limits, strict=True)
         return [_scaled(values, low, high) for values, (low, high) in pairs]
 
     def _quantities(self, points: SurfacePoints) -> tuple[Float64, Float64, Float64]:
-        return _length(points.xyz - self._centroid), self._grasp_plane.distance(points.xyz), points.curvature
+        return _length(points.xyz - self._centroid), _plane_distance(points.xyz, self._grasp_plane), points.curvature
+
+
+def _plane_distance(xyz: Float64, plane: GraspPlane) -> Float64:
+    return np.asarray(np.abs((xyz - plane.origin) @ plane.normal), np.float64)
 
 
 def _limits(values: Float64) -> tuple[float, float]:
@@ -177,8 +176,8 @@ def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, 
     p1, p2 = (side.initial for side in sides)
     w = grasp_plane.width_m
     # No contact may be deeper in the object than its initial point, nor closer to the opposite one.
-    skip_a = (a.cd < a.scaled(p1)[0]) | (_length(a.xyz - p2.xyz[0]) < w)
-    skip_b = b.cd < _TOLERANCE * b.scaled(p2)[0]
+    skip_a = (a.cd < a(p1)[0]) | (_length(a.xyz - p2.xyz[0]) < w)
+    skip_b = b.cd < _TOLERANCE * b(p2)[0]
     skip_b |= _length(b.xyz - p1.xyz[0]) < _TOLERANCE * w
     apart = b.xyz[None] - a.xyz[:, None]
     distance = _length(apart)
@@ -223,8 +222,8 @@ def initial_score(
             return float("nan"), f"no score: the {name} initial point has fewer than 3 points around it and no normal"
         if not all(high - low > _EPSILON for low, high in side.limits[1:]):  # epsilon would determine the result
             return float("nan"), f"no score: the candidates of the {name} side do not differ ({len(side.xyz)} of them)"
-    _, pd1, k1 = first.scaled(p1)
-    _, pd2, k2 = second.scaled(p2)
+    _, pd1, k1 = first(p1)
+    _, pd2, k2 = second(p2)
     unit = (p2.xyz - p1.xyz) / grasp_plane.width_m
     r1, r2 = _two_rankings(unit, grasp_plane.normal, (p1.normal, p2.normal), (pd1, pd2), (k1, k2))
     return float(_FIRST_WEIGHT * r1[0] + r2[0]), ""

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.hold import HeldGrasp
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Plane
@@ -80,11 +81,6 @@ class ObjectFrame:
     ratio: float  # middle over major eigenvalue, 0 ... 1
     covariance: Float64  # (3, 3) float64 [m²], of the visible surface
 
-    def axis_near(self, other: Float64) -> Float64:
-        """(3,) float64: another direction, if it is as good an axis up to noise, else the frame's own axis."""
-        moments = [float(one @ self.covariance @ one) for one in (other, self.axis)]
-        return other if moments[0] >= (1.0 - _AXIS_NOISE) * moments[1] else self.axis
-
 
 @dataclass(frozen=True, eq=False)
 class StableSide:
@@ -101,9 +97,9 @@ class StableSide:
 class _StablePairs:
     """All pairs of candidates with their scores; row and column 0 are those of the initial points."""
 
-    weight: Float64  # (A, B) float64, sums to 1
     score: Float64  # (A, B) float64
     passes: npt.NDArray[np.bool_]  # (A, B) bool, both rankings reach their minimum
+    contacts: Float64  # (2, 3) float64 [m], the weighted mean of the pairs, each moved onto the surface near it
 
 
 def _smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Float64:
@@ -280,7 +276,7 @@ class StableRanking:
         ]
 
     def pairs(self) -> _StablePairs:
-        """Scores of all pairs of candidates, and the weights by which they are averaged."""
+        """Scores of all pairs of candidates, and the mean of the pairs."""
         a, b = self._sides
         width = _norm(b.xyz[0] - a.xyz[0])
         r1, r2 = self._rank(a.xyz, b.xyz, (a.normal, b.normal), (a.curvature, b.curvature))
@@ -295,7 +291,11 @@ class StableRanking:
         support[:, 0] *= _INITIAL_WEIGHT
         support[0, 0] = _INITIAL_WEIGHT
         weight = support * np.exp(np.clip((score - score[0, 0]) / _TEMPERATURE, -200.0, 200.0))
-        return _StablePairs(weight / weight.sum(), score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK))
+        weight /= weight.sum()
+        contacts = [
+            _onto_surface(self._points, one) for one in (weight.sum(axis=1) @ a.xyz, weight.sum(axis=0) @ b.xyz)
+        ]
+        return _StablePairs(score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK), np.stack(contacts))
 
     def score(self, contacts: Float64, axis: Float64 | None = None) -> tuple[float, bool]:
         """Score of any two contacts, and whether both rankings reach their minimum.
@@ -309,6 +309,14 @@ class StableRanking:
         r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]), axis)
         passes = r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK
         return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(passes)
+
+    def score_held(self, held: HeldGrasp) -> tuple[float, bool]:
+        """`score` of a grasp of an earlier cloud, for its own axis if that is as good a one up to noise."""
+        frame, first, second = self._frame, held.grasp.g1, held.grasp.g2
+        moments = [float(one @ frame.covariance @ one) for one in (held.axis, frame.axis)]
+        axis = held.axis if moments[0] >= (1.0 - _AXIS_NOISE) * moments[1] else frame.axis
+        ends = [first, second] if (second - first) @ frame.across >= 0.0 else [second, first]
+        return self.score(np.stack(ends), axis)
 
     def _rank(
         self,
@@ -351,17 +359,6 @@ def _keep(depth: Float64) -> Float64:
 
 def _norm(vectors: Float64) -> Float64:
     return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)
-
-
-def mean_contacts(points: WeightedPoints, sides: tuple[StableSide, StableSide], pairs: _StablePairs) -> Float64:
-    """(2, 3) float64 [m]: the weighted mean of the pairs, each contact moved onto the surface near it."""
-    contacts = (pairs.weight.sum(axis=1) @ sides[0].xyz, pairs.weight.sum(axis=0) @ sides[1].xyz)
-    return np.stack([_onto_surface(points, contact) for contact in contacts])
-
-
-def in_order_of_sides(g1: Float64, g2: Float64, frame: ObjectFrame) -> Float64:
-    """(2, 3) float64 [m]: two contacts, that on the first side first."""
-    return np.stack([g1, g2] if (g2 - g1) @ frame.across >= 0.0 else [g2, g1])
 
 
 def _onto_surface(points: WeightedPoints, place: Float64) -> Float64:

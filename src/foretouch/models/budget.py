@@ -123,7 +123,7 @@ def load_profile(
     *,
     seconds: float = 10.0,
     again: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], object] = lambda _: None,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Profile:
     """The kept profile of a model, or a new one where there is none, or it is of another machine, version or model.

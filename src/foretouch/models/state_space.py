@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear Gaussian model of what a reading differs from its prediction by, and its parameters.
 
-    reading - prediction by sight = slow state of the sensor + fast state + object + noise of the grasp        (1)
+    reading - prediction by vision = slow state of the sensor + fast state + object + noise of the grasp        (1)
 
 The two states are Ornstein-Uhlenbeck processes: they drift, and revert to zero over a time constant (days for the slow
 one, an hour for the fast one) [Uhlenbeck and Ornstein 1930]. The object's part is constant while the same object is

@@ -226,7 +226,7 @@ class TouchModel:
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS
     ) -> Estimate:
-        """Predictions by sight for grasps that were executed, which readings are compared with.
+        """Predictions by vision for grasps that were executed, which readings are compared with.
 
         Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
         """

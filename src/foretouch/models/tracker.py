@@ -2,7 +2,7 @@
 """Tracking of a sensor's state over readings of many objects, with intervals that stay calibrated while it drifts.
 
     tare ────────────► state ◄──┐
-    touch - sight ───► state + object ──► level ± deviation ──► prediction ± factor · deviation
+    touch - vision ──► state + object ──► level ± deviation ──► prediction ± factor · deviation
                                                                     factor ◄── did the interval contain the reading?
 
 Half widths are the predicted deviation times one factor per modality. Each touch adapts the factor by adaptive
@@ -71,7 +71,7 @@ _FINGER_MEANS: Final = _mean_rows(list(_VALUES_OF.values()))
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What readings differ by from predictions by sight, at one time."""
+    """What readings differ by from predictions by vision, at one time."""
 
     offset: Float64  # (50,) [counts]
     variance: Float64  # (50,) of the offset, without the noise of a grasp [counts²]
@@ -85,10 +85,10 @@ class SensorTracker:
 
     Every method that adds a reading takes its stamp on the wall clock, which goes on while the robot is off. Stamps may
     be up to 60 s out of order. Readings and predictions are vectors as of `Touch.vector()`; predictions are those by
-    sight, without a shift by a tare.
+    vision, without a shift by a tare.
 
     Args:
-        parameters: Of the model that predicts by sight.
+        parameters: Of the model that predicts by vision.
     """
 
     def __init__(self, parameters: TrackerParameters) -> None:
@@ -159,7 +159,7 @@ class SensorTracker:
         Args:
             stamp_ns: When it was taken [ns].
             reading: (50,) [counts].
-            expected: (50,) prediction by sight of the same grasp [counts].
+            expected: (50,) prediction by vision of the same grasp [counts].
             now_ns: As of `add_tare`.
 
         Returns:
@@ -204,7 +204,7 @@ class SensorTracker:
         self._revision += 1
 
     def level(self, stamp_ns: int, *, same_object: bool = True, known: bool = False) -> Level:
-        """Offset of readings from predictions by sight at a time; a stamp before the newest reading counts as that.
+        """Offset of readings from predictions by vision at a time; a stamp before the newest reading counts as that.
 
         Args:
             stamp_ns: Time of the prediction [ns].
@@ -240,12 +240,12 @@ class SensorTracker:
     ) -> tuple[Float64, Float64]:
         """Predictions adapted to all readings, and the half widths of their 90 % intervals.
 
-        After touches of the object, differences of the predictions by sight from their mean at the touches are
+        After touches of the object, differences of the predictions by vision from their mean at the touches are
         multiplied by `difference_shrinkage`.
 
         Args:
             stamp_ns: Time of the prediction [ns].
-            expected: (K, 50) predictions by sight [counts].
+            expected: (K, 50) predictions by vision [counts].
             same_object: As of `level`.
             known: As of `level`.
 

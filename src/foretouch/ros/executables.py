@@ -136,6 +136,6 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
 def _warn_of_unknown_parameters(nodes: Sequence[ForetouchNode[Any]]) -> None:
     """Warn of parameters that none of the nodes has: each is given to all nodes of the process."""
     for node in nodes:
-        for name in sorted(node.unknown_parameters()):
-            if not any(other.has_parameter(name) for other in nodes):
+        for name in sorted(getattr(node, "_parameter_overrides", {})):
+            if not (any(other.has_parameter(name) for other in nodes) or name.startswith("qos_overrides.")):
                 node.get_logger().warning(f"parameter {name}: unknown to {node.get_name()}; it has no effect")

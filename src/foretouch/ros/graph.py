@@ -99,11 +99,6 @@ class Graph:
         """The replay, if it is one of the nodes."""
         return cast("ReplayNode | None", self.nodes.get("replay"))
 
-    @property
-    def hand(self) -> HandNode | None:
-        """The simulated hand, if it is one of the nodes."""
-        return cast("HandNode | None", self.nodes.get("hand"))
-
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
         while True:
@@ -126,11 +121,12 @@ class Graph:
 
     def executed(self) -> dict[str, int]:
         """Grasps that the simulated hand has executed, by outcome."""
-        return {} if self.hand is None else dict(self.hand.executed)
+        hand = cast("HandNode | None", self.nodes.get("hand"))
+        return {} if hand is None else dict(hand.executed)
 
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
-        hand, end = self.hand, time.monotonic() + timeout_s
+        hand, end = cast("HandNode | None", self.nodes.get("hand")), time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
         while hand is not None and hand.busy:

@@ -5,9 +5,8 @@ The world has its origin on the table top, z up. The camera frame is the optical
 y down, z forward).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -28,9 +27,7 @@ class CameraView:
     R_world_camera: Float64  # (3, 3) float64, its axes as columns in the world
 
     @classmethod
-    def towards_table(
-        cls, width: int, height: int, distance_m: float, tilt_rad: float, hfov_deg: float = 65.0
-    ) -> CameraView:
+    def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float, hfov_deg: float = 65.0) -> Self:
         """A camera that looks at the origin of the world.
 
         Args:

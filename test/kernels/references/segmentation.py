@@ -128,7 +128,7 @@ def _drop_beside(xyz, chosen, rays, top: int, left: int, stride: int, width: int
         return np.zeros_like(chosen)
     rows, columns = top + stride * np.arange(xyz.shape[0])[:, None], left + stride * np.arange(xyz.shape[1])
     beside = rays.beside(xyz, rows, columns)
-    rays.record((rows * width + columns)[beside & chosen])
+    rays.dropped.append((rows * width + columns)[beside & chosen])
     chosen &= ~beside
     return beside
 

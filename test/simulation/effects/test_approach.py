@@ -4,7 +4,7 @@ import pytest
 from sim_builders import CAN, run, scene, unit
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.finger_contact import finger_frames
+from foretouch.simulation.effects.grasp import _finger_frames
 
 BALL = {"name": "ball", "shape": "ball", "size_m": [0.08, 0.08, 0.08]}
 MET = ("fingers", "touches", "pads", "postures", "bodies", "relief", "grasp")
@@ -13,7 +13,7 @@ MET = ("fingers", "touches", "pads", "postures", "bodies", "relief", "grasp")
 def test_fingers_close_towards_each_other_and_point_down() -> None:
     g1, g2 = np.array([0.0, 0.03, 0.05]), np.array([0.0, -0.03, 0.05])
     hand = np.column_stack([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])  # X up, Y along, Z = g1 - g2
-    thumb, middle = finger_frames(g1, g2, hand, np.array([0.0, 0.0, 1.0]))
+    thumb, middle = _finger_frames(g1, g2, hand, np.array([0.0, 0.0, 1.0]))
     np.testing.assert_array_equal(thumb.normal, [0.0, -1.0, 0.0])
     np.testing.assert_array_equal(middle.normal, [0.0, 1.0, 0.0])
     for finger in (thumb, middle):

@@ -138,7 +138,7 @@ def label_organised(
         raise MemoryError("grid_patches")
     if found[1] and rays is not None:
         rows, columns = np.nonzero(patches < 0)
-        rays.record(stride * (rows * image[1] + columns))
+        rays.dropped.append(stride * (rows * image[1] + columns))
     spans = boxes[: found[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
     spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
     low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
@@ -159,7 +159,7 @@ def label_organised(
         windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
     if any_beside and rays is not None:
         rows, columns = np.nonzero(marks & 2)
-        rays.record((rows + low[0]) * image[1] + columns + low[2])
+        rays.dropped.append((rows + low[0]) * image[1] + columns + low[2])
     return windows
 
 

@@ -55,6 +55,7 @@ class RayFilter:
 
     Attributes:
         off_sample: (n,) bool, points of the sample that are beside their ray.
+        dropped: Flat indices of dropped points in the image, to be appended to; a point counts once.
         reason: Why the image as a whole is not usable; "" if it is.
         numbers: (7,) the largest deviation, and for x/z and y/z: at the first pixel, per column, per row.
     """
@@ -66,7 +67,7 @@ class RayFilter:
         slopes = rays.T.copy()
         slopes[:, 1:][np.abs(slopes[:, 1:]) <= _NO_SLOPE] = 0.0
         self.numbers = [float(np.float32(_DEVIATION)), *slopes.ravel().tolist()]
-        self._dropped: list[Index] = []
+        self.dropped: list[Index] = []
         self.off_sample = self.beside(sample, rows, columns)
         self.reason = ""
         share = np.count_nonzero(self.off_sample) / max(len(rows), 1)
@@ -90,15 +91,11 @@ class RayFilter:
                 apart.append(np.abs(xyz[..., axis] - tangent * z))
             return np.asarray((np.maximum(*apart) > z * np.float32(deviation)) & (z > 0.0), np.bool_)
 
-    def record(self, pixels: Index) -> None:
-        """Count dropped points by their flat index in the image; each counts once."""
-        self._dropped.append(pixels)
-
     def count_dropped(self, xyz: Float32) -> int:
         """Number of dropped points of the image (H, W, 3) with three finite coordinates."""
-        if not self._dropped:
+        if not self.dropped:
             return 0
-        pixels = np.unique(np.concatenate(self._dropped))
+        pixels = np.unique(np.concatenate(self.dropped))
         return int(np.count_nonzero(finite_rows(xyz.reshape(-1, 3)[pixels])))
 
 

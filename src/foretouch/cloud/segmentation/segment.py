@@ -178,7 +178,7 @@ def _rays(
     """The rays of an image, from points of a coarse one by their flat indices in it."""
     rows, columns = (stride * one for one in np.divmod(index, across))
     rays = RayFilter(sample, rows, columns, config)
-    rays.record((rows * width + columns)[rays.off_sample])
+    rays.dropped.append((rows * width + columns)[rays.off_sample])
     return rays
 
 

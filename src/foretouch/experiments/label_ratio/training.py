@@ -230,7 +230,7 @@ class PointnetTrainer(SrganTrainer):
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         freeze(self.net)
         for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
-            scaled = self.net(self._points(batch), self._grasps(batch))
+            scaled = self.net(self._clouds(batch), self._grasps(batch))
             error = scaled - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
             self.require_finite({"labeled": loss}, number, batch, error)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of recorded readings: each grasp is predicted from sight and all earlier readings [Dawid 1984].
+"""Replay of recorded readings: each grasp is predicted from vision and all earlier readings [Dawid 1984].
 
 This is what a robot at work sees. The tracker learns of another object wherever the name of the object changes, also
 where an object returns: what was learned about it before is forgotten.
@@ -39,12 +39,12 @@ CLOCK_S: Final = 86400.0
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Readings of one hand in order of time, and predictions by sight that do not know them."""
+    """Readings of one hand in order of time, and predictions by vision that do not know them."""
 
     stamps_ns: npt.NDArray[np.int64]  # (S,) [ns], not decreasing
     objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
     readings: Float64  # (S, 50) [counts]
-    expected: Float64  # (S, 50) predictions by sight, at the rest level of training [counts]
+    expected: Float64  # (S, 50) predictions by vision, at the rest level of training [counts]
     tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
     known: npt.NDArray[np.bool_] | None = None  # (S,) whether the object is like those of training; None if none is
 
@@ -57,7 +57,7 @@ class Recording:
         rest: Float64,
         known: npt.NDArray[np.bool_] | None = None,
     ) -> Self:
-        """From samples with their (S, 50) labels, and (S, 50) predictions by sight at a (50,) rest level [counts]."""
+        """From samples with their (S, 50) labels, and (S, 50) predictions by vision at a (50,) rest level [counts]."""
         tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
@@ -151,7 +151,7 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
     """Predictions of grasps on one object after touches of it, as `TouchModel.predict` makes them.
 
     Args:
-        calibration: Of the model that predicts by sight.
+        calibration: Of the model that predicts by vision.
         touched: Touches in order of time, none or more, with their tares.
         asked: The grasps, each with its own tare; their readings are not used.
 
@@ -184,7 +184,7 @@ def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
     """(S, 50) predictions by name that know labels and times only [counts].
 
     Args:
-        recording: Its predictions by sight are not used.
+        recording: Its predictions by vision are not used.
         reference: (S, 50) prediction where nothing was read before [counts].
 
     Returns:
@@ -237,7 +237,7 @@ class ModelReplay:
 
 
 def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()) -> ModelReplay:
-    """Predict each sample by a model from sight and all that was read before it.
+    """Predict each sample by a model from vision and all that was read before it.
 
     Args:
         model: With a calibration.
@@ -275,7 +275,7 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
 def evaluate_prequential(
     model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()
 ) -> dict[str, Any]:
-    """Scores over touches of the object: tracker, memory that ends with the object, sight alone, baselines without a cloud.
+    """Scores over touches of the object: tracker, memory that ends with the object, vision alone, baselines without a cloud.
 
     Args:
         model: With a calibration.

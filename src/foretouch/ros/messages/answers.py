@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import grasp_numbers
-from foretouch.ros.messages.conversions import evidence_fields, prediction_to_msg, reference_code, refusal_to_msg
+from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields, prediction_to_msg, refusal_to_msg
 from foretouch.types import TOUCH_SIZE, Evidence, Float64, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray
@@ -113,7 +113,7 @@ class TouchAnswer:
             reference, flags, status, reason = TouchPredictionMsg.NONE, self.flags, *outcome
             evidence: dict[str, Any] = {}
         else:
-            reference, flags = reference_code(outcome.reference), (*outcome.flags, *self.flags)
+            reference, flags = REFERENCE_CODES[outcome.reference], (*outcome.flags, *self.flags)
             status, reason, evidence = Status.OK, "", evidence_fields(outcome.evidence)
         ages = [evidence.get(name) or Duration() for name in ("touch_age", "reading_age")]
         return b"".join((

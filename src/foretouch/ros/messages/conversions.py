@@ -21,14 +21,15 @@ from foretouch_msgs.msg import Interval, Status
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
 _SECOND_NS = 1_000_000_000
-_REFERENCES: dict[Reference, int] = {
+REFERENCE_CODES: dict[Reference, int] = {
     "none": TouchPredictionMsg.NONE,
     "tare": TouchPredictionMsg.TARE,
     "touches": TouchPredictionMsg.TOUCHES,
     "history": TouchPredictionMsg.HISTORY,
 }
-_REFERENCE_NAMES = {code: name for name, code in _REFERENCES.items()}
+"""Numbers of references in messages."""
 
+_REFERENCE_NAMES = {code: name for name, code in REFERENCE_CODES.items()}
 _NO_AGE_S = -1.0
 _MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
 _MAX_COEFFICIENT = 1e100  # of a plane
@@ -109,7 +110,7 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
         header=header,
         grasp=grasp,
         **_modalities(prediction.value, prediction.lower, prediction.upper),
-        reference=reference_code(prediction.reference),
+        reference=REFERENCE_CODES[prediction.reference],
         status=Status.OK,
         reason="",
         flags=list(prediction.flags),
@@ -155,7 +156,7 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
     reference = _REFERENCE_NAMES.get(message.reference)
     if reference is None:
-        raise ModelError(f"reference: {message.reference} is none of {', '.join(_REFERENCES)}")
+        raise ModelError(f"reference: {message.reference} is none of {', '.join(REFERENCE_CODES)}")
     refused = bool(np.isnan(value).any())
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
     return TouchPrediction(
@@ -169,11 +170,6 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
         reason=message.reason,
         evidence=Evidence(message.touches, _age(message.touch_age), message.readings, _age(message.reading_age)),
     )
-
-
-def reference_code(reference: Reference) -> int:
-    """The number of a reference in messages."""
-    return _REFERENCES[reference]
 
 
 def evidence_fields(evidence: Evidence) -> dict[str, Any]:
@@ -191,13 +187,6 @@ def evidence_fields(evidence: Evidence) -> dict[str, Any]:
 def _age(duration: Duration) -> float | None:
     seconds = duration.sec + duration.nanosec / _SECOND_NS
     return None if seconds < 0.0 else float(seconds)
-
-
-def interval_text(interval: Interval) -> str:
-    """Value and half width as text, `2779 ± 60`; only the value where the model is not calibrated."""
-    if math.isnan(interval.lower):
-        return f"{interval.value:.0f}"
-    return f"{interval.value:.0f} ± {(interval.upper - interval.lower) / 2.0:.0f}"
 
 
 def reference_text(message: TouchPredictionMsg) -> str:

@@ -4,6 +4,7 @@
 Every marker has a stable id and a lifetime of one second, so that outdated ones disappear.
 """
 
+import math
 from itertools import count
 
 import numpy as np
@@ -14,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
 from foretouch.grasp.pose import fingertip_rotation
-from foretouch.ros.messages.conversions import interval_text, point_to_msg, reference_text
+from foretouch.ros.messages.conversions import point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Interval, Object, ObjectArray, Status, TouchPrediction
@@ -95,9 +96,16 @@ def _text(prediction: TouchPrediction, grasp: Grasp) -> Marker:
     label = _marker(prediction.header, "prediction", 0, Marker.TEXT_VIEW_FACING, colour)
     label.pose.position = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
     label.scale.z = 0.02
-    pressures = f"PDC {interval_text(prediction.pdc_th)} | {interval_text(prediction.pdc_mf)}"
+    pressures = f"PDC {_interval_text(prediction.pdc_th)} | {_interval_text(prediction.pdc_mf)}"
     label.text = "\n".join([f"{pressures} ({reference_text(prediction)})", *prediction.flags])
     return label
+
+
+def _interval_text(interval: Interval) -> str:
+    """Value and half width as text, `2779 ± 60`; only the value where the model is not calibrated."""
+    if math.isnan(interval.lower):
+        return f"{interval.value:.0f}"
+    return f"{interval.value:.0f} ± {(interval.upper - interval.lower) / 2.0:.0f}"
 
 
 def _heat(drop: float) -> ColorRGBA:

@@ -18,12 +18,11 @@ from rclpy.qos import ReliabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
-from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.subscriptions import sample_topics
+from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.ros.runtime.serialized_input import InputTopic, SerializedInput, SerializedMessage
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _TICK_S: Final = 0.2  # between two looks at what the clients ask for

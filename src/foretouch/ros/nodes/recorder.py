@@ -74,12 +74,13 @@ class RecorderConfig(NodeConfig, TactileInput):
     contact: ContactConfig = field(default_factory=ContactConfig)
     writing: RecordingConfig = field(default_factory=RecordingConfig)
 
-    def dataset_identity(self) -> Identity:
-        """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
-        thumb, middle = self.tactile.fingers
-        hand = {"model": self.identity.hand, "serial": self.identity.hand_serial, "tactile": self.tactile.type}
-        camera = {"model": self.identity.camera, "serial": self.identity.camera_serial}
-        return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
+
+def _dataset_identity(config: RecorderConfig) -> Identity:
+    """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
+    identity, (thumb, middle) = config.identity, config.tactile.fingers
+    hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.type}
+    camera = {"model": identity.camera, "serial": identity.camera_serial}
+    return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
 
 
 def _decode_label(request: Any) -> Label:
@@ -199,7 +200,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         assert self._reader is not None  # noqa: S101
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(
-            target, config.dataset_identity(), config.writing, fallback_folder=config.fallback_folder or None
+            target, _dataset_identity(config), config.writing, fallback_folder=config.fallback_folder or None
         )
         for name, one in topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)

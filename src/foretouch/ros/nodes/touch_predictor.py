@@ -11,7 +11,7 @@ model is immutable and serves all of them. A model that cannot be loaded does no
 gives the reason, and cleaning up and configuring again retries.
 
 Touch is predicted in the frame of the camera. With `output_frame`, grasps and requests in that frame are brought there,
-and everything that is published is brought back (see `output_frame` and `framed_request`).
+and everything that is published is brought back (see `output_frame`).
 """
 
 import threading
@@ -37,11 +37,10 @@ from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
-from foretouch.ros.runtime.output_frame import OutputFrame
+from foretouch.ros.runtime.output_frame import Latest, OutputFrame, in_cloud_frame
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.framed_request import Latest, in_cloud_frame
 from foretouch.ros.touch.grasp_actions import (
     PLANNER_ACTION,
     planner_action_class,
@@ -110,7 +109,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.get_logger().error(self._predictor.fault)
         self._predictor.warm_up()
         if config.latency_budget_ms > 0.0:
-            self._predictor.keep_to(config.latency_budget_ms, config, self._info)
+            self._predictor.keep_to(config.latency_budget_ms, config, self.get_logger().info)
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = self.advertise(MarkerArray, "markers")
@@ -213,7 +212,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         answer = None if predictor.budget is None else predictor.budget.begin(len(grasps), arrived)
         if answer is not None and not (answer.affordable or self._warned):  # rclpy's own `once` takes 0.5 ms each time
             self._warned = True
-            self._warn(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
+            self.get_logger().warning(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
                        f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
         model, reduced = (None, False) if answer is None else (answer.level.model, answer.reduced)
         message = predictor.array(targets, grasps, header, config, posing, model)
@@ -241,10 +240,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message = tactile_class(config.tactile.type)
         if model is None or model.calibration is None:
             return
-        self._keeper = HistoryKeeper(model, config.hand, config.history_folder, info=self._info, warn=self._warn)
+        self._keeper = HistoryKeeper(
+            model, config.hand, config.history_folder, info=self.get_logger().info, warn=self.get_logger().warning
+        )
         self._closing.callback(self._keeper.close)
         now_ns: Callable[[], int] = lambda: int(self.get_clock().now().nanoseconds)  # noqa: E731
-        self._adapter = OnlineAdapter(model, reader, self._keeper, lambda: self.config, now_ns, self._warn)
+        self._adapter = OnlineAdapter(
+            model, reader, self._keeper, lambda: self.config, now_ns, self.get_logger().warning
+        )
         predictor.adapter = self._adapter
         self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
@@ -253,12 +256,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         """Keep grasps of a request, which may be executed."""
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, grasps, requested=True)
-
-    def _info(self, text: str) -> None:
-        self.get_logger().info(text)
-
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(text)
 
     def _forget_touches(self, _request: Any, response: Any) -> Any:
         count = self._adapter.forget() if self._adapter else 0

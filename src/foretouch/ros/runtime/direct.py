@@ -81,12 +81,12 @@ class DirectInput:
         publisher = info.get("publisher_gid")
         return publisher is not None and publisher["data"][:ID_BYTES] in self.ids
 
-    def matches(self, publisher: DirectPublisher) -> bool:
-        """Whether the middleware would deliver the messages."""
-        one = self.subscription
-        if not publisher.id or publisher.name != one.topic_name or publisher.msg_type is not one.msg_type:
-            return False
-        return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
+
+def _matches(publisher: DirectPublisher, one: "Subscription[Any]") -> bool:
+    """Whether the middleware would deliver the messages."""
+    if not publisher.id or publisher.name != one.topic_name or publisher.msg_type is not one.msg_type:
+        return False
+    return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
 
 
 class _DirectTopics:
@@ -119,9 +119,9 @@ class _DirectTopics:
 
     def _connect(self) -> None:
         for publisher in self._publishers:
-            publisher.receivers = tuple(one.receive for one in self._inputs if one.matches(publisher))
+            publisher.receivers = tuple(one.receive for one in self._inputs if _matches(publisher, one.subscription))
         for one in self._inputs:
-            one.ids |= {publisher.id for publisher in self._publishers if one.matches(publisher)}
+            one.ids |= {publisher.id for publisher in self._publishers if _matches(publisher, one.subscription)}
 
 
 _of_context: weakref.WeakKeyDictionary[Context, _DirectTopics] = weakref.WeakKeyDictionary()

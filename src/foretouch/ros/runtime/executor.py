@@ -79,12 +79,17 @@ class GraphExecutor(SingleThreadedExecutor):
 
 
 class _Inputs:
-    """Takes the messages of nodes' inputs, and works on them."""
+    """Takes the messages of nodes' inputs, and works on them. Changed by any thread; one at a time waits and takes."""
 
     def __init__(self, context: Context, errors: InternalErrors) -> None:
+        self._context = context
         self._errors = errors
-        self._set = _InputSet(context)
-        self.look_at = self._set.change
+        self._guard: GuardCondition | None = GuardCondition(None, None, context=context)
+        self._lock = threading.Lock()  # of the guard and the nodes
+        self._nodes: list[Node] | None = []  # None once they are looked at
+        self._subscriptions: list[Subscription[Any]] = []
+        self._events: list[Any] = []
+        self._events_s = 0.0  # when they were last looked at [s]
         self._taking = threading.Lock()  # of the one thread that takes
         self._ending = threading.Event()
         self._works_since = 0.0  # `time.monotonic` [s]; 0 while it takes
@@ -96,13 +101,28 @@ class _Inputs:
         for thread in self._threads:
             thread.start()
 
+    def look_at(self, nodes: list[Node]) -> None:
+        """Look at these nodes before the next message is taken."""
+        with self._lock:
+            self._nodes = nodes
+        self._wake()
+
     def stop(self, timeout_s: float | None) -> None:
         self._ending.set()
-        self._set.wake()
+        self._wake()
         for thread in self._threads:
             thread.join(timeout_s)
         if not any(thread.is_alive() for thread in self._threads):
-            self._set.close()
+            with self._lock:
+                if self._guard is not None:
+                    self._guard.destroy()
+                self._guard = None
+
+    def _wake(self) -> None:
+        """End a wait."""
+        with self._lock, suppress(InvalidHandle):
+            if self._guard is not None:
+                self._guard.trigger()
 
     def _serve(self) -> None:
         waiting: dict[WorkerThread, None] = {}  # has something to do, if any
@@ -119,7 +139,7 @@ class _Inputs:
                 waiting = {thread: None for thread in waiting if thread.work()}
                 self._works_since = 0.0
                 if self._relieved:
-                    self._set.wake()
+                    self._wake()
         for thread in waiting:
             thread.wake()
 
@@ -132,53 +152,21 @@ class _Inputs:
                     self._take(_POLL_S)
                 self._relieved = False
 
+    def _goes_on(self) -> bool:
+        return not self._ending.is_set() and self._context.ok()
+
     def _take(self, timeout_s: float) -> None:
+        """Wait for messages and call back with one of each input that has any."""
         try:
             with self._taking:
-                self._set.take(timeout_s)
+                self._find()
+                self._call_back(*self._wait(timeout_s))
         except Exception as err:  # noqa: BLE001  a message that cannot be decoded must not end the thread
             if self._goes_on():
                 self._errors.report("executor", err)
                 time.sleep(0.01)
 
-    def _goes_on(self) -> bool:
-        return not self._ending.is_set() and self._set.context.ok()
-
-
-class _InputSet:
-    """The subscriptions and events of nodes' inputs in one wait set. Changed by any thread, used by one at a time."""
-
-    def __init__(self, context: Context) -> None:
-        self.context = context
-        self._guard: GuardCondition | None = GuardCondition(None, None, context=context)
-        self._lock = threading.Lock()  # of the guard and the nodes
-        self._nodes: list[Node] | None = []  # None once they are looked at
-        self._subscriptions: list[Subscription[Any]] = []
-        self._events: list[Any] = []
-        self._events_s = 0.0  # when they were last looked at [s]
-
-    def change(self, nodes: list[Node]) -> None:
-        """Look at these nodes before the next message is taken."""
-        with self._lock:
-            self._nodes = nodes
-        self.wake()
-
-    def wake(self) -> None:
-        """End a wait."""
-        with self._lock, suppress(InvalidHandle):
-            if self._guard is not None:
-                self._guard.trigger()
-
-    def close(self) -> None:
-        with self._lock:
-            if self._guard is not None:
-                self._guard.destroy()
-            self._guard = None
-
-    def take(self, timeout_s: float) -> None:
-        """Wait for messages and call back with one of each input that has any."""
-        self._find()
-        subscriptions, events = self._wait(timeout_s)
+    def _call_back(self, subscriptions: list[Subscription[Any]], events: list[Any]) -> None:
         for event in events:
             with suppress(StopIteration):
                 event.execute(event.take_data()).send(None)  # its callback waits for nothing
@@ -197,15 +185,15 @@ class _InputSet:
             self._subscriptions = [one for node in nodes for one in node.subscriptions if _is_input(one)]
             self._events = [one for node in nodes for one in node.waitables if _is_input(one)]
             sizes = len(self._subscriptions), 1, 0, 0, 0, len(self._events)
-            context: Any = self.context.handle
-            self._made = _rclpy.WaitSet(*sizes, context)
+            context: Any = self._context.handle
+            self._wait_set = _rclpy.WaitSet(*sizes, context)
 
     def _wait(self, timeout_s: float) -> tuple[list[Subscription[Any]], list[Any]]:
         """The inputs that have a message, and events that have happened."""
-        guard, wait_set = self._guard, self._made
+        guard, wait_set = self._guard, self._wait_set
         if guard is None:
             return [], []
-        context: Any = self.context.handle
+        context: Any = self._context.handle
         with ExitStack() as used:  # until the end, nothing of it is destroyed
             inputs: dict[int, Subscription[Any]] = {}
             events = []

@@ -251,11 +251,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Number of matched ends of each of its topics, by key of /diagnostics."""
         return matched_ends(tuple(self._outputs), tuple(self._inputs))
 
-    def unknown_parameters(self) -> set[str]:
-        """Names of given parameters that this node does not have; ROS ignores them without a message."""
-        given = getattr(self, "_parameter_overrides", {})
-        return {name for name in given if not (self.has_parameter(name) or name.startswith("qos_overrides."))}
-
     def age_s(self, stamp_ns: int) -> float:
         """Age of a stamp on the node's clock [s]."""
         return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9

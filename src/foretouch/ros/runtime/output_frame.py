@@ -2,25 +2,29 @@
 """The frame that answers are published in, by default that of their cloud.
 
 Its transform comes from tf2, looked up at the stamp of the cloud, or from a static hand-eye calibration, which needs
-no tf2. An answer whose transform is missing is refused with a reason that begins with `no_transform`.
+no tf2. An answer whose transform is missing is refused with a reason that begins with `no_transform`. Requests in that
+frame are brought to the frame of the camera, in which touch is predicted.
 """
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, GraspError, MissingDependencyError, shown
+from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.requests import RefusalError
-from foretouch_msgs.msg import Status
+from foretouch_msgs.msg import Grasp, Status, TablePlane
 
 _ROBOT_FRAMES = {"eye_on_base": "robot_base_frame", "eye_in_hand": "robot_effector_frame"}  # by calibration_type
 
@@ -104,6 +108,22 @@ class OutputFrameConfig(Settings):
             raise ConfigError(f"{type(self).__name__}.hand_eye: {self.hand_eye!r} is given without output_frame")
 
 
+class Latest(NamedTuple):
+    """The newest object_cloud and the table of the same stamp."""
+
+    cloud: PointCloud2 | TargetCloud
+    table: TablePlane
+
+
+class _FramedRequest(NamedTuple):
+    """A request in the frame of its cloud."""
+
+    cloud: PointCloud2 | TargetCloud  # of the object
+    table: Sequence[PlaneMsg]  # none, or one
+    grasps: Sequence[Grasp]  # on the object
+    transform: FrameTransform | None  # of the answer; None if it stays in the frame of the cloud
+
+
 class OutputFrame:
     """Finds the transform of each cloud. Thread-safe.
 
@@ -184,6 +204,52 @@ class OutputFrame:
             return FrameTransform.from_quaternion(self.name, cloud.frame_id, *pose)
         except (self._tf2.TransformException, GraspError) as err:
             raise _refusal(f"from {cloud.frame_id!r} to {self.name!r}: {' '.join(str(err).split())}") from err
+
+
+def in_cloud_frame(
+    frame: OutputFrame, cloud: PointCloud2, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
+) -> _FramedRequest:
+    """Bring a request to the frame of the camera.
+
+    The header of the cloud gives the frame of cloud, table and grasps: the camera's, or `frame`, that of the answers. A
+    cloud that is only a header stands for the latest one, with its table.
+
+    Raises:
+        RefusalError: UNKNOWN_FRAME, or EMPTY_CLOUD if there is no latest cloud.
+    """
+    header = cloud.header
+    if header.frame_id and not cloud.fields:
+        return _on_latest(frame, header, table, grasps, latest)
+    if not frame.name or header.frame_id != frame.name:
+        return _FramedRequest(cloud, table, grasps, frame.transform(header))
+    camera = frame.camera_frame("" if latest is None else latest.cloud.header.frame_id)
+    transform = frame.transform(Header(frame_id=camera, stamp=header.stamp))
+    if transform is None:  # the frame of the answers is the camera's
+        return _FramedRequest(cloud, table, grasps, None)
+    back = transform.inverse()
+    return _FramedRequest(back.cloud(cloud), [*map(back.plane, table)], [*map(back.grasp, grasps)], transform)
+
+
+def _on_latest(
+    frame: OutputFrame, header: Header, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
+) -> _FramedRequest:
+    if latest is None:
+        raise no_latest_cloud()
+    camera = latest.cloud.header
+    transform = frame.transform(camera)
+    if header.frame_id != camera.frame_id:
+        if transform is None or header.frame_id != transform.target:
+            known = repr(camera.frame_id) + ("" if transform is None else f" or {transform.target!r}")
+            raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {header.frame_id!r} of the request is not {known}")
+        back = transform.inverse()
+        table, grasps = [*map(back.plane, table)], [*map(back.grasp, grasps)]
+    own = [latest.table.plane] if latest.table.status == Status.OK else []
+    return _FramedRequest(latest.cloud, table or own, grasps, transform)
+
+
+def no_latest_cloud() -> RefusalError:
+    """The refusal of a request that is about the latest cloud before there is one."""
+    return RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
 
 
 def _refusal(reason: str) -> RefusalError:

@@ -20,8 +20,8 @@ from foretouch.errors import ConfigError
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.runtime.output_frame import Latest, no_latest_cloud
 from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchPredictorConfig
-from foretouch.ros.touch.framed_request import Latest, no_latest_cloud
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction

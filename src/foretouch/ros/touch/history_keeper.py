@@ -46,8 +46,8 @@ class HistoryKeeper:
         hand: str = "",
         folder: str = "",
         *,
-        info: Callable[[str], None] = print,
-        warn: Callable[[str], None] = print,
+        info: Callable[[str], object] = print,
+        warn: Callable[[str], object] = print,
     ) -> None:
         self.lock = threading.Lock()
         self.fault = ""
@@ -90,7 +90,7 @@ class HistoryKeeper:
         if self._file is not None:
             self._file.close()
 
-    def _read(self, file: HistoryFile, model: TouchModel, info: Callable[[str], None]) -> HandHistory | None:
+    def _read(self, file: HistoryFile, model: TouchModel, info: Callable[[str], object]) -> HandHistory | None:
         try:
             history = file.read(model)
         except FileError as err:

@@ -76,7 +76,7 @@ class Predictor:
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
-    def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], None]) -> None:
+    def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], object]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine where there is no profile."""
         from foretouch.models.budget import LatencyBudget, levels_of, load_profile, profile_scene
 

@@ -7,11 +7,9 @@ ellipsoid whose semi-axes are longer by the layer's thickness. The contact has i
 origin on the skin, z the outward normal, x as far along the finger as the tangent plane allows.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -50,7 +48,7 @@ class PadConfig(Settings):
         return self.window_m / self.cells
 
     @property
-    def soft(self) -> PadConfig:
+    def soft(self) -> Self:
         """The same pad, its window wide enough for what sinks into a soft object."""
         return self.replace(window_m=SOFT_WINDOW_M)
 
@@ -152,15 +150,11 @@ def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) ->
 
 
 def gap_field(depth: Float64, object_height: Float64) -> Float64:
-    """Distance of skin and object along the normal, at first touch [m].
+    """(N, N) float64 [m], distance of skin and object at first touch: least value 0, infinite where one is absent.
 
     Args:
         depth: (N, N) of `pad_depth` [m].
-        object_height: (N, N) [m], the object's surface above the tangent plane, measured away from the pad's
-            normal, that is towards the pad; -inf where there is none. A constant added to it changes nothing.
-
-    Returns:
-        (N, N) float64, least value 0, infinite where one of the surfaces is absent.
+        object_height: (N, N) [m], the object's surface above the tangent plane, towards the pad; -inf where there is none.
 
     Raises:
         ContactError: If the two share no cell.

@@ -7,15 +7,22 @@ import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.campaign import object_index
-from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
+from foretouch.simulation.contact import (
+    ContactFrame,
+    PadConfig,
+    PadWindow,
+    contact_frame,
+    pad_depth,
+    pad_direction,
+    pad_window,
+)
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.finger_contact import pad_of, surface_behind
-from foretouch.simulation.scene import SurfaceConfig
+from foretouch.simulation.scene import ObjectConfig, SceneConfig, SurfaceConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 
-_BACK_M = 0.03  # how far outside the planned contact the rays start
+_BACK_M = 0.03  # how far outside the contact, planned or found, the rays start
 _SEARCH_M = 0.02  # side of the square that is searched for first touch: most of the pad
 _SEARCH_CELLS = 21
 _NEAR_M = 2e-4  # cells whose gap is within this of the least give the surface's mean normal
@@ -80,6 +87,18 @@ def _meet(config: PadConfig, body: Body, finger: ContactFrame, aimed: ContactFra
     near = gap < gap[least] + _NEAR_M
     normal = body.world_normals(hits.normal[near]).mean(axis=0)
     return starts[least] + hits.t[least] * finger.normal, normal / np.linalg.norm(normal)
+
+
+def pad_of(scene: SceneConfig, item: ObjectConfig) -> PadConfig:
+    """The pad, its window as wide as the object's softness asks for."""
+    return scene.fingers.pad if item.rigid else scene.fingers.pad.soft
+
+
+def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
+    """(N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
+    starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
+    t = body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t
+    return t.reshape(window.x.shape) - _BACK_M
 
 
 def _relief(_job: Job, state: SampleState) -> None:

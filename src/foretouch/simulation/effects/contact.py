@@ -6,10 +6,22 @@ from functools import partial
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.contact import LEVELS, choose_level, solve_grip, weigh
+from foretouch.simulation.contact import (
+    LEVELS,
+    Command,
+    ContactProblem,
+    Layer,
+    PadWindow,
+    choose_level,
+    gap_field,
+    solve_grip,
+    weigh,
+)
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.finger_contact import command_of, contact_problem, layers_of
+from foretouch.simulation.effects.approach import pad_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene.objects import POISSON
+from foretouch.types import Float64
 
 _GRAVITY_M_S2 = 9.81
 
@@ -36,10 +48,33 @@ def _solve(level: str, job: Job, state: SampleState) -> None:
     )
 
 
+def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[Layer, ...]:
+    """The elastic layers in contact: the pad and, if it is soft, the object."""
+    pad = scene.fingers.pad.layer
+    if item.young_pa is None or item.thickness_m is None:
+        return (pad,)
+    return pad, Layer(modulus_pa=item.young_pa, poisson=POISSON, thickness_m=item.thickness_m)
+
+
+def command_of(scene: SceneConfig, target: float) -> Command:
+    """A finger's target as force or depth."""
+    return Command(force_n=target) if scene.grasps.control == "force" else Command(depth_m=target)
+
+
+def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, behind: Float64) -> ContactProblem:
+    """The gap between a pad and the surface behind its tangent plane.
+
+    Raises:
+        ContactError: If nowhere in the window do both exist.
+    """
+    gap = gap_field(window.depth, -behind)
+    return ContactProblem(gap, pad_of(scene, item).step_m, _layers_of(scene, item))
+
+
 def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:
     if scene.fidelity != "auto":
         return f"fidelity: {level}" if scene.fidelity == level else None
-    chosen, why = choose_level(layers_of(scene, item))
+    chosen, why = choose_level(_layers_of(scene, item))
     return f"fidelity: auto ({why})" if chosen == level else None
 
 

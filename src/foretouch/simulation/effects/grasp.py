@@ -9,7 +9,6 @@ from foretouch.errors import SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
 from foretouch.simulation.contact import ContactFrame
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.finger_contact import finger_frames
 from foretouch.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
@@ -44,7 +43,21 @@ def _fingers(job: Job, state: SampleState) -> None:
         )
     lower = job.scene.grasps.insertion_m * _UP
     g1, g2 = world.view.to_world(grasp.g1) - lower, world.view.to_world(grasp.g2) - lower
-    state.fingers = finger_frames(g1, g2, world.view.R_world_camera @ grasp.rotation, _UP)
+    state.fingers = _finger_frames(g1, g2, world.view.R_world_camera @ grasp.rotation, _UP)
+
+
+def _finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple[ContactFrame, ContactFrame]:
+    """Thumb at g1 and middle finger at g2, closing towards each other, both pointing down.
+
+    The hand's Y is along the object's axis and Z along g1 - g2, so the fingers lie along its X; which end of X
+    they point to is not said by the grasp, and the hand comes from above, against `up`. All in one frame.
+    """
+    along = hand[:, 0] if hand[:, 0] @ up < 0.0 else -hand[:, 0]
+    frames = [
+        ContactFrame(origin, np.column_stack([along, np.cross(approach, along), approach]))
+        for origin, approach in ((g1, -hand[:, 2]), (g2, hand[:, 2]))
+    ]
+    return frames[0], frames[1]
 
 
 def _execution_error(job: Job, state: SampleState) -> None:

@@ -19,7 +19,8 @@ from foretouch.simulation.disturbances import (
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import campaign
-from foretouch.simulation.finger_contact import command_of, contact_problem, pad_of, surface_behind
+from foretouch.simulation.effects.approach import pad_of, surface_behind
+from foretouch.simulation.effects.contact import command_of, contact_problem
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
 from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
 from foretouch.simulation.scene.ranges import draw

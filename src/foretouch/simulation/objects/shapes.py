@@ -3,7 +3,7 @@
 
 P1 grasped cans and boxes, P2 a stuffed Minion, a flat ball, a sponge and a stuffed volleyball. None of their
 meshes is public; these are made here from formulas, with features that a fingertip or a camera can distinguish.
-All stand upright along z. Random superquadrics, vases and blobs  serve to learn to generalise.
+All stand upright along z. Random superquadrics, vases and blobs serve to learn to generalise.
 """
 
 from collections.abc import Callable
@@ -11,13 +11,18 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.objects.mesh import TriangleMesh, revolved, rounded_box, sphere_directions, star_shaped
-from foretouch.simulation.objects.mesh_file import read_mesh_file
+from foretouch.simulation.objects.mesh import TriangleMesh, read_mesh_file
 from foretouch.types import Float64
 
 _HARMONICS = 6  # waves of a blob
+_SEGMENTS = 256  # around the axis; on a radius of 35 mm the facets leave the circle by 3 µm
+_LEVEL = 5  # halvings of the icosahedron's edges: 10,242 directions
+_ROUNDING = 6  # grid cells from the flat part of a box to the middle of an edge
+
+_Surface = tuple[Float64, npt.NDArray[np.int64]]  # vertices and faces
 
 
 def _random_shape(rng: np.random.Generator) -> TriangleMesh:
@@ -30,8 +35,8 @@ def _superquadric(rng: np.random.Generator) -> TriangleMesh:
     """Between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
     p, q = rng.uniform(2.0, 8.0, 2)
     stretch = rng.uniform(0.6, 1.0, 3)
-    x, y, z = np.abs(sphere_directions() / stretch).T
-    return star_shaped(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q))
+    x, y, z = np.abs(_sphere_directions() / stretch).T
+    return _star_shaped(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q))
 
 
 def _vase(rng: np.random.Generator) -> TriangleMesh:
@@ -43,7 +48,7 @@ def _vase(rng: np.random.Generator) -> TriangleMesh:
     radius[:7] *= 0.92 + 2.0 * rim
     radius[-7:] *= (0.92 + 2.0 * rim)[::-1]
     ring = np.stack([radius, height], axis=1)
-    return revolved(np.concatenate([[(0.0, 0.0)], ring, [(0.0, 1.0)]]))
+    return _revolved(np.concatenate([[(0.0, 0.0)], ring, [(0.0, 1.0)]]))
 
 
 def _blob(rng: np.random.Generator) -> TriangleMesh:
@@ -53,9 +58,9 @@ def _blob(rng: np.random.Generator) -> TriangleMesh:
     phase = rng.uniform(0.0, 2.0 * np.pi, _HARMONICS)
     height = rng.uniform(0.02, 0.14, _HARMONICS)
     stretch = rng.uniform(0.6, 1.0, 3)
-    d = sphere_directions()
+    d = _sphere_directions()
     ellipsoid = 1.0 / np.linalg.norm(d / stretch, axis=1)
-    return star_shaped(ellipsoid * (1.0 + np.sin(d @ axes.T + phase) @ height))
+    return _star_shaped(ellipsoid * (1.0 + np.sin(d @ axes.T + phase) @ height))
 
 
 def _can() -> TriangleMesh:
@@ -64,30 +69,30 @@ def _can() -> TriangleMesh:
     profile = [(0.0, 0.02), (0.46, 0.02), (0.47, 0.0), (0.49, 0.0), (0.5, 0.015), (0.5, 0.03)]
     profile += [(0.495, z) for z in wall]
     profile += [(0.5, 0.97), (0.5, 0.985), (0.49, 1.0), (0.47, 1.0), (0.46, 0.98), (0.0, 0.98)]
-    return revolved(profile)
+    return _revolved(profile)
 
 
 def _box() -> TriangleMesh:
     """A carton."""
-    return rounded_box((1.0, 1.0, 1.0), 0.025)
+    return _rounded_box((1.0, 1.0, 1.0), 0.025)
 
 
 def _ball() -> TriangleMesh:
     """A ball; an ellipsoid if the edges of the object differ."""
-    return star_shaped(np.full(len(sphere_directions()), 0.5))
+    return _star_shaped(np.full(len(_sphere_directions()), 0.5))
 
 
 def _flat_ball() -> TriangleMesh:
     """A deflated ball: it bulges near the table, and its top has caved in."""
-    d = sphere_directions()
+    d = _sphere_directions()
     cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))
     folds = 0.015 * np.cos(5.0 * np.arctan2(d[:, 1], d[:, 0])) * (1.0 - d[:, 2] ** 2)
-    return star_shaped(0.5 - cave * 0.5 + folds)
+    return _star_shaped(0.5 - cave * 0.5 + folds)
 
 
 def _sponge() -> TriangleMesh:
     """A block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
-    block = rounded_box((1.0, 1.0, 1.0), 0.12, cells=40, rounding=6)
+    block = _rounded_box((1.0, 1.0, 1.0), 0.12, cells=40)
     x, y, z = block.vertices.T
     waist = 1.0 - 0.10 * np.cos(np.pi * x) ** 2 * np.abs(2.0 * y) ** 3
     waves = 1.0 + 0.012 * np.sin(23.0 * x + 1.0) * np.sin(19.0 * y + 2.0) * np.sin(17.0 * z + 0.5)
@@ -96,23 +101,23 @@ def _sponge() -> TriangleMesh:
 
 def _minion() -> TriangleMesh:
     """A stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
-    d = sphere_directions()
+    d = _sphere_directions()
     goggle = 0.07 * _bump(d, (1.0, 0.0, 0.45), 0.28)
     arms = 0.09 * (_bump(d, (0.1, 1.0, -0.1), 0.22) + _bump(d, (0.1, -1.0, -0.1), 0.22))
     seam = 0.012 * np.exp(-(((d[:, 2] + 0.35) / 0.05) ** 2))
-    return star_shaped(_capsule_radius(d, 0.5, 0.42) + goggle + arms - seam)
+    return _star_shaped(_capsule_radius(d, 0.5, 0.42) + goggle + arms - seam)
 
 
 def _volleyball() -> TriangleMesh:
     """A stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
-    d = sphere_directions()
+    d = _sphere_directions()
     ordered = np.sort(np.abs(d), axis=1)
     between_panels = ordered[:, 2] - ordered[:, 1]
     largest = np.argmax(np.abs(d), axis=1)
     along = np.take_along_axis(d, ((largest + 1) % 3)[:, None], axis=1)[:, 0]
     strips = np.abs(np.abs(along) - 0.22)
     seams = 0.012 * np.exp(-((between_panels / 0.05) ** 2)) + 0.006 * np.exp(-((strips / 0.035) ** 2))
-    return star_shaped(0.5 - seams)
+    return _star_shaped(0.5 - seams)
 
 
 _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
@@ -169,3 +174,126 @@ def _bump(d: Float64, towards: tuple[float, float, float], width: float) -> Floa
     """A smooth hill of height 1 about one direction; `width` is in radians."""
     axis = np.asarray(towards) / np.linalg.norm(towards)
     return np.asarray(np.exp(-((np.arccos(np.clip(d @ axis, -1.0, 1.0)) / width) ** 2)), np.float64)
+
+
+def _revolved(profile: npt.ArrayLike) -> TriangleMesh:
+    """Turn a profile (n, 2) of radius and height about z; its ends, the poles, have radius 0, all others more."""
+    segments = _SEGMENTS
+    radius, height = np.asarray(profile, np.float64).T
+    angle = np.arange(segments) * (2.0 * np.pi / segments)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = np.concatenate(
+        [radius[1:-1, None, None] * circle, np.broadcast_to(height[1:-1, None, None], (len(height) - 2, segments, 1))],
+        axis=2,
+    )
+    poles = np.array([[0.0, 0.0, height[0]], [0.0, 0.0, height[-1]]])
+    vertices = np.concatenate([poles, rings.reshape(-1, 3)])
+    index = 2 + np.arange(rings.shape[0] * segments).reshape(-1, segments)
+    following = np.roll(index, -1, axis=1)
+    bands = [_quads(index[:-1], following[:-1], following[1:], index[1:])]
+    low = np.stack([np.zeros(segments, np.int64), following[0], index[0]], axis=1)
+    high = np.stack([np.ones(segments, np.int64), index[-1], following[-1]], axis=1)
+    return TriangleMesh(vertices, np.concatenate([low, high, *bands]))
+
+
+def _star_shaped(radius: Float64) -> TriangleMesh:
+    """A surface that is seen whole from the origin, by its distance (V,) along `_sphere_directions`, positive."""
+    directions, faces = _sphere()
+    return TriangleMesh(directions * radius[:, None], faces)
+
+
+def _sphere_directions() -> Float64:
+    """(V, 3) float64 unit vectors, evenly over the sphere."""
+    return _sphere()[0]
+
+
+def _rounded_box(size: npt.ArrayLike, edge_radius: float, cells: int = 6) -> TriangleMesh:
+    """A box of edge lengths (3,), its edges and corners rounded, with so many cells across the flat part of a face."""
+    half = np.asarray(size, np.float64) / 2.0
+    points, faces = _cube_grid(half, edge_radius, cells)
+    core = np.clip(points, -(half - edge_radius), half - edge_radius)
+    outward = points - core
+    vertices = core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+    return TriangleMesh(vertices, faces)
+
+
+@lru_cache(maxsize=1)
+def _sphere() -> _Surface:
+    """Unit vectors of a subdivided icosahedron and its faces: (V, 3) float64 and (F, 3) int64; do not write to them."""
+    golden = (1.0 + 5.0**0.5) / 2.0
+    ring = [(-1.0, golden), (1.0, golden), (-1.0, -golden), (1.0, -golden)]
+    corners = [(a, b, 0.0) for a, b in ring] + [(0.0, a, b) for a, b in ring] + [(b, 0.0, a) for a, b in ring]
+    vertices = np.array(corners)
+    vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+    faces = _hull_faces(vertices)
+    for _ in range(_LEVEL):
+        vertices, faces = _halved(vertices, faces)
+    return vertices, faces
+
+
+def _hull_faces(vertices: Float64) -> npt.NDArray[np.int64]:
+    """The 20 faces of an icosahedron: triples of corners one edge apart, turned outwards."""
+    near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 1.1  # the edge is 1.05
+    triples = [
+        (i, j, k)
+        for i in range(12)
+        for j in range(i + 1, 12)
+        for k in range(j + 1, 12)
+        if near[i, j] and near[j, k] and near[i, k]
+    ]
+    faces = np.array(triples, np.int64)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return faces
+
+
+def _halved(vertices: Float64, faces: npt.NDArray[np.int64]) -> _Surface:
+    """Each triangle as four, the new corners pushed onto the unit sphere."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    unique, place = np.unique(edges, axis=0, return_inverse=True)
+    middle = vertices[unique].sum(axis=1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    ab, bc, ca = (len(vertices) + place.reshape(3, -1)).astype(np.int64)
+    a, b, c = faces.T
+    fine = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+    return np.concatenate([vertices, middle]), np.concatenate([np.stack(f, axis=1) for f in fine])
+
+
+def _cube_grid(half: Float64, edge_radius: float, cells: int) -> _Surface:
+    """Points on a box's six faces, denser towards the edges, merged where faces meet."""
+    lines = []
+    for h in half:
+        inner = h - edge_radius
+        # Equal angles on the rounding: tan spaces the grid so that normals turn by equal steps.
+        bend = inner + edge_radius * np.tan(np.linspace(0.0, np.pi / 4.0, _ROUNDING + 1)[1:])
+        lines.append(np.concatenate([-bend[::-1], np.linspace(-inner, inner, cells + 1), bend]))
+    points, faces, start = [], [], 0
+    for axis in range(3):
+        u, v = lines[(axis + 1) % 3], lines[(axis + 2) % 3]
+        index = np.arange(len(u) * len(v)).reshape(len(u), len(v))
+        quads = _quads(index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+        for sign in (1.0, -1.0):
+            face = np.empty((len(u) * len(v), 3))
+            face[:, axis] = sign * half[axis]
+            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = (m.ravel() for m in np.meshgrid(u, v, indexing="ij"))
+            points.append(face)
+            faces.append(start + (quads if sign > 0.0 else quads[:, ::-1]))
+            start += len(face)
+    return _merged(np.concatenate(points), np.concatenate(faces))
+
+
+def _merged(points: Float64, faces: npt.NDArray[np.int64]) -> _Surface:
+    """Points that coincide within rounding become one."""
+    scale = np.abs(points).max()
+    _, first, place = np.unique(np.round(points / scale, 9), axis=0, return_index=True, return_inverse=True)
+    return points[first], np.asarray(place.reshape(-1)[faces], np.int64)
+
+
+def _quads(
+    a: npt.NDArray[np.int64], b: npt.NDArray[np.int64], c: npt.NDArray[np.int64], d: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int64]:
+    """Two triangles for each quadrilateral a b c d."""
+    first = np.stack([a, b, c], axis=-1).reshape(-1, 3)
+    second = np.stack([a, c, d], axis=-1).reshape(-1, 3)
+    return np.concatenate([first, second])
