@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import NamedTuple
 
 import pytest
 
@@ -18,41 +18,24 @@ class LaunchContext:
         self.launch_configurations: dict[str, str] = {}
 
 
-class LaunchConfiguration:
-    def __init__(self, name: str) -> None:
-        self.name = name
+class LaunchConfiguration(NamedTuple):
+    name: str
 
     def perform(self, context: LaunchContext) -> str:
         return context.launch_configurations[self.name]
 
 
-class IfCondition:
-    def __init__(self, value: LaunchConfiguration) -> None:
-        self.value = value
+class IfCondition(NamedTuple):
+    value: LaunchConfiguration
 
     def evaluate(self, context: LaunchContext) -> bool:
         return {"true": True, "false": False}[self.value.perform(context)]
 
 
-class DeclareLaunchArgument:
-    def __init__(self, name: str, *, default_value: str | None = None, description: str = "") -> None:
-        self.name, self.default_value, self.description = name, default_value, description
-
-
-class PathJoinSubstitution:
-    def __init__(self, parts: list[Any]) -> None:
-        self.parts = parts
-
-
-class FindPackageShare:
-    def __init__(self, package: str) -> None:
-        self.package = package
-
-
-class Node:
-    def __init__(self, **options: Any) -> None:
-        self.options = options
-        self.node_executable = options["executable"]
+class DeclareLaunchArgument(NamedTuple):
+    name: str
+    default_value: str | None = None
+    description: str = ""
 
 
 class PackageNotFoundError(KeyError):
@@ -61,10 +44,6 @@ class PackageNotFoundError(KeyError):
 
 def get_package_prefix(name: str) -> str:
     raise PackageNotFoundError(name)
-
-
-def _options(**options: Any) -> SimpleNamespace:
-    return SimpleNamespace(**options)
 
 
 _MODULES = {
@@ -80,15 +59,20 @@ _MODULES = {
     "launch.actions": {
         "DeclareLaunchArgument": DeclareLaunchArgument,
         "IncludeLaunchDescription": lambda source, **options: SimpleNamespace(source=source, **options),
-        "OpaqueFunction": _options,
-        "Shutdown": _options,
+        "OpaqueFunction": SimpleNamespace,
+        "Shutdown": SimpleNamespace,
     },
     "launch.conditions": {"IfCondition": IfCondition},
     "launch.launch_description_sources": {"PythonLaunchDescriptionSource": lambda path: path},
-    "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration, "PathJoinSubstitution": PathJoinSubstitution},
+    "launch.substitutions": {
+        "LaunchConfiguration": LaunchConfiguration,
+        "PathJoinSubstitution": lambda parts: SimpleNamespace(parts=parts),
+    },
     "launch_ros": {},
-    "launch_ros.actions": {"Node": Node},
-    "launch_ros.substitutions": {"FindPackageShare": FindPackageShare},
+    "launch_ros.actions": {
+        "Node": lambda **options: SimpleNamespace(options=options, node_executable=options["executable"])
+    },
+    "launch_ros.substitutions": {"FindPackageShare": lambda package: package},
 }
 
 

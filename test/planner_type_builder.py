@@ -43,17 +43,7 @@ ament_package()
 """
 
 
-def distribution() -> str:
-    """The distribution of ROS 2 whose wheels run."""
-    return "jazzy" if metadata.version("ros-rclpy").startswith("7.") else "kilted"
-
-
-def prefix() -> Path:
-    """Folder that the package is installed into."""
-    texts = (ACTION, CMAKE, (MESSAGES / "pyproject.toml").read_text("utf-8"), sys.implementation.cache_tag or "")
-    key = hashlib.sha256("\0".join((*texts, distribution())).encode()).hexdigest()[:16]
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cache / "foretouch" / f"{PACKAGE}-{key}"
+_DISTRIBUTION = "jazzy" if metadata.version("ros-rclpy").startswith("7.") else "kilted"  # whose wheels run
 
 
 def python_path(root: Path) -> Path:
@@ -62,22 +52,18 @@ def python_path(root: Path) -> Path:
 
 
 def build() -> Path:
-    """Build the package, unless it is there.
-
-    Returns:
-        The folder that it is installed into.
-
-    Raises:
-        RuntimeError: With the last error of pip.
-    """
-    root = prefix()
+    """The folder that the package is installed into, built unless it is there; a RuntimeError with pip's last error."""
+    texts = (ACTION, CMAKE, (MESSAGES / "pyproject.toml").read_text("utf-8"), sys.implementation.cache_tag or "")
+    key = hashlib.sha256("\0".join((*texts, _DISTRIBUTION)).encode()).hexdigest()[:16]
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    root = cache / "foretouch" / f"{PACKAGE}-{key}"
     if root.is_dir():
         return root
     with tempfile.TemporaryDirectory() as folder:
         source, wheels = _source(Path(folder) / PACKAGE), Path(folder) / "wheels"
         command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--retries", "0", "-w", wheels, source]
         environment = {k: v for k, v in os.environ.items() if k not in {"PYTHONPATH", "AMENT_PREFIX_PATH"}}
-        environment |= {"FORETOUCH_ROS": distribution(), "PIP_DEFAULT_TIMEOUT": "15"}
+        environment |= {"FORETOUCH_ROS": _DISTRIBUTION, "PIP_DEFAULT_TIMEOUT": "15"}
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
         if done.returncode:
             lines = [line.strip() for line in done.stderr.splitlines() if "error:" in line.lower()]

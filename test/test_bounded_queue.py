@@ -7,8 +7,6 @@ import threading
 import time
 from collections import Counter
 
-import pytest
-
 from foretouch.bounded_queue import BoundedQueue
 
 
@@ -19,6 +17,10 @@ def test_a_full_queue_drops_its_oldest_items() -> None:
     assert dropped == [(0, "superseded"), (1, "superseded"), (2, "superseded")]
     assert [queue.get(0.0) for _ in range(3)] == [3, 4, None]
     assert queue.dropped == {"superseded": 3}
+    sized = BoundedQueue[bytes](10, size_of=len)
+    sized.put(bytes(4))
+    assert not sized.put(bytes(11))  # larger than the whole queue
+    assert sized.dropped == Counter(superseded=1, full=1)
 
 
 def test_a_full_queue_may_reject_new_items_by_their_size() -> None:
@@ -29,49 +31,15 @@ def test_a_full_queue_may_reject_new_items_by_their_size() -> None:
     assert queue.put(bytes(10))
 
 
-def test_an_item_larger_than_the_whole_queue_is_dropped_too() -> None:
-    queue = BoundedQueue[bytes](10, size_of=len)
-    queue.put(bytes(4))
-    assert not queue.put(bytes(11))
-    assert queue.dropped == Counter(superseded=1, full=1)
-
-
-def test_a_full_queue_may_block_the_sender() -> None:
+def test_a_full_queue_may_block_the_sender_until_it_is_read_or_closed() -> None:
     queue = BoundedQueue[int](1, when_full="wait")
-    sender = threading.Thread(target=lambda: [queue.put(item) for item in range(20)])
+    sender = threading.Thread(target=lambda: [queue.put(item) for item in range(22)], daemon=True)
     sender.start()
     got = []
     for _ in range(20):
         time.sleep(0.002)
         got.append(queue.get(1.0))
-    sender.join(1.0)
-    assert got == list(range(20))
-    assert not sender.is_alive()
-    assert not queue.dropped
-
-
-@pytest.mark.parametrize("when_full", ["wait", "drop_oldest", "reject"])
-def test_without_a_capacity_it_accepts_everything_at_once(when_full: str) -> None:
-    queue = BoundedQueue[int](None, when_full=when_full)  # type: ignore[arg-type]
-    for item in range(3):
-        queue.put(item)
-    assert [queue.get(0.0) for _ in range(3)] == [0, 1, 2]
-
-
-def test_a_capacity_that_is_set_later_holds_from_the_next_item_on() -> None:
-    queue = BoundedQueue[int](None)
-    for item in range(4):
-        queue.put(item)
-    queue.capacity = 2
-    queue.put(4)
-    assert queue.get_all(0.0) == [3, 4]
-
-
-def test_closing_releases_a_blocked_sender_and_drops_its_item() -> None:
-    queue = BoundedQueue[int](1, when_full="wait")
-    queue.put(0)
-    sender = threading.Thread(target=queue.put, args=(1,), daemon=True)
-    sender.start()
+    assert (got, sum(queue.dropped.values())) == (list(range(20)), 0)
     time.sleep(0.05)
     assert sender.is_alive()
     queue.close("stopped")
@@ -79,6 +47,18 @@ def test_closing_releases_a_blocked_sender_and_drops_its_item() -> None:
     assert not sender.is_alive()
     assert queue.get(0.0) is None
     assert queue.dropped == {"stopped": 2}
+
+
+def test_without_a_capacity_it_accepts_everything_and_one_set_later_holds_from_then_on() -> None:
+    for when_full in ("wait", "drop_oldest", "reject"):
+        queue = BoundedQueue[int](None, when_full=when_full)  # type: ignore[arg-type]
+        assert all(queue.put(item) for item in range(3))
+        assert [queue.get(0.0) for _ in range(3)] == [0, 1, 2]
+    queue = BoundedQueue[int](None)
+    assert all(queue.put(item) for item in range(4))
+    queue.capacity = 2
+    queue.put(4)
+    assert queue.get_all(0.0) == [3, 4]
 
 
 def test_what_waits_can_be_taken_out_of_a_closed_queue() -> None:
@@ -95,7 +75,7 @@ def test_what_waits_can_be_taken_out_of_a_closed_queue() -> None:
     assert queue.get() == 3
 
 
-def test_closing_releases_a_waiting_receiver() -> None:
+def test_a_receiver_waits_until_the_queue_is_closed_or_no_longer_than_asked() -> None:
     queue = BoundedQueue[int](1)
     got: list[int | None] = []
     receiver = threading.Thread(target=lambda: got.append(queue.get()), daemon=True)
@@ -103,9 +83,6 @@ def test_closing_releases_a_waiting_receiver() -> None:
     queue.close()
     receiver.join(1.0)
     assert got == [None]
-
-
-def test_an_empty_queue_is_waited_for_no_longer_than_asked() -> None:
     started = time.monotonic()
     assert BoundedQueue[int](1).get(0.1) is None
     assert 0.09 < time.monotonic() - started < 0.5

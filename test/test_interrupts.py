@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
+from every_case import every_case
 
 ROOT = Path(__file__).parents[1]
 CODE = """
@@ -30,42 +30,40 @@ except KeyboardInterrupt as err:
     print(signal.Signals(signal_number(err)).name)
 end_at_once()
 """
+SLOW_MODULE = """
+import os, signal, time
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.1)
+except BaseException as err:
+    print('lost')
+print('imported')
+"""
+BLOCK = "with uninterrupted():\n        with uninterrupted():\n            send({})\n        print('whole', flush=True)"
+IGNORED = "signal.signal(signal.SIGHUP, signal.SIG_IGN); raise_interrupts(); send(1, signal.SIGHUP); send()"
 
 
-def run(body: str, folder: Path, **options: str) -> subprocess.CompletedProcess[str]:
-    code = CODE.format(body=body.strip().replace("\n", "\n    "))
+def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(folder)])}
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False, env=environment
-    )
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=environment)
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_is_an_exception_that_tells_its_number(name: str, tmp_path: Path) -> None:
-    done = run(f"send(1, signal.{name})", tmp_path)
-    assert (done.stdout, done.stderr, done.returncode) == (f"{name}\n", "", 0)
+def test_a_signal_is_an_exception_that_waits_for_imports_and_clean_ups(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW_MODULE)
 
+    def check(body: str, out: str, status: int) -> None:
+        done = run(CODE.format(body=body), tmp_path)
+        assert (done.stdout, done.stderr, done.returncode) == (out, "", status)
 
-def test_it_waits_for_the_end_of_an_import(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import os, signal, time\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(0.1)\n"
-        "except BaseException as err:\n    print('lost')\nprint('imported')\n"
-    )
-    done = run("import slow", tmp_path)
-    assert (done.stdout, done.stderr) == ("imported\nSIGINT\n", "")
-
-
-def test_it_waits_for_the_end_of_a_block_and_the_third_one_does_not(tmp_path: Path) -> None:
-    body = "with uninterrupted():\n    with uninterrupted():\n        send({})\n    print('whole', flush=True)"
-    done = run(body.format(2), tmp_path)
-    assert (done.stdout, done.returncode) == ("whole\nSIGINT\n", 0)
-    done = run(body.format(3), tmp_path)
-    assert (done.stdout, done.stderr, done.returncode) == ("", "", -signal.SIGINT)
-
-
-def test_what_the_parent_ignores_stays_ignored(tmp_path: Path) -> None:
-    body = "signal.signal(signal.SIGHUP, signal.SIG_IGN); raise_interrupts(); send(1, signal.SIGHUP); send()"
-    assert run(body, tmp_path).stdout == "SIGINT\n"
+    cases = {name: (f"send(1, signal.{name})", f"{name}\n", 0) for name in ("SIGINT", "SIGTERM", "SIGHUP")}
+    cases |= {
+        "import": ("import slow", "imported\nSIGINT\n", 0),
+        "clean-up": (BLOCK.format(2), "whole\nSIGINT\n", 0),
+        "the third does not wait": (BLOCK.format(3), "", -signal.SIGINT),
+        "what the parent ignores stays ignored": (IGNORED, "SIGINT\n", 0),
+    }
+    every_case(cases, check)
 
 
 POOL = """
@@ -88,23 +86,21 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_processes_of_a_pool_end_silently_with_it(number: int, tmp_path: Path) -> None:
-    (tmp_path / "pool.py").write_text(POOL)
-    process = subprocess.Popen(
-        [sys.executable, str(tmp_path / "pool.py")],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "started\n"
-    began = time.monotonic()
-    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
-    out, err = process.communicate(timeout=60)
-    assert (out, err) == (f"{number}\n", "")
-    assert time.monotonic() - began < 30.0
+def test_processes_of_a_pool_end_silently_with_it(tmp_path: Path) -> None:
+    script, pipe = tmp_path / "pool.py", subprocess.PIPE
+    script.write_text(POOL)
+
+    def check(number: signal.Signals) -> None:
+        command = [sys.executable, str(script)]
+        process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        began = time.monotonic()
+        os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+        assert process.communicate(timeout=60) == (f"{number}\n", "")
+        assert time.monotonic() - began < 30.0
+
+    every_case([signal.SIGINT, signal.SIGTERM], check)
 
 
 EARLY = """
@@ -121,22 +117,10 @@ sys.exit(main())
 """
 
 
-def _entry_point() -> str:
-    (line,) = re.findall(r'"foretouch = (\S+):main"', (ROOT / "setup.py").read_text(encoding="utf-8"))
-    return line
-
-
-def _interrupted_early(before: str = "") -> subprocess.CompletedProcess[str]:
-    code = EARLY.format(before=before, module=_entry_point())
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-
-
-def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback() -> None:
-    done = _interrupted_early()
+def test_ctrl_c_while_the_command_line_is_imported_ends_it_unless_it_is_ignored(tmp_path: Path) -> None:
+    (module,) = re.findall(r'"foretouch = (\S+):main"', (ROOT / "setup.py").read_text(encoding="utf-8"))
+    done = run(EARLY.format(before="", module=module), tmp_path)
     assert (done.stdout, done.stderr, done.returncode) == ("", "", -signal.SIGINT)
-
-
-def test_a_ctrl_c_that_the_parent_ignores_stays_ignored() -> None:
-    done = _interrupted_early("signal.signal(signal.SIGINT, signal.SIG_IGN)")
+    done = run(EARLY.format(before="signal.signal(signal.SIGINT, signal.SIG_IGN)", module=module), tmp_path)
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.startswith("foretouch ")

@@ -42,10 +42,9 @@ class Buffer:
         share = np.clip(np.interp(nanoseconds, stamps, np.arange(len(stamps), dtype=float)), 0, len(stamps) - 1)
         positions = np.array([position for _, position, _ in found])
         rotations = Rotation.from_quat([quaternion for _, _, quaternion in found])
-        k = min(int(share), max(len(found) - 2, 0))
-        if len(found) == 1:
-            position, rotation = positions[0], rotations[0]
-        else:
+        position, rotation = positions[0], rotations[0]
+        if len(found) > 1:
+            k = min(int(share), len(found) - 2)
             position = positions[k] + (share - k) * (positions[k + 1] - positions[k])
             rotation = Slerp([0.0, 1.0], rotations[k : k + 2])(share - k)
         message = TransformStamped()

@@ -11,6 +11,17 @@ import struct
 from typing import Any, NamedTuple, Self
 from urllib.parse import urlparse
 
+_REQUEST = """\
+GET / HTTP/1.1
+Host: {host}
+Upgrade: websocket
+Connection: Upgrade
+Sec-WebSocket-Key: {key}
+Sec-WebSocket-Version: 13
+Sec-WebSocket-Protocol: foxglove.sdk.v1
+
+"""
+
 
 class Data(NamedTuple):
     """One message of a channel."""
@@ -39,16 +50,7 @@ class WebSocketClient:
         self._socket.settimeout(timeout_s)
         self._socket.connect((address.hostname, address.port))
         key = base64.b64encode(os.urandom(16)).decode()
-        lines = [
-            "GET / HTTP/1.1",
-            f"Host: {address.netloc}",
-            "Upgrade: websocket",
-            "Connection: Upgrade",
-            f"Sec-WebSocket-Key: {key}",
-            "Sec-WebSocket-Version: 13",
-            "Sec-WebSocket-Protocol: foxglove.sdk.v1",
-        ]
-        self._socket.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        self._socket.sendall(_REQUEST.format(host=address.netloc, key=key).replace("\n", "\r\n").encode())
         self._file = self._socket.makefile("rb", buffering=1 << 20)
         status = self._file.readline()
         if b" 101 " not in status:
@@ -97,10 +99,9 @@ class WebSocketClient:
         return None
 
     def next_data(self) -> Data:
-        while True:
-            found = self.receive()
-            if found is not None:
-                return found
+        while (found := self.receive()) is None:
+            pass
+        return found
 
     def _send(self, message: dict[str, Any]) -> None:
         content, mask = json.dumps(message).encode(), os.urandom(4)

@@ -73,12 +73,11 @@ def contents(folder: Path) -> dict[str, int]:
     if not (folder / "manifest.json").exists():
         return {}
     result = {}
-    with RecordedDataset(folder) as dataset:
-        for stored in dataset:
-            sample = stored.record.sample
-            number = int(sample.grasp.score)
-            same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
-            result[sample.id] = number if same else -1
+    for stored in RecordedDataset(folder):
+        sample = stored.record.sample
+        number = int(sample.grasp.score)
+        same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
+        result[sample.id] = number if same else -1
     return result
 
 
