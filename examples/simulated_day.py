@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import shutil
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -33,9 +32,8 @@ import numpy as np
 
 from foretouch.errors import FileError
 from foretouch.models import load_model
-from foretouch.models.calibration import add_calibration
+from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, read_history
-from foretouch.models.registry import find_card
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
 from foretouch.ros.executables import PERCEPTION
@@ -70,18 +68,15 @@ def write_scene(out: Path) -> SceneConfig:
 
 def write_model(out: Path) -> Path:
     """The default model with a tracker for whom time passes faster; the path of its card."""
-    released, path = find_card("default"), out / "model"
-    path.mkdir()
-    card, model = path / released.name, load_model(released)
-    for file in released.parent.glob(f"{released.stem}.*"):
-        shutil.copy(file, path)
+    model = load_model()
     calibration = model.calibration
     assert calibration is not None  # noqa: S101  the released ones have it
     tracker = calibration.tracker_parameters
     times = {name: getattr(tracker, name) / SPEED for name in ("slow_time_s", "fast_time_s")}
-    facts = {name: model.card["calibration"][name] for name in ("level", "regimes", "rest")}
-    add_calibration(card, replace(calibration, tracker=replace(tracker, **times)), facts)
-    return card
+    quicker = replace(calibration, tracker=replace(tracker, **times))
+    errors = {name: model.card["calibration"][name] for name in ("level", "regimes", "rest")}
+    facts = {name: model.card[name] for name in ("summary", "config", "data", "split", "skill", "baselines", "limits")}
+    return save_contact(out / "model", model.name, model.estimator, facts, (quicker, errors))
 
 
 def nodes_of(schedule: ScheduleConfig, out: Path, model: Path) -> dict[str, dict[str, Any]]:

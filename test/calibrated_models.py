@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
-from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, add_calibration
+from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.contact.features import CONDITIONS, FEATURES
 from foretouch.models.contact.novelty import NoveltyDetector
@@ -59,9 +59,7 @@ def save_calibrated_network(folder: Path, calibration: Calibration | None = None
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
     net = TouchNet(config)
     net.set_scaling(torch.from_numpy(REST).float(), torch.linspace(20, 300, config.output_size))
-    card = save_network(folder, "calibrated", net.eval(), {})
-    add_calibration(card, calibration or make_calibration(), FACTS)
-    return str(card)
+    return str(save_network(folder, "calibrated", net.eval(), {}, (calibration or make_calibration(), FACTS)))
 
 
 def save_calibrated_contact(folder: Path) -> str:
@@ -80,6 +78,5 @@ def save_calibrated_contact(folder: Path) -> str:
     kernel = KernelRegression(centre, scale, known, 0.1 * labels.astype(np.float32), np.array(2.0))
     novelty = NoveltyDetector.fit(described, ["a", "b"] * 20)
     estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0), np.ones(4))
-    card = save_contact(folder, "contact", estimator, {"summary": "fitted to nothing"})
-    add_calibration(card, make_calibration(), FACTS)
-    return str(card)
+    facts = {"summary": "fitted to nothing"}
+    return str(save_contact(folder, "contact", estimator, facts, (make_calibration(), FACTS)))

@@ -6,29 +6,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from foretouch.learning.training.learners import RunConfig, find_learner, read_run_config
+from foretouch.learning.training.run_config import GROUPS, RunConfig
 
 MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
 BASE: dict[str, Any] = {
     "name": "tiny",
     "model": MODEL,
     "train": {"epochs": 4, "batch_size": 8, "target_scaling": "standardised"},
-    "srgan": {
-        "epochs": 4,
-        "batch_size": 5,
-        "learning_rate": 0.001,
-        "generator": {"widths": [6], "stride": 2, "channels": 3},
-    },
+    "srgan": {"epochs": 4, "batch_size": 5, "learning_rate": 0.001, "generator": {"noise_length": 4, "stride": 2}},
 }
 
 
 def run_config(**changes: Any) -> RunConfig:
     """`BASE` with some groups replaced, without those that the method does not use."""
     given = {**BASE, **changes}
-    unused = {"model", "train", "srgan", "contact"} - find_learner(
-        given.get("method", "supervised")
-    ).config_type.groups().keys()
-    return read_run_config({key: value for key, value in given.items() if key not in unused})
+    unused = {name for name, methods in GROUPS.items() if given.get("method", "supervised") not in methods}
+    return RunConfig.from_mapping({key: value for key, value in given.items() if key not in unused})
 
 
 def quiet(_record: Mapping[str, Any]) -> None:

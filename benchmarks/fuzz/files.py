@@ -24,7 +24,6 @@ from foretouch.dataset.recording import HOLD, REST, RecordingConfig, RecordingWr
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.dataset.store_writer import StoreWriter
-from foretouch.models.calibration import add_calibration
 from foretouch.models.card import read_card
 from foretouch.models.contact.cheaper import fewer_trees
 from foretouch.models.contact.estimator import save_contact
@@ -60,10 +59,10 @@ def cloud_digest(path: Path) -> str:
 def samples_digest(path: Path) -> str:
     """Read every sample of a dataset; the digest of all their values in order."""
     digest = hashlib.sha256()
-    with open_samples(path) as samples:
-        for record in samples.records(discarded=True):
-            digest.update(sample_digest(record.sample))
-            digest.update(repr((record.outcome, record.flags, record.contact_ns)).encode())
+    samples = open_samples(path)
+    for record in samples.records(discarded=True):
+        digest.update(sample_digest(record.sample))
+        digest.update(repr((record.outcome, record.flags, record.contact_ns)).encode())
     return digest.hexdigest()
 
 
@@ -277,10 +276,9 @@ def _vision2tactile(folder: Path) -> Path:
 def _model(folder: Path) -> Path:
     """The default model with two trees a forest."""
     model = load_model()
-    card = save_contact(folder, "contact", fewer_trees(model.estimator, 2), {"summary": "two trees"})
-    facts = model.card["calibration"]
-    add_calibration(card, model.calibration, {name: facts[name] for name in ("level", "regimes")})
-    return Path(card)
+    facts = {name: model.card["calibration"][name] for name in ("level", "regimes")}
+    estimator = fewer_trees(model.estimator, 2)
+    return save_contact(folder, "contact", estimator, {"summary": "two trees"}, (model.calibration, facts))
 
 
 def _rehash(folder: Path) -> None:

@@ -184,12 +184,12 @@ def _contents(folder: Path) -> dict[str, int]:
     if not (folder / "manifest.json").exists():
         return {}
     result = {}
-    with RecordedDataset(folder) as dataset:
-        for stored in dataset:
-            sample = stored.record.sample
-            number = int(sample.grasp.score)
-            same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
-            result[sample.id] = number if same else -1
+    dataset = RecordedDataset(folder)
+    for stored in dataset:
+        sample = stored.record.sample
+        number = int(sample.grasp.score)
+        same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
+        result[sample.id] = number if same else -1
     return result
 
 

@@ -313,7 +313,7 @@ def _matching(t: float, rng: np.random.Generator) -> tuple[float, float]:
     a = rng.uniform(0.5, 1.0, (8, 16)).astype(np.float32)
     b = (a + span(t, 0.5, 1e-4) * rng.uniform(0.5, 1.0, a.shape)).astype(np.float32)
     config = SrganLossConfig(loss_variant="as_printed", distance="batch_mean")
-    found = float(generator_loss(torch.from_numpy(a), torch.from_numpy(b), config).total)
+    found = float(generator_loss(torch.from_numpy(a), torch.from_numpy(b), config))
     delta = (exact(a) - exact(b)).sum(axis=0) / 8
     wanted = (delta**2).sum()
     return float(np.abs(b).max() / float(np.abs(delta).min())), relative_gap(found, wanted)
@@ -336,7 +336,7 @@ def _contrast(t: float, rng: np.random.Generator) -> tuple[float, float]:
     for name, form in forms.items():
         loss = discriminator_loss(torch.zeros(()), features, SrganLossConfig(contrast=name))
         wanted = np.frompyfunc(form, 1, 1)(far).sum() / far.size
-        worst = max(worst, gap(float(loss.parts["fake"]), wanted) / max(abs(float(wanted)), 1.0))
+        worst = max(worst, gap(float(loss["fake"]), wanted) / max(abs(float(wanted)), 1.0))
     return 1.0, worst
 
 

@@ -219,18 +219,14 @@ def scenes() -> str:
 
 
 def recipes() -> str:
-    """Settings of a training: those of every method, then the groups of each."""
-    from foretouch.learning.training.learners import find_learner
-    from foretouch.learning.training.learners.learner import LEARNERS, RunConfig
+    """Settings of a training: those of every method, then each group with the methods that it is for."""
+    from foretouch.learning.training.run_config import GROUPS, RunConfig
 
-    find_learner("contact")  # imports all
-    shared = {info.name for info in all_infos(RunConfig)}
-    parts = ["### Every method", settings_table(all_infos(RunConfig))]
-    shown: dict[str, str] = {}  # method by the settings of its own
-    for name, learner in sorted(LEARNERS.items()):
-        own = settings_table(info for info in all_infos(learner.config_type) if info.name not in shared)
-        parts += [f"### `method: {name}`", f"As of `{shown[own]}`." if own in shown else own]
-        shown.setdefault(own, name)
+    infos = all_infos(RunConfig)
+    parts = ["### Every method", settings_table(one for one in infos if one.name.partition(".")[0] not in GROUPS)]
+    for group, methods in GROUPS.items():
+        words = " and ".join(f"`method: {name}`" for name in methods)
+        parts += [f"### {words}", settings_table(one for one in infos if one.name.startswith(f"{group}."))]
     return sections(parts)
 
 

@@ -65,11 +65,11 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call: Call, model: str, 
     (tmp_path / "t.json").write_text(json.dumps([reading(k) for k in (30, 10, 20)]))
     answer = call("predict", session, "--model", model, "--tare", tmp_path / "t.json", "--json")
     core, tare = load_model(model), Touch.from_vector(REST + 20)
-    with open_samples(session) as samples:
-        for result, found in zip(answer.records, samples.records(), strict=True):
-            (wanted,) = core.predict(found.sample.cloud, [found.sample.grasp], tare=tare)
-            assert_reported(result["predictions"][0], wanted)
-            assert (wanted.reference, result["touched"]) == ("tare", 0)
+    samples = open_samples(session)
+    for result, found in zip(answer.records, samples.records(), strict=True):
+        (wanted,) = core.predict(found.sample.cloud, [found.sample.grasp], tare=tare)
+        assert_reported(result["predictions"][0], wanted)
+        assert (wanted.reference, result["touched"]) == ("tare", 0)
 
 
 def test_touches_and_own_tares_adapt_it_in_order_of_time(call: Call, model: str, session: Path) -> None:
@@ -91,8 +91,8 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call: Call, model: str,
 
 
 def test_a_sample_s_own_reading_moves_nothing(call: Call, model: str, session: Path, tmp_path: Path) -> None:
-    with open_samples(session) as found:
-        first, *_ = found.records()
+    found = open_samples(session)
+    first, *_ = found.records()
     with RecordingWriter(tmp_path / "one", IDENTITY, QUICK) as writer:
         writer.append(first)
     words = ("predict", tmp_path / "one", "--model", model, "--json")
@@ -224,8 +224,8 @@ def test_a_history_is_read_in_order_of_time(call: Call, tracked: str, session: P
 
 
 def samples_of(path: Path) -> list[GraspSample]:
-    with open_samples(path) as found:
-        return [record.sample for record in found.records()]
+    found = open_samples(path)
+    return [record.sample for record in found.records()]
 
 
 def test_no_reading_of_the_future_is_used_and_never_its_own(call: Call, tracked: str, session: Path) -> None:
@@ -273,8 +273,8 @@ def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(
     assert answer.status == 0
     assert [one["touched"] for one in answer.records] == [0, 1, 2, 3, 4]
     core = load_model(model)
-    with open_samples(session) as samples:
-        found = sorted((one.sample for one in samples.records()), key=lambda sample: sample.stamp_ns)
+    samples = open_samples(session)
+    found = sorted((one.sample for one in samples.records()), key=lambda sample: sample.stamp_ns)
     done = replay_model(core, found)
     for k, one in enumerate(answer.records):
         assert one["sample"] == found[k].id

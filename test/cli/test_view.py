@@ -91,8 +91,8 @@ def view(call: Call, tmp_path: Path) -> Callable[..., Written]:
 
 
 def records_of(path: Path) -> list[SampleRecord]:
-    with open_samples(path) as samples:
-        return list(samples.records())
+    samples = open_samples(path)
+    return list(samples.records())
 
 
 def test_predictions_are_those_of_predict_and_readings_are_beside_them(

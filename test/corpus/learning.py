@@ -22,8 +22,8 @@ from foretouch.learning.evaluation import metrics
 from foretouch.learning.training import losses
 from foretouch.learning.training.calibration import HeldOutPredictions, make_calibration
 from foretouch.learning.training.device import DeviceConfig, TrainingDevice
-from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.run import train_run
+from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.models import load_model
 from foretouch.models.calibration import Calibration
@@ -39,7 +39,7 @@ Cases = Iterator[tuple[Any, ...]]
 _ROUNDING = {"float32": 1e-5, "bfloat16": 1e-2, "float16": 2e-3}  # relative, that an answer may show
 _LARGEST = {"float32": 1e18, "bfloat16": 1e18, "float16": 6e4}  # whose square or sum is still finite
 _MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16]}
-_GENERATOR = {"widths": [6], "stride": 2, "channels": 3}
+_GENERATOR = {"noise_length": 4, "stride": 2}
 _METHODS: dict[str, dict[str, Any]] = {
     "supervised": {"model": _MODEL, "train": {"epochs": 2, "batch_size": 4, "device": "cpu"}},
     "srgan": {"model": _MODEL, "srgan": {"epochs": 2, "batch_size": 2, "generator": _GENERATOR, "device": "cpu"}},
@@ -92,9 +92,9 @@ def _srgan(variant: str, dtype: str, *features: Any) -> list[Any]:
     config = losses.SrganLossConfig(loss_variant=variant)
     parts = [torch.from_numpy(one).to(getattr(torch, dtype)).requires_grad_() for one in features]
     discriminator = losses.discriminator_loss(torch.tensor(0.5), losses.Features(*parts), config)
-    total = discriminator.total + losses.generator_loss(parts[2], parts[1].detach(), config).total
+    total = discriminator["total"] + losses.generator_loss(parts[2], parts[1].detach(), config)
     total.backward()
-    return [total, discriminator.numbers(), *(one.grad for one in parts if one.grad is not None)]
+    return [total, *discriminator.values(), *(one.grad for one in parts if one.grad is not None)]
 
 
 def _contrast_slope(contrast: str, dtype: str, far: float) -> Any:
@@ -102,7 +102,7 @@ def _contrast_slope(contrast: str, dtype: str, far: float) -> Any:
     config = losses.SrganLossConfig(contrast=contrast, weight_unlabeled=0.0)
     zeros = torch.zeros(5, 4, dtype=getattr(torch, dtype))
     fake = torch.full_like(zeros, far).requires_grad_()
-    losses.discriminator_loss(torch.tensor(0.0), losses.Features(zeros, zeros, fake), config).total.backward()
+    losses.discriminator_loss(torch.tensor(0.0), losses.Features(zeros, zeros, fake), config)["total"].backward()
     return fake.grad.double().abs().sum()
 
 
@@ -338,7 +338,7 @@ def _run(method: str, samples: list[GraspSample], **train: Any) -> list[Any]:
         samples = [replace(one, touch=None) if k % 2 else one for k, one in enumerate(samples)]
     data = Dataset("made-up", tuple(samples), "0" * 64, {})
     with TemporaryDirectory() as folder:
-        model = load_model(train_run(read_run_config(settings), data, Path(folder) / "run", lambda _: None))
+        model = load_model(train_run(RunConfig.from_mapping(settings), data, Path(folder) / "run", lambda _: None))
         prediction = model.predict(samples[0].cloud, [samples[0].grasp])[0]
     if prediction.value is None:
         raise ModelError(prediction.reason)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding models by name, path and run folder, and the table of kinds (damaged files: `*/test_checkpoint.py`)."""
+"""Finding models by name, path and run folder (damaged files: `*/test_checkpoint.py`)."""
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +13,6 @@ from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 
 from foretouch.errors import ModelError
-from foretouch.models.card import KINDS, ModelKind
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.registry import DEFAULT_MODEL, available_models, find_card, load_model
@@ -97,24 +95,6 @@ def test_a_damaged_card_in_a_folder_is_named_and_not_overlooked(contact: Path, t
     contact.write_text("{")
     with pytest.raises(ModelError, match=r"toy.json: not JSON"):
         load_model(contact.parent)
-
-
-def test_another_kind_of_model_is_one_row_of_the_table(contact: Path, tmp_path: Path, monkeypatch) -> None:
-    """A made-up kind in a module of its own is loaded, and its fields are checked."""
-    (tmp_path / "made_up_model.py").write_text(
-        "from foretouch.models.contact.estimator import load_model as load_contact\n"
-        "def load(path, card):\n    return load_contact(path, card)\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    kinds = {**KINDS, "made-up": ModelKind("made_up_model:load", {"weights": str, "grip": dict})}
-    monkeypatch.setattr("foretouch.models.card.KINDS", kinds)
-    monkeypatch.setattr("foretouch.models.registry.KINDS", kinds)
-    card = json.loads(contact.read_text()) | {"kind": "made-up"}
-    contact.write_text(json.dumps(card))
-    with pytest.raises(ModelError, match=r"toy.json: grip: is missing"):
-        load_model(contact)
-    contact.write_text(json.dumps(card | {"grip": {}}))
-    assert load_model(contact.parent).predict(SAMPLE.cloud, [SAMPLE.grasp])[0].status == "ok"
 
 
 def test_a_contact_model_loads_and_predicts_without_torch(contact: Path) -> None:

@@ -91,7 +91,7 @@ def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
 
 def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     """Train one network and test it in both modes, beside the mean of the training labels."""
-    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.run_config import load_run_config
     from foretouch.learning.training.supervised import train_network
 
     samples = labelled(data)

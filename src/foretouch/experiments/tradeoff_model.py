@@ -200,7 +200,7 @@ def _network(values: Mapping[str, Any], net: TouchNet, fallback: Any) -> Estimat
 def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:
     """Train the recipe of touchnet-v1 on a fold, and predict its test side by each variant of this network."""
     from foretouch.learning.data.training_set import TrainingSet
-    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.run_config import load_run_config
     from foretouch.learning.training.supervised import train_network
     from foretouch.models.novelty import Fallback
 
@@ -217,7 +217,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
 
 def _timed_network(values: Mapping[str, Any]) -> Estimator:
     """A variant of touchnet-v1."""
-    from foretouch.models.calibration import load_calibration
+    from foretouch.models.model_files import load_calibration
     from foretouch.models.network.checkpoint import load_network
 
     path = find_card(NETWORK)

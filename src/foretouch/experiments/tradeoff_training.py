@@ -209,7 +209,7 @@ def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
 
 def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
     from foretouch.learning.data import TrainingSet
-    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.run_config import load_run_config
     from foretouch.learning.training.supervised import SupervisedTrainer
 
     recipe: Any = load_run_config("touchnet-v1").updated(variant.values["changes"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of a model's errors: calibrated prediction intervals, and what the tracker of readings needs; their file.
+"""Statistics of a model's errors: calibrated prediction intervals, and what the tracker of readings needs.
 
 The residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that
 is new with each grasp, of variance W. Intervals before any reading are conformal with objects as the exchangeable unit:
@@ -13,16 +13,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
-from foretouch.models.card import card_text, read_card
-from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
-from foretouch.models.novelty import Fallback
+from foretouch.models.files import TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import MODALITIES, columns
@@ -32,7 +29,6 @@ GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""
 
 _POSITIVE: Final = ("within", "spread", "half_width")
-_FALLBACK: Final = "fallback/"
 _TRACKER: Final = "tracker/"
 _MIN_VALUE: Final = 1e-9  # [counts²] of a variance; that of rounding is 0.08
 _MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
@@ -160,64 +156,3 @@ def _check_array(name: str, array: npt.NDArray[Any]) -> None:
         raise ModelError(
             f"{name}: holds a value that is not finite{f' and at least {_MIN_VALUE:g}' if positive else ''}"
         )
-
-
-def add_calibration(
-    card_path: Path, calibration: Calibration, facts: Mapping[str, Any], fallback: Fallback | None = None
-) -> None:
-    """Write a calibration beside a model and name it in the model's card.
-
-    Args:
-        card_path: The card of a network or a contact model.
-        calibration: Stored in `<name>.trust.safetensors`.
-        facts: `level`, `regimes` (objects and coverage by group) and `rest`, for the card.
-        fallback: Of a network, stored in the same file.
-
-    Raises:
-        ModelError: If the card cannot be read.
-        FileError: If a file cannot be written; the files before are kept.
-    """
-    card = read_card(card_path)
-    files = calibration_file(card_path, card, calibration, facts, fallback)
-    replace_files({**files, card_path: card_text(card).encode()})
-
-
-def calibration_file(
-    card_path: Path,
-    card: dict[str, Any],
-    calibration: Calibration,
-    facts: Mapping[str, Any],
-    fallback: Fallback | None = None,
-) -> dict[Path, bytes]:
-    """`<name>.trust.safetensors` with its content.
-
-    Adds its name and hash to the card. Arguments as in `add_calibration`.
-    """
-    tensors = calibration.to_tensors()
-    if fallback is not None:
-        tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}
-    path = card_path.with_name(f"{card_path.stem}.trust.safetensors")
-    content, sha256 = packed(tensors)
-    card["calibration"] = {"weights": path.name, "sha256": sha256, **facts}
-    return {path: content}
-
-
-def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibration | None, Fallback | None]:
-    """The calibration that a card names, and the fallback in the same file; None where there is none.
-
-    Raises:
-        ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
-    """
-    facts = card.get("calibration")
-    if facts is None:
-        return None, None
-    for field in ("weights", "sha256"):
-        if not isinstance(facts.get(field), str):
-            raise ModelError(f"{card_path}: calibration.{field}: is missing")
-    path = file_beside(card_path, facts["weights"], "calibration.weights")
-    tensors = read_tensors(path, facts["sha256"], card_path.name)
-    try:
-        fallback = any(name.startswith(_FALLBACK) for name in tensors)
-        return Calibration.from_tensors(tensors), read_part(Fallback, tensors, _FALLBACK) if fallback else None
-    except ModelError as err:
-        raise ModelError(f"{path}: {err}") from err

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The card beside a model's weights: what the model is, what it was trained on, how well it performs.
 
-A card is plain JSON, which names the weights. `KINDS` lists the kinds of models: the fields that their cards hold, and
-the function that loads them. A new kind of touch model is one row here beside its own modules.
+A card is plain JSON, which names the weights.
 """
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,26 +30,11 @@ _TRAINED: Final[_Fields] = {
 }
 
 
-@dataclass(frozen=True)
-class ModelKind:
-    """One kind of touch model.
-
-    Attributes:
-        loader: `module:function`, imported when the first such model is loaded. The function takes the path of a card
-            and its content, and returns a `TouchModel`.
-        fields: What the card holds besides name, kind and hash, with the types.
-    """
-
-    loader: str
-    fields: _Fields
-
-
-KINDS: Final[Mapping[str, ModelKind]] = {
-    "network": ModelKind(
-        "foretouch.models.network.checkpoint:load_model", {**_TRAINED, "familiar": (dict, type(None))}
-    ),
-    "contact": ModelKind("foretouch.models.contact.estimator:load_model", _TRAINED),
+KINDS: Final[Mapping[str, _Fields]] = {
+    "network": {**_TRAINED, "familiar": (dict, type(None))},
+    "contact": {**_TRAINED, "ranges": dict},
 }
+"""Fields that the cards of each kind hold besides `_COMMON`, with their types."""
 
 
 def new_card(name: str, kind: str, **fields: Any) -> dict[str, Any]:
@@ -80,7 +63,7 @@ def read_card(path: str | Path) -> dict[str, Any]:
     kind = card.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ModelError(f"{path}: kind: {quoted(kind)} is none of {', '.join(KINDS)}")
-    for field, types in {**_COMMON, **KINDS[kind].fields}.items():
+    for field, types in {**_COMMON, **KINDS[kind]}.items():
         if field not in card:
             raise ModelError(f"{path}: {field}: is missing")
         if not isinstance(card[field], types):

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find a model by name, path or run folder, and load it; torch is imported when the first network is loaded."""
 
-from importlib import import_module, resources
+from importlib import resources
 from pathlib import Path
 from typing import Final
 
 from foretouch.checked_files import read_json
 from foretouch.errors import FileError, ModelError, shown
-from foretouch.models.card import CARD_FORMAT, KINDS, read_card
+from foretouch.models.card import CARD_FORMAT, read_card
 from foretouch.models.touch_model import TouchModel
 
 DEFAULT_MODEL: Final = "contact-v2"
@@ -32,9 +32,11 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
     """
     path = find_card(name_or_path)
     card = read_card(path)
-    module, _, function = KINDS[card["kind"]].loader.partition(":")
-    model: TouchModel = getattr(import_module(module), function)(path, card)
-    return model
+    if card["kind"] == "network":
+        from foretouch.models.network.checkpoint import load_model as load
+    else:
+        from foretouch.models.contact.estimator import load_model as load
+    return load(path, card)
 
 
 def find_card(name_or_path: str | Path) -> Path:

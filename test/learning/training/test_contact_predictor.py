@@ -17,7 +17,6 @@ from foretouch.errors import DatasetError
 from foretouch.learning.evaluation.metrics import mean_over_objects
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
-from foretouch.models.calibration import add_calibration
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.registry import load_model
@@ -56,8 +55,7 @@ def by_touch_model(model: TouchModel, touched: list[GraspSample], sample: GraspS
 
 
 def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path) -> None:
-    card = save_contact(tmp_path, "toy", tared.estimator, {})
-    add_calibration(card, *tared.calibration)
+    card = save_contact(tmp_path, "toy", tared.estimator, {}, tared.calibration)
     model, remaining = load_model(card), TARED[44:]
 
     def check(touches: int, tare: bool) -> None:

@@ -19,7 +19,7 @@ from foretouch.learning.training.trainer import Trainer
 from foretouch.models.network.networks import GeneratorConfig
 
 METHODS = ("supervised", "frozen", "per_source")
-READINGS = ("as_printed", "contrast", "srgan")
+VARIANTS = ("as_printed", "contrast", "srgan")
 
 
 def batch() -> tuple[torch.Tensor, torch.Tensor]:
@@ -30,14 +30,16 @@ def batch() -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def gradients(chosen: slice, context: DistributedContext) -> torch.Tensor:
-    """Of a linear map that is features and prediction at once, for each reading."""
+    """Of a linear map that is features and prediction at once, for each variant of the loss."""
     x, target = (part[chosen] for part in batch())
     rows = []
-    for reading in READINGS:
+    for variant in VARIANTS:
         weight = torch.linspace(-1.0, 1.0, 12).view(4, 3).requires_grad_()
         labeled = labeled_loss(x @ weight, target, [1, 2], context=context)
         features = Features(x @ weight, (x * 0.5 + 1.0) @ weight, (x * 2.0 - 1.0) @ weight)
-        discriminator_loss(labeled, features, SrganLossConfig(loss_variant=reading), context=context).total.backward()
+        discriminator_loss(labeled, features, SrganLossConfig(loss_variant=variant), context=context)[
+            "total"
+        ].backward()
         rows.append(weight.grad)
     return torch.stack(rows)
 
@@ -100,7 +102,7 @@ def trained_gradients(data: TrainingSet, method: str) -> torch.Tensor:
                 learning_rate=1e-4,
                 points=24,
                 batch_norm="per_source" if method == "per_source" else "frozen",
-                generator=GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3),
+                generator=GeneratorConfig(noise_length=3, stride=2),
                 loss=SrganLossConfig(loss_variant="srgan", gradient_penalty=0.0 if method == "per_source" else 10.0),
                 device="cpu",
             ),

@@ -118,7 +118,7 @@ def test_known_failures_are_one_line_and_status_one(folder: Path, config: Path, 
             "RunConfig.release: model.outputs: ['PDC_TH'] are not all modalities",
         ),
         (["split=random/random 0", "release=true"], "RunConfig.release: trains on all samples"),
-        (["method=trees"], "RunConfig.method: 'trees' is none of contact, "),
+        (["method=trees"], "RunConfig.method: 'trees' is none of supervised, srgan, contact"),
     ):
         assert train(config, folder, *words, "-o", tmp_path / "out") == 1
         assert message in capsys.readouterr().err

@@ -15,23 +15,13 @@ import yaml
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file, save_file
 
-from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset
 from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
-from foretouch.learning.training.contact import ContactConfig
-from foretouch.learning.training.learners import load_run_config, read_run_config
 from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_folder import (
-    CONFIG_FILE,
-    LOG_FILE,
-    STATE_FILE,
-    TENSORBOARD_FOLDER,
-    read_state,
-    write_state,
-)
-from foretouch.learning.training.supervised import TrainConfig
+from foretouch.learning.training.run_config import RunConfig, load_run_config
+from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, TENSORBOARD_FOLDER, read_state, write_state
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
@@ -50,25 +40,11 @@ def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) 
     assert [json.loads(line)["epoch"] for line in logs[0].splitlines()] == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("method", ["supervised", "contact"])
-def test_a_run_of_an_older_version_resumes(data, tmp_path, method: str) -> None:
-    """Its settings lack the newer fields, and hold the groups of all methods."""
-    chosen = run_config(method=method, **({"contact": {"trees": 3}} if method == "contact" else {}))
-    whole = train_run(chosen, data, tmp_path / "whole", quiet)
-    if method == "contact":
-        train_run(chosen, data, tmp_path / "old", quiet)
-    else:
-        with pytest.raises(KeyboardInterrupt):
-            train_run(chosen, data, tmp_path / "old", stop_after(1))
-    file = tmp_path / "old" / CONFIG_FILE
-    resolved = {key: value for key, value in load_yaml(file).items() if key not in {"calibrate", "release"}}
-    groups = {"train": TrainConfig().to_mapping(), "contact": ContactConfig().to_mapping()}
-    file.write_text(yaml.safe_dump({**groups, **resolved}))
-    resumed = train_run(chosen, data, tmp_path / "old", quiet, resume=True)
-    assert resumed.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
-    changed = chosen.replace(tensorboard=True)
+def test_a_run_resumes_with_its_own_settings_only(data, tmp_path) -> None:
+    chosen = run_config(method="contact", contact={"trees": 3})
+    train_run(chosen, data, tmp_path / "run", quiet)
     with pytest.raises(ConfigError, match="tensorboard: False is not True; a run resumes as it began"):
-        train_run(changed, data, tmp_path / "old", quiet, resume=True)
+        train_run(chosen.replace(tensorboard=True), data, tmp_path / "run", quiet, resume=True)
 
 
 @pytest.mark.slow
@@ -244,7 +220,7 @@ def test_a_contact_model_has_no_validation() -> None:
 )
 def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
     resolved = load_run_config(recipe)
-    assert read_run_config(resolved.to_mapping()) == resolved
+    assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
     assert load_run_config(recipe.stem) == resolved  # by name, as where no config folder is installed
 
 

@@ -18,8 +18,8 @@ from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.run import train_run
+from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, RunFolder, read_state
 from foretouch.models.registry import load_model
 from foretouch.types import Cloud, GraspSample
@@ -46,8 +46,8 @@ def with_first(data: Dataset, sample: GraspSample) -> Dataset:
 )
 def test_settings_of_another_method_are_refused(given: dict, field: str) -> None:
     with pytest.raises(ConfigError, match=f"RunConfig.{field}"):
-        read_run_config(given)
-    read_run_config({"method": given.get("method", "supervised")})
+        RunConfig.from_mapping(given)
+    RunConfig.from_mapping({"method": given.get("method", "supervised")})
 
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])

@@ -17,7 +17,7 @@ from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfi
 from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.networks import GeneratorConfig
 
-GENERATOR = GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3)  # 24 points
+GENERATOR = GeneratorConfig(noise_length=3, stride=2)  # 24 points
 QUICK = SrganConfig(
     epochs=2,
     batch_size=5,
@@ -87,7 +87,7 @@ def test_an_epoch_is_a_pass_over_either_kind(data) -> None:
 def test_each_step_moves_its_own_network_alone(data) -> None:
     trainer = make(data)
     freeze(trainer.net)
-    real = trainer._points(UNLABELLED[:5])
+    real = trainer._clouds(UNLABELLED[:5])
     one = weights(trainer)
     trainer._generator_step(0, UNLABELLED[:5], real)
     two = weights(trainer)
@@ -100,7 +100,7 @@ def test_each_step_moves_its_own_network_alone(data) -> None:
 
 def test_a_batch_mate_moves_no_features_when_frozen(data) -> None:
     trainer = steps(make(data), 1)
-    points = trainer._points(LABELLED[:5])
+    points = trainer._clouds(LABELLED[:5])
     other = points.clone()
     other[1:] *= 3.0
     with torch.no_grad():
@@ -124,8 +124,8 @@ def test_frozen_statistics_are_those_of_real_clouds(data) -> None:
 def test_per_source_statistics_are_those_of_the_labelled_clouds_alone(data) -> None:
     config = QUICK.replace(batch_norm="per_source")
     one, two = make(data, config), make(data, config)
-    strange = one._points(UNLABELLED[:5]) * 50.0
-    for trainer, real in ((one, strange), (two, two._points(UNLABELLED[:5]))):
+    strange = one._clouds(UNLABELLED[:5]) * 50.0
+    for trainer, real in ((one, strange), (two, two._clouds(UNLABELLED[:5]))):
         trainer.net.train()
         trainer._regressor_step(0, LABELLED[:5], UNLABELLED[:5], real)
     assert torch.equal(one.net.features.layers[0].norm.running_mean, two.net.features.layers[0].norm.running_mean)

@@ -13,9 +13,9 @@ from foretouch.learning.data import Dataset, TrainingSet, duplicate_labels, labe
 from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.evaluation.baselines import object_mean, training_mean
 from foretouch.learning.evaluation.evaluate import cross_validate
-from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.run import make_learner
+from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import fold
@@ -168,12 +168,12 @@ def test_duplicate_labels_are_found(samples) -> None:
 
 def test_cross_validation_scores_network_and_baselines_on_the_same_folds(samples, small) -> None:
     train = QUICK.replace(epochs=40).to_mapping()
-    config = read_run_config({"model": small.to_mapping(), "train": train, "calibrate": True})
+    config = RunConfig.from_mapping({"model": small.to_mapping(), "train": train, "calibrate": True})
     learner = make_learner(config, Dataset("boxes", tuple(samples), "sha", {}))
     quick = {"training_mean": training_mean, "object_mean": object_mean}
     folds = make_folds(samples, "random", 0)
     scores, predicted = cross_validate(
-        samples, labels_of(samples), learner.predict_fold, folds, learner.ranges, baselines=quick
+        samples, labels_of(samples), learner.predict_fold, folds, learner.config.ranges, baselines=quick
     )
     assert set(scores) == {"model", "training_mean", "object_mean"}
     assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibrated_models import FACTS, make_calibration, save_calibrated_network
+from calibrated_models import FACTS, make_calibration
 from contact_model_builders import small_estimator
 from every_case import every_case
 from experiment_samples import make_samples
@@ -17,11 +17,13 @@ from numpy.testing import assert_array_equal
 
 from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, ModelError
-from foretouch.models.calibration import Calibration, add_calibration, load_calibration
+from foretouch.models.calibration import Calibration
 from foretouch.models.card import read_card
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
+from foretouch.models.model_files import load_calibration
+from foretouch.models.network.checkpoint import save_network
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
@@ -35,9 +37,8 @@ TARE = Touch.from_vector(make_calibration().rest + 12.0)
 
 @pytest.fixture
 def card(tmp_path: Path) -> Path:
-    path = save_contact(tmp_path, "toy", small_estimator(), {"summary": "a toy", "limits": ["none"]})
-    add_calibration(path, make_calibration(), FACTS)
-    return path
+    facts = {"summary": "a toy", "limits": ["none"]}
+    return save_contact(tmp_path, "toy", small_estimator(), facts, (make_calibration(), FACTS))
 
 
 def edit(card: Path, **changes: Any) -> None:
@@ -101,13 +102,6 @@ def test_saving_again_gives_the_same_files(card: Path, tmp_path: Path) -> None:
     assert read_card(again)["sha256"] == read_card(card)["sha256"]
 
 
-def test_model_and_calibration_at_once_are_those_one_after_the_other(card: Path, tmp_path: Path) -> None:
-    facts = {"summary": "a toy", "limits": ["none"]}
-    once = save_contact(tmp_path / "once", "toy", small_estimator(), facts, (make_calibration(), FACTS))
-    for path in card.parent.glob("toy.*"):
-        assert (once.parent / path.name).read_bytes() == path.read_bytes()
-
-
 def test_a_full_disk_leaves_the_calibrated_model_before(card: Path) -> None:
     before, other = {path.name: path.read_bytes() for path in card.parent.iterdir()}, make_calibration(seed=1)
     for full in before:
@@ -124,11 +118,10 @@ def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> 
     assert prediction.lower is None
 
 
-def test_a_calibration_of_a_network_brings_its_fallback(tmp_path: Path) -> None:
-    card = Path(save_calibrated_network(tmp_path))
+def test_a_calibration_of_a_network_brings_its_fallback(make_net, tmp_path: Path) -> None:
     sizes = np.array([object_sizes(sample.cloud.xyz) for sample in SAMPLES])
     fallback = Fallback.fit(sizes, np.tile(np.linspace(1000.0, 3000.0, 50), (len(SAMPLES), 1)))
-    add_calibration(card, make_calibration(), FACTS, fallback)
+    card = save_network(tmp_path, "net", make_net(), {}, (make_calibration(), FACTS), fallback)
     calibration, found = load_calibration(card, read_card(card))
     assert isinstance(calibration, Calibration)
     for name, array in fallback.to_tensors().items():

@@ -4,7 +4,6 @@
 import pytest
 import torch
 
-from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
 
@@ -30,10 +29,10 @@ def test_the_lengths_are_those_of_the_paper() -> None:
     assert P2.n_points == 750
 
 
-def test_widths_and_size_follow_the_configuration() -> None:
-    config = GeneratorConfig(noise_length=4, noise_channels=3, widths=(16,), stride=3)
+def test_the_size_follows_the_configuration() -> None:
+    config = GeneratorConfig(noise_length=4, widths=(16,), stride=3)
     generator = make(config)
-    assert [tuple(layer.weight.shape[:2]) for layer in generator.layers] == [(3, 16), (16, 6)]
+    assert [tuple(layer.weight.shape[:2]) for layer in generator.layers] == [(6, 16), (16, 6)]
     assert generator(noise(config)).shape == (4, 36, 6)
     assert config.n_points == 36
 
@@ -66,15 +65,12 @@ def test_gradient_reaches_every_parameter(channels: str) -> None:
         assert float(parameter.grad.abs().max()) > 0, name
 
 
-def test_unused_channels_are_named_and_get_no_gradient() -> None:
+def test_channels_that_the_network_does_not_use_get_no_gradient() -> None:
     generator = make(channels="xyz")
-    assert generator.channel_names == ("x", "y", "z", "unused_3", "unused_4", "unused_5")
-    assert generator.unused_channels == ("unused_3", "unused_4", "unused_5")
     generator.clouds(noise()).square().sum().backward()
     last = generator.layers[-1].weight.grad
     assert float(last[:, 3:].abs().max()) == 0.0
     assert float(last[:, :3].abs().max()) > 0.0
-    assert make(channels="xyz+normals").unused_channels == ()
 
 
 def test_a_column_of_noise_makes_its_own_points() -> None:
@@ -85,8 +81,3 @@ def test_a_column_of_noise_makes_its_own_points() -> None:
     assert moved.min() >= 250
     assert moved.max() < 375
     assert len(moved) > 0
-
-
-def test_too_few_channels_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"channels: 3 are fewer than the 6 of xyz\+rgb"):
-        make(GeneratorConfig(channels=3))

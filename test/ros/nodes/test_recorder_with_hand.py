@@ -39,8 +39,8 @@ def raw_topics(session, out):
 
 def labelled(path):
     """Samples with a touch, by their grasp."""
-    with RecordedDataset(path) as dataset:
-        records = [dataset[k].record for k in range(len(dataset))]
+    dataset = RecordedDataset(path)
+    records = [dataset[k].record for k in range(len(dataset))]
     return {one.sample.grasp.id: one for one in records if one.sample.touch is not None}
 
 

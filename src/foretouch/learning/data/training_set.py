@@ -15,7 +15,13 @@ from foretouch.errors import CloudError, DatasetError, ModelError
 from foretouch.learning.data.folds import Indices
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import grasp_lengths
-from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
+from foretouch.models.network.preparation import (
+    SAMPLER_SEED,
+    finite_points,
+    prepare_cloud,
+    prepare_grasps,
+    sample_channels,
+)
 from foretouch.tactile import touch_faults
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
@@ -124,7 +130,7 @@ def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
     rows = []
     for i in index:
         one = np.array([i])
-        points = torch.from_numpy(data.points(one, np.random.default_rng(data.config.sampler_seed))).to(device)
+        points = torch.from_numpy(data.points(one, np.random.default_rng(SAMPLER_SEED))).to(device)
         grasp = None if grasps is None else grasps[one]
         with torch.inference_mode():
             if rounded is None:

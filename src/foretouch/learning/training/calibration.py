@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data.folds import Fold, make_folds, object_folds
+from foretouch.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
 from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration, CalibrationGroup
@@ -107,8 +107,14 @@ def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float6
     return shifted
 
 
-def calibrate(
-    samples: Sequence[GraspSample], labels: Float64, held_out: Mapping[str, tuple[Float64, Names]]
+def calibrate_on_folds(
+    samples: Sequence[GraspSample],
+    labels: Float64,
+    predict: HoldOut,
+    seed: int,
+    predicted: Mapping[str, Float64] | None = None,
+    *,
+    workers: int = 1,
 ) -> tuple[Calibration, dict[str, Any]]:
     """A calibration from held-out predictions.
 
@@ -117,17 +123,30 @@ def calibrate(
     Args:
         samples: Training samples, of several objects.
         labels: (S, 50) [counts].
-        held_out: By condition (see `calibration_folds`), (S, 50) predictions at rest level [counts] and (S,) sessions.
+        predict: Fits to the training side of a fold and predicts its test side, at rest level.
+        seed: Of the folds.
+        predicted: (S, 50) held-out predictions by condition (see `calibration_folds`), if they are known already.
+        workers: Number of processes.
 
     Returns:
         As `make_calibration`; the facts also hold `rest`, the origin of the rest level.
+
+    Raises:
+        DatasetError: If all samples are of one object.
     """
+    conditions = calibration_folds(samples, seed)
+    if predicted is None:
+        with fold_workers(workers) as run:
+            predicted = {name: predict_folds(predict, folds, run) for name, (folds, _) in conditions.items()}
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])
-    found = {name: HeldOutPredictions(predicted, labels, objects, own) for name, (predicted, own) in held_out.items()}
+    found = {
+        name: HeldOutPredictions(predicted[name], labels, objects, sessions)
+        for name, (_, sessions) in conditions.items()
+    }
     calibration, facts = make_calibration(rest, found)
     if all(sample.stamp_ns > 0 for sample in samples):
-        recording = Recording.of_samples(samples, labels, held_out["new"][0], rest).ordered()
+        recording = Recording.of_samples(samples, labels, predicted["new"], rest).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
         calibration = replace(calibration, tracker=tracker)
     return calibration, {**facts, "rest": "recorded tares" if recorded else "guessed from the labels"}

@@ -10,16 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import CloudError, ConfigError, DatasetError
-from foretouch.learning.data import Fold, Indices, labels_of, predict_folds
+from foretouch.errors import CloudError, DatasetError
+from foretouch.learning.data import Fold, Indices, labels_of
 from foretouch.learning.evaluation.prequential import Recording, predict_after
-from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
-from foretouch.learning.training.generalisation import choose_ridge, same_object
+from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
+from foretouch.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.models.contact.novelty import NoveltyDetector
-from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
+from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
@@ -43,22 +43,8 @@ class ContactConfig(Settings):
     )
     depth: int | None = setting(None, "Most levels of a tree; not limited by default", minimum=1, maximum=100)
     feature_share: float = setting(0.5, "Share of the features tried at each split", minimum=0.01, maximum=1.0)
-    decay: float = setting(2.0, "Decay of the kernel over the mean distance per standardised feature", minimum=0.01)
-    ridges: tuple[float, ...] = setting(
-        (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0),
-        "Candidates for the kernel's ratio of noise to signal; chosen on objects left out",
-        minimum=1e-3,
-    )
-    object_effect: float = setting(
-        1.0, "Variance of what is an object's own, beside its shape, over that of the kernel", minimum=0.0
-    )
     seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.ridges:
-            raise ConfigError("ContactConfig.ridges: [] must hold at least one value")
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
@@ -120,10 +106,10 @@ def fit_contact(
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
-    ridge, gain = choose_ridge(inputs, scaled, objects, config.decay, config.object_effect, config.ridges)
+    ridge, gain = choose_ridge(inputs, scaled, objects)
     return ContactEstimator(
         forests=fit_forests(rows, labels, config, thinned),
-        kernel=_kernel(inputs, scaled, objects, ridge, config),
+        kernel=_kernel(inputs, scaled, objects, ridge),
         novelty=NoveltyDetector.fit(rows, objects),
         mean=mean,
         deviation=deviation,
@@ -165,20 +151,13 @@ def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
     return Forest.from_trees([tree.tree_ for tree in fitted.estimators_])
 
 
-def _kernel(
-    rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float, config: ContactConfig
-) -> KernelRegression:
+def _kernel(rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float) -> KernelRegression:
     from scipy.linalg import cho_factor, cho_solve
 
     centre, scale = standardisation(rows)
     known = (rows - centre) / scale
-    kernel = laplacian(known, known, config.decay)
-    if config.object_effect:
-        kernel += config.object_effect * same_object(objects)
-    weight = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), scaled)
-    return KernelRegression(
-        centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(config.decay, np.float64)
-    )
+    weight = cho_solve(cho_factor(training_kernel(known, objects) + ridge * np.eye(len(known))), scaled)
+    return KernelRegression(centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(DECAY))
 
 
 class ContactPredictor:
@@ -258,11 +237,7 @@ class ContactPredictor:
         Raises:
             DatasetError: If all training samples are of one object.
         """
-        held_out = {
-            name: (predict_folds(self._without, folds), sessions)
-            for name, (folds, sessions) in calibration_folds(self._train, self._config.seed).items()
-        }
-        return calibrate(self._train, self._labels, held_out)
+        return calibrate_on_folds(self._train, self._labels, self._without, self._config.seed)
 
     def _without(self, fold: Fold) -> Float64:
         return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]

@@ -13,6 +13,7 @@ unknown object is zero.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,56 +24,52 @@ from foretouch.models.novelty import standardisation
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64
 
-Names = npt.NDArray[np.str_]
+DECAY: Final = 2.0
+"""Of the kernel, over the mean distance per standardised feature."""
+
+_OBJECT_EFFECT: Final = 1.0  # variance of what is an object's own, beside its shape, over that of the kernel
+_RIDGES: Final = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # candidates for the ratio of noise to signal
 
 
-def same_object(objects: Sequence[str] | Names) -> Float64:
-    """(S, S) float64: 1 where two samples are of the same object, else 0."""
+def training_kernel(known: Float64, objects: Sequence[str] | npt.NDArray[np.str_]) -> Float64:
+    """(S, S) kernel of (S, F) standardised rows with the effects of their objects, before the ridge."""
     _, index = np.unique(np.asarray(objects), return_inverse=True)
-    return np.asarray(index[:, None] == index, np.float64)
+    return np.asarray(laplacian(known, known, DECAY) + _OBJECT_EFFECT * (index[:, None] == index), np.float64)
 
 
-def choose_ridge(
-    rows: Float64, scaled: Float64, objects: Sequence[str], decay: float, effect: float, ridges: Sequence[float]
-) -> tuple[float, Float64]:
+def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str]) -> tuple[float, Float64]:
     """The ridge of least error on objects left out, each object and modality weighing the same, and its gain there.
 
     Args:
         rows: (S, F) features.
         scaled: (S, 50) standardised labels.
         objects: (S,) names.
-        decay: Of the kernel.
-        effect: ρ, variance of the objects' own effects.
-        ridges: Candidates.
 
     Returns:
         The ridge, and (4,) gains λ of the modalities; of a single object the largest ridge and zeros.
     """
     if len(set(objects)) < 2:
-        return max(ridges), np.zeros(len(MODALITIES))
-    products, powers = _held_out(rows, scaled, np.asarray(objects), decay, effect, ridges)
+        return max(_RIDGES), np.zeros(len(MODALITIES))
+    products, powers = _held_out(rows, scaled, np.asarray(objects))
     best = int(np.argmin((powers - 2.0 * products).sum(axis=(1, 2))))
-    return ridges[best], np.array([shrunken_slope(*one) for one in zip(products[best], powers[best], strict=True)])
+    return _RIDGES[best], np.array([shrunken_slope(*one) for one in zip(products[best], powers[best], strict=True)])
 
 
-def _held_out(
-    rows: Float64, scaled: Float64, objects: Names, decay: float, effect: float, ridges: Sequence[float]
-) -> tuple[Float64, Float64]:
+def _held_out(rows: Float64, scaled: Float64, objects: npt.NDArray[np.str_]) -> tuple[Float64, Float64]:
     """(R, 4, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
 
     Both are divided by the object's sum of squared actual differences.
     """
     groups = np.unique(objects)
-    products, powers = (np.zeros((len(ridges), len(MODALITIES), len(groups))) for _ in range(2))
+    products, powers = (np.zeros((len(_RIDGES), len(MODALITIES), len(groups))) for _ in range(2))
     for fold in object_folds(list(objects)):
         centre, scale = standardisation(rows[fold.train])
         known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
         mean = scaled[fold.train].mean(axis=0)
-        kernel = np.asarray(laplacian(known, known, decay) + effect * same_object(objects[fold.train]), np.float64)
-        values, vectors = np.linalg.eigh(kernel)
-        cross, turned = laplacian(test, known, decay) @ vectors, vectors.T @ (scaled[fold.train] - mean)
+        values, vectors = np.linalg.eigh(training_kernel(known, objects[fold.train]))
+        cross, turned = laplacian(test, known, DECAY) @ vectors, vectors.T @ (scaled[fold.train] - mean)
         actual = scaled[fold.test] - mean
-        for r, ridge in enumerate(ridges):
+        for r, ridge in enumerate(_RIDGES):
             predicted = cross @ (turned / (values + ridge)[:, None])
             for g in np.flatnonzero(np.isin(groups, objects[fold.test])):
                 mine = objects[fold.test] == groups[g]

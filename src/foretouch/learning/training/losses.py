@@ -22,7 +22,7 @@ Shapes: B samples, F features, M outputs.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import torch
@@ -47,9 +47,6 @@ class SrganLossConfig(Settings):
         "Distance between the i-th samples of both batches (eqs. 3 to 5), or between the batches' means (SR-GAN)",
         choices=("loss_variant", "per_sample", "batch_mean"),
     )
-    across_features: str = setting(
-        "sum", "Squared distance: |v|² of the printed equations, or its mean over features", choices=("sum", "mean")
-    )
     contrast: str = setting(
         "sqrt",
         "Contrast of unlabelled and fake features in the variant `contrast`: -mean sqrt(|Δ| + 1), -mean log(|Δ| + 1), "
@@ -73,23 +70,11 @@ class SrganLossConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features f(x) of the three sources, (B, F) each; `fake` may be None for the variant `as_printed`."""
+    """Features f(x) of the three sources, (B, F) each."""
 
     labeled: Tensor
     unlabeled: Tensor
-    fake: Tensor | None
-
-
-@dataclass(frozen=True, eq=False)
-class Loss:
-    """A scalar loss to differentiate, and its parts by name, before their weights."""
-
-    total: Tensor
-    parts: dict[str, Tensor] = field(default_factory=dict)
-
-    def numbers(self) -> dict[str, float]:
-        """Total and parts as floats."""
-        return {"total": float(self.total.detach())} | {k: float(v.detach()) for k, v in self.parts.items()}
+    fake: Tensor | None = None  # not needed for the variant `as_printed`
 
 
 def safe_root(mean_square: Tensor) -> Tensor:
@@ -143,8 +128,8 @@ def discriminator_loss(
     config: SrganLossConfig,
     penalty: Tensor | None = None,
     context: DistributedContext = SINGLE_PROCESS,
-) -> Loss:
-    """Eq. 1.
+) -> dict[str, Tensor]:
+    """The parts of eq. 1 by name, before their weights, and their `total`.
 
     Args:
         labeled: Result of `labeled_loss`.
@@ -163,12 +148,12 @@ def discriminator_loss(
     if penalty is not None:
         parts["penalty"] = penalty
         total = total + config.gradient_penalty * penalty
-    return Loss(total, parts)
+    return {**parts, "total": total}
 
 
 def generator_loss(
     fake: Tensor, unlabeled: Tensor, config: SrganLossConfig, context: DistributedContext = SINGLE_PROCESS
-) -> Loss:
+) -> Tensor:
     """Eq. 5, or the SR-GAN's mean|Δ|.
 
     Args:
@@ -177,8 +162,7 @@ def generator_loss(
         config: Variant and distance.
         context: The processes that share the batch.
     """
-    total = _matching(fake, unlabeled, config, context)
-    return Loss(total, {"generator": total})
+    return _matching(fake, unlabeled, config, context)
 
 
 def gradient_penalty(
@@ -216,8 +200,7 @@ def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, context: Distribute
     delta = _difference(a, b, config, context)
     if config.loss_variant == "srgan":
         return delta.abs().mean()
-    squared = delta.square()
-    return (squared.sum(dim=1) if config.across_features == "sum" else squared.mean(dim=1)).mean()
+    return delta.square().sum(dim=1).mean()
 
 
 def _contrast(features: Features, config: SrganLossConfig, context: DistributedContext) -> Tensor:

@@ -19,7 +19,8 @@ from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evalua
 from foretouch.learning.evaluation.metrics import mean_skill
 from foretouch.learning.training.calibration import calibration_folds, guarantee
 from foretouch.learning.training.device import DistributedContext
-from foretouch.learning.training.learners import Learner, RunConfig, find_learner
+from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
+from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.card import card_text, read_card, write_text
 from foretouch.types import Float64
@@ -64,7 +65,7 @@ def train_run(
     context = DistributedContext.of_process_group()
     # The path of a dataset is no part of its identity.
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
-    found = context.rank == 0 and folder.open(resolved, type(config)().to_mapping(), resume=resume)
+    found = context.rank == 0 and folder.open(resolved, resume=resume)
     folder.resumed = context.any(found, config.device)
     learner.fit(run=folder)
     if context.rank > 0:
@@ -89,7 +90,7 @@ def train_run(
 
 
 def compare_splits(
-    learner: Learner[Any], splits: Sequence[str], report: Report, workers: int = 1
+    learner: Learner, splits: Sequence[str], report: Report, workers: int = 1
 ) -> tuple[dict[str, Scores], dict[str, Float64]]:
     """Score a training method and the baselines on the training samples by cross-validation.
 
@@ -109,7 +110,13 @@ def compare_splits(
         start = time.monotonic()
         folds = _folds(learner, split)
         scores, predicted[split] = cross_validate(
-            learner.samples, learner.labels, learner.predict_fold, folds, learner.ranges, seed=seed, workers=workers
+            learner.samples,
+            learner.labels,
+            learner.predict_fold,
+            folds,
+            learner.config.ranges,
+            seed=seed,
+            workers=workers,
         )
         for name, one in scores.items():
             skills = {modality: round(score.skill, 3) for modality, score in one.items()}
@@ -119,7 +126,7 @@ def compare_splits(
     return results, {name: predicted[split] for name, split in _CONDITIONS.items() if split in predicted}
 
 
-def _folds(learner: Learner[Any], split: str) -> list[Fold]:
+def _folds(learner: Learner, split: str) -> list[Fold]:
     """The folds of a split; those that also calibrate are the calibration's own."""
     for condition, name in _CONDITIONS.items():
         if name == split:
@@ -127,13 +134,13 @@ def _folds(learner: Learner[Any], split: str) -> list[Fold]:
     return make_folds(learner.samples, split, learner.config.seed)
 
 
-def make_learner(config: RunConfig, data: Dataset) -> Learner[Any]:
+def make_learner(config: RunConfig, data: Dataset) -> Learner:
     """The learner of the configured method for the configured part of a dataset."""
     split = data.partition(config.split, config.validation, config.seed)
-    return find_learner(config.method)(config, data, split)
+    return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
 
 
-def _facts(learner: Learner[Any], data: Dataset) -> dict[str, Any]:
+def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     """`summary`, `data`, `split`, `limits` and `version` of the card."""
     config, count = learner.config, len(learner.samples)
     duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
@@ -149,7 +156,7 @@ def _facts(learner: Learner[Any], data: Dataset) -> dict[str, Any]:
 
 
 def _release_facts(
-    learner: Learner[Any], data: Dataset, results: Mapping[str, Scores], calibration: Mapping[str, Any]
+    learner: Learner, data: Dataset, results: Mapping[str, Scores], calibration: Mapping[str, Any]
 ) -> dict[str, Any]:
     """What a release adds to the card: skills and baselines by split, the origin of the data, and the limits."""
     rounded = {

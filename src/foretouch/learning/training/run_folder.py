@@ -51,7 +51,7 @@ def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, A
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and plain data of `write_state`; a state of an older version has no checksum.
+    """Tensors and plain data of `write_state`.
 
     Raises:
         FileError: If there is no state, or it is damaged or was changed.
@@ -61,14 +61,14 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         with safe_open(path, framework="pt") as file:
             plain = parse_json(file.metadata()[_KEY])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        seal = plain.pop(_SEAL, None)
+        seal = plain.pop(_SEAL)
     except FileError as err:
         if isinstance(err.__cause__, FileNotFoundError):
             raise FileError(path, "does not exist: there is nothing to resume") from err
         raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(path, f"is no state of training: {' '.join(str(err).split())}") from err
-    if seal is not None and seal != (found := _digest(tensors, plain)):
+    if seal != (found := _digest(tensors, plain)):
         raise FileError(path, f"{found} is not {shown(seal)}: the file was changed", field=_SEAL)
     return tensors, plain
 
@@ -96,7 +96,7 @@ class RunFolder:
         self.report = report
         self.resumed = False
 
-    def open(self, resolved: Mapping[str, Any], defaults: Mapping[str, Any], *, resume: bool) -> bool:
+    def open(self, resolved: Mapping[str, Any], *, resume: bool) -> bool:
         """Begin a run, or check that the folder holds this very run.
 
         In a folder without any weights nothing can be lost, and a run begins in it; so a run that was refused
@@ -104,7 +104,6 @@ class RunFolder:
 
         Args:
             resolved: The settings, and the hash of the data.
-            defaults: Values of settings that did not exist when the run began.
             resume: Whether the folder may hold a run.
 
         Returns:
@@ -118,7 +117,7 @@ class RunFolder:
         if any(self.path.glob("*.safetensors")):
             if not resume:
                 raise FileError(self.path, "holds a run already; --resume continues it")
-            _require_same({**_leaves(defaults), **_leaves(load_yaml(file))}, _leaves(resolved), file)
+            _require_same(_leaves(load_yaml(file)), _leaves(resolved), file)
             return (self.path / STATE_FILE).exists()
         write_text(file, yaml.safe_dump(dict(resolved), sort_keys=False))
         return False

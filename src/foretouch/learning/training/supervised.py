@@ -17,14 +17,11 @@ import torch
 from torch import Tensor
 
 from foretouch.config import setting
-from foretouch.errors import DatasetError
 from foretouch.learning.data import Indices, TrainingSet
-from foretouch.learning.training import trainer as training
-from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import labeled_loss
+from foretouch.learning.training.trainer import EpochsConfig, Trainer, shuffled_batches
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.networks import TouchNet
-from foretouch.tactile import columns
 from foretouch.types import Float64
 
 
@@ -59,33 +56,16 @@ def turn(points: Tensor, grasp: Tensor, rotations: Tensor, config: ModelConfig) 
     return torch.cat(parts, dim=-1), torch.cat(turned, dim=1)
 
 
-_LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
-
-
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig(DeviceConfig):
+class TrainConfig(EpochsConfig):
     """Settings of supervised training."""
 
-    epochs: int = setting(100, "Passes over the training samples", minimum=1, maximum=100_000)
-    batch_size: int = setting(32, "Samples per step", minimum=2, maximum=4096)
     partial_batches: bool = setting(
         False, "Train on the last, smaller batch of an epoch as well, as in P1's public code; else it is left out"
     )
-    optimiser: str = setting("adamw", "Optimiser", choices=training.OPTIMISERS)
-    learning_rate: float = setting(1e-3, "Largest learning rate", minimum=1e-7, maximum=10.0)
-    weight_decay: float = setting(1e-2, "Weight decay", minimum=0.0, maximum=10.0)
-    schedule: str = setting("cosine", "Schedule of the learning rate", choices=training.SCHEDULES)
     loss: str = setting("mse", "Mean squared error, or its root as in the papers", choices=("mse", "rmse"))
     root_epsilon: float = setting(
         0.0, "Added under the root of `rmse`; 1e-6 in P1's public code", minimum=0.0, maximum=1.0
-    )
-    target_scaling: str = setting(
-        "standardised",
-        "Scaling of the labels by their mean and deviation, or by the ranges as in the papers",
-        choices=("standardised", "ranges"),
-    )
-    points: int | None = setting(
-        None, "Points per cloud in training, drawn again each time; by default as in prediction", minimum=8
     )
     turn_deg: float = setting(
         0.0,
@@ -94,27 +74,15 @@ class TrainConfig(DeviceConfig):
         maximum=180.0,
         unit="deg",
     )
-    seed: int = setting(0, "Seed of weights, order and points", minimum=0)
 
 
-class SupervisedTrainer(training.Trainer):
-    """Trains on the labelled samples `index` alone: the papers' PointNets and our own.
-
-    Raises:
-        DatasetError: If there are fewer samples than one batch.
-    """
+class SupervisedTrainer(Trainer):
+    """Trains on labelled samples alone: the papers' PointNets and our own."""
 
     def __init__(self, data: TrainingSet, index: Indices, config: TrainConfig) -> None:
-        if len(index) < config.batch_size:
-            raise DatasetError(f"training: {len(index)} samples are fewer than one batch of {config.batch_size}")
-        super().__init__(data, config.seed, config.epochs, TrainingDevice.of(config, config.batch_size))
         self.config = config
         self._index = index
-        outputs = columns(data.config.outputs)
-        set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
-        rule = training.OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
-        steps = config.epochs * self.batch_count
-        self.optimisers["net"] = training.ScheduledOptimiser(self.net, rule, steps, self.training_device.context)
+        super().__init__(data, index, config)
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()
@@ -127,21 +95,19 @@ class SupervisedTrainer(training.Trainer):
             self.optimisers["net"].step(loss)
             yield {"loss": float(loss.detach())}
 
-    @property
-    def batch_count(self) -> int:
-        """Steps per epoch."""
+    def _count_batches(self) -> int:
         whole, rest = divmod(len(self._index), self.config.batch_size)
         return whole + (1 if rest > 1 and self.config.partial_batches else 0)
 
     def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
         """One epoch of samples with this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
         partial = self.config.partial_batches
-        for batch in training.shuffled_batches(self._index, self.config.batch_size, self.rng, partial=partial):
+        for batch in shuffled_batches(self._index, self.config.batch_size, self.rng, partial=partial):
             points, grasps = self._inputs(batch)
             yield batch, points, grasps, self.net.to_scaled(self.training_device.shard(self._labels[batch]))
 
     def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
-        points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points))
+        points = self._points(batch)
         grasps = self._grasp_inputs[batch]
         if self.config.turn_deg > 0.0:
             rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
@@ -150,10 +116,7 @@ class SupervisedTrainer(training.Trainer):
 
 
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:
-    """Train a network on the samples `index`.
-
-    Returns:
-        The network in evaluation mode. The same arguments give the same weights on the same machine.
+    """Train a network on the samples `index`; the same arguments give the same weights on the same machine.
 
     Raises:
         DatasetError: If there are fewer samples than one batch, or the loss becomes infinite or NaN.
@@ -162,14 +125,3 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> Tou
     while trainer.epoch < trainer.epochs:
         trainer.run_epoch()
     return trainer.net.cpu().eval()
-
-
-def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
-    """Set the affine map of the targets from (T, M) training labels [counts]: `ranges` or `standardised`."""
-    outputs = columns(net.config.outputs)
-    if kind == "ranges":
-        low, high = net.config.ranges.low[outputs], net.config.ranges.high[outputs]
-        mean, scale = low, high - low
-    else:
-        mean, scale = labels.mean(axis=0), np.maximum(labels.std(axis=0), _LEAST_DEVIATION)
-    net.set_scaling(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())

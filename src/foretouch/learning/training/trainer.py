@@ -1,55 +1,73 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training loop shared by all networks: epochs, private random numbers, and a state that resumes bit for bit."""
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from foretouch.config import setting
 from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.data import Indices, TrainingSet
-from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
+from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, DistributedContext, TrainingDevice
 from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import columns, modality_size
+from foretouch.types import Float64
 
-SCHEDULES: Final = ("cosine", "constant")
-
+_LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
 _OPTIMISERS: Final[dict[str, type[torch.optim.Optimizer]]] = {
     "adamw": torch.optim.AdamW,
     "adam": torch.optim.Adam,
     "sgd": torch.optim.SGD,
 }
-OPTIMISERS: Final = tuple(_OPTIMISERS)
 
 
-@dataclass(frozen=True)
-class OptimiserRule:
-    """One of `OPTIMISERS`, its largest learning rate, its weight decay, and one of `SCHEDULES`."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EpochsConfig(DeviceConfig):
+    """Settings of every training in epochs."""
 
-    optimiser: str
-    learning_rate: float
-    weight_decay: float
-    schedule: str
+    epochs: int = setting(
+        100, "Passes over the training samples, with srgan over those of `epoch_over`", minimum=1, maximum=100_000
+    )
+    batch_size: int = setting(32, "Samples per step, with srgan of each source", minimum=2, maximum=4096)
+    optimiser: str = setting("adamw", "Optimiser", choices=tuple(_OPTIMISERS))
+    learning_rate: float = setting(1e-3, "Largest learning rate", minimum=1e-7, maximum=10.0)
+    weight_decay: float = setting(1e-2, "Weight decay", minimum=0.0, maximum=10.0)
+    schedule: str = setting("cosine", "Schedule of the learning rate", choices=("cosine", "constant"))
+    target_scaling: str = setting(
+        "standardised",
+        "Scaling of the labels by their mean and deviation, or by the ranges as in the papers",
+        choices=("standardised", "ranges"),
+    )
+    points: int | None = setting(
+        None, "Points per cloud in training, drawn again each time; by default as in prediction", minimum=8
+    )
+    seed: int = setting(0, "Seed of weights, order, points and noise", minimum=0)
+
+
+def other_default(name: str, default: Any) -> Any:
+    """A setting of `EpochsConfig` with another default, for a subclass."""
+    return dataclasses.field(default=default, metadata=EpochsConfig.__dataclass_fields__[name].metadata)
 
 
 class ScheduledOptimiser:
     """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
 
     def __init__(
-        self, module: nn.Module, rule: OptimiserRule, steps: int, context: DistributedContext = SINGLE_PROCESS
+        self, module: nn.Module, config: EpochsConfig, steps: int, context: DistributedContext = SINGLE_PROCESS
     ) -> None:
         # One kernel for all weights: the time of a small network's step is its number of calls.
-        options: dict[str, Any] = {"lr": rule.learning_rate, "weight_decay": rule.weight_decay, "fused": True}
+        options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
         self._weights = list(module.parameters())
         self._context = context
-        self._optimiser = _OPTIMISERS[rule.optimiser](self._weights, **options)
+        self._optimiser = _OPTIMISERS[config.optimiser](self._weights, **options)
         self._schedule: torch.optim.lr_scheduler.LRScheduler
-        if rule.schedule == "cosine":
+        if config.schedule == "cosine":
             self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, T_max=steps)
         else:
             self._schedule = torch.optim.lr_scheduler.ConstantLR(self._optimiser, factor=1.0)
@@ -94,43 +112,57 @@ class Trainer(ABC):
 
     Args:
         data: All samples, prepared for the network's configuration.
-        seed: Seed of all random numbers.
-        epochs: Total number of epochs.
-        training_device: Device, precision and processes.
+        index: (T,) labelled samples to train on.
+        config: Settings.
 
     Attributes:
         net: The network on the training device, in the mode that the last epoch left.
         epoch: Number of completed epochs.
         rng: Generator of order and points.
         sizes: Number of values of each predicted modality.
+        batch_count: Steps of an epoch.
         modules, optimisers: All trained networks and their optimisers by name; `net` is one of them.
+
+    Raises:
+        DatasetError: If there are fewer samples than one batch.
     """
 
-    def __init__(self, data: TrainingSet, seed: int, epochs: int, training_device: TrainingDevice) -> None:
+    def __init__(self, data: TrainingSet, index: Indices, config: EpochsConfig) -> None:
+        self._require_batch(index, config.batch_size)
         self.data = data
-        self.training_device = training_device
-        self.epochs = epochs
+        self.training_device = TrainingDevice.of(config, config.batch_size)
+        self.epochs = config.epochs
         self.epoch = 0
         self._randomness: dict[str, Tensor] = {}
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(config.seed)
+        self._drawn_points = config.points
+        self.batch_count = self._count_batches()
         with self._own_randomness():
-            torch.manual_seed(seed)
+            torch.manual_seed(config.seed)
             self.net = TouchNet(data.config)
             extra = self._make_modules()
         self.modules: dict[str, nn.Module] = {"net": self.net, **extra}
-        for module in self.modules.values():
-            training_device.prepare(module)
-        self.optimisers: dict[str, ScheduledOptimiser] = {}
         outputs = columns(data.config.outputs)
+        _set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
+        for module in self.modules.values():
+            self.training_device.prepare(module)
+        steps, context = config.epochs * self.batch_count, self.training_device.context
+        self.optimisers = {
+            name: ScheduledOptimiser(module, config, steps, context) for name, module in self.modules.items()
+        }
         self.sizes = [modality_size(name) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
 
+    @staticmethod
+    def _require_batch(index: Indices, size: int, kind: str = "") -> None:
+        if len(index) < size:
+            raise DatasetError(f"training: {len(index)} {kind}samples are fewer than one batch of {size}")
+
     def run_epoch(self) -> dict[str, float]:
         """One pass over the training samples.
 
-        Returns:
-            Mean of each loss over the batches.
+        Gives the mean of each loss over the batches.
 
         Raises:
             DatasetError: If a loss or a weight becomes infinite or NaN; names epoch, batch and sample.
@@ -173,16 +205,10 @@ class Trainer(ABC):
             raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())}") from err
 
     def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
-        """Check the losses before a step that would ruin the weights.
+        """Raise `DatasetError` before a step that would ruin the weights.
 
-        Args:
-            losses: Scalars by name.
-            number: Number of the batch.
-            batch: (B,) its samples.
-            rows: (B, ...) values that the losses were computed from, which locate the sample.
-
-        Raises:
-            DatasetError: Names loss, epoch, batch and the first sample that is not finite, or else the most extreme.
+        It names the loss, the epoch, the number of the batch, and of its (B,) samples the first for which one of some
+        (B, ...) values is not finite, or else the most extreme.
         """
         bad = [name for name, loss in losses.items() if not bool(torch.isfinite(loss.detach()))]
         if not bad:
@@ -194,6 +220,9 @@ class Trainer(ABC):
             f"training: {bad[0]}: the loss is not finite in epoch {self.epoch}, batch {number}, sample {sample}; "
             "lower learning_rate"
         )
+
+    @abstractmethod
+    def _count_batches(self) -> int: ...
 
     @abstractmethod
     def _epoch(self) -> Iterator[Mapping[str, float]]:
@@ -238,6 +267,10 @@ class Trainer(ABC):
                         f"{self.epoch}; lower learning_rate"
                     )
 
+    def _points(self, batch: Indices) -> Tensor:
+        """Points of a batch of clouds, not yet on the device."""
+        return torch.from_numpy(self.data.points(batch, self.rng, self._drawn_points))
+
 
 def shuffled_batches(
     index: Indices, size: int, rng: np.random.Generator, *, partial: bool = False
@@ -270,3 +303,14 @@ def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     start = f"{prefix}/"
     return {name.removeprefix(start): value for name, value in tensors.items() if name.startswith(start)}
+
+
+def _set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
+    """Set the affine map of the targets from (T, M) training labels [counts]."""
+    outputs = columns(net.config.outputs)
+    if kind == "ranges":
+        low, high = net.config.ranges.low[outputs], net.config.ranges.high[outputs]
+        mean, scale = low, high - low
+    else:
+        mean, scale = labels.mean(axis=0), np.maximum(labels.std(axis=0), _LEAST_DEVIATION)
+    net.set_scaling(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())

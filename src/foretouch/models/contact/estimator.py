@@ -9,8 +9,7 @@ Forests predict best on objects that were trained on, and worse than the mean of
 The kernel's parameters are selected on objects left out, so that it predicts only what generalises, and its estimate is
 multiplied by the generalisation gain λ, the share of it that held on them (`learning.training.generalisation`).
 
-Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests,
-kernel and novelty detector; `<name>.trust.safetensors` the calibration.
+Its weights hold forests, kernel and novelty detector.
 """
 
 from __future__ import annotations
@@ -24,13 +23,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ConfigError, ModelError, quoted
-from foretouch.models.calibration import Calibration, calibration_file, load_calibration
-from foretouch.models.card import card_text, new_card
+from foretouch.errors import ConfigError, ModelError
 from foretouch.models.contact.features import CONDITIONS, FEATURES, HandFrameFeatures
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
-from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
+from foretouch.models.files import TensorRecord, file_beside, read_part, read_tensors
+from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
@@ -139,34 +137,11 @@ def save_contact(
     name: str,
     estimator: ContactEstimator,
     facts: Mapping[str, Any],
-    calibration: tuple[Calibration, Mapping[str, Any]] | None = None,
+    calibration: CardCalibration | None = None,
 ) -> Path:
-    """Write weights, card and, where there is one, the calibration: all of them or none.
-
-    Args:
-        folder: Made if absent.
-        name: Of the model and of its files.
-        estimator: The fitted model.
-        facts: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits` of the card; empty if omitted.
-        calibration: With its facts for the card, as in `add_calibration`.
-
-    Returns:
-        Path of the card.
-
-    Raises:
-        FileError: If a file cannot be written; the files before are kept.
-    """
-    path = Path(folder) / f"{name}.json"
-    weights = path.with_suffix(".safetensors")
-    content, sha256 = packed(estimator.to_tensors())
-    empty: dict[str, Any] = {"summary": "", "config": {}, "data": {}, "split": {}, "skill": {}, "baselines": {}}
-    rest: dict[str, Any] = {"limits": [], "calibration": None, "ranges": estimator.ranges.to_mapping()}
-    card = new_card(name, "contact", weights=weights.name, sha256=sha256, **{**empty, **rest, **facts})
-    files = {weights: content}
-    if calibration is not None:
-        files |= calibration_file(path, card, *calibration)
-    replace_files({**files, path: card_text(card).encode()})
-    return path
+    """Write a contact model and return the path of its card; see `save_model`."""
+    facts = {"config": {}, "ranges": estimator.ranges.to_mapping(), **facts}
+    return save_model(Path(folder) / f"{name}.json", "contact", estimator.to_tensors(), facts, calibration)
 
 
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
@@ -175,11 +150,8 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     Raises:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
     """
-    stored = card.get("ranges", {})
-    if not isinstance(stored, dict):
-        raise ModelError(f"{card_path}: ranges: {quoted(stored)} is of type {type(stored).__name__}")
     try:
-        ranges = TactileRanges.from_mapping(stored, f"{card_path}: ranges")
+        ranges = TactileRanges.from_mapping(card["ranges"], f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
     calibration, _ = load_calibration(card_path, card)

@@ -3,8 +3,6 @@
 
 cloud ─ sample, unit sphere ─ features (once) ─┐
 K grasps ─ unit sphere ────────────────────────┴─ head, in blocks ─► K x 50 counts ─► fallback on novel objects
-
-The files are `<name>.safetensors` and its card `<name>.json`, checked against each other.
 """
 
 from __future__ import annotations
@@ -20,9 +18,9 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.calibration import load_calibration
-from foretouch.models.card import card_text, new_card, read_card
-from foretouch.models.files import file_beside, packed, read_tensors, replace_files
+from foretouch.models.card import read_card
+from foretouch.models.files import file_beside, read_tensors
+from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
@@ -79,31 +77,18 @@ class NetworkEstimator:
         return Estimate(counts, in_distribution)
 
 
-def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[str, Any]) -> Path:
-    """Write weights and card.
-
-    Args:
-        folder: Made if absent.
-        name: Of the model and of both files.
-        net: The network.
-        facts: `summary`, `data`, `split`, `skill`, `baselines`, `limits`, `familiar` of the card; empty if omitted.
-
-    Returns:
-        Path of the card.
-
-    Raises:
-        FileError: If a file cannot be written; the files before are kept.
-    """
-    card_path = Path(folder) / f"{name}.json"
-    weights = card_path.with_suffix(".safetensors")
-    content, sha256 = packed({key: value.detach().cpu().numpy() for key, value in net.state_dict().items()})
-    empty: dict[str, Any] = {"summary": "", "data": {}, "split": {}, "skill": {}, "baselines": {}, "limits": []}
-    empty |= {"familiar": None, "calibration": None}
-    card = new_card(
-        name, "network", weights=weights.name, sha256=sha256, config=net.config.to_mapping(), **{**empty, **facts}
-    )
-    replace_files({weights: content, card_path: card_text(card).encode()})
-    return card_path
+def save_network(
+    folder: str | Path,
+    name: str,
+    net: TouchNet,
+    facts: Mapping[str, Any],
+    calibration: CardCalibration | None = None,
+    fallback: Fallback | None = None,
+) -> Path:
+    """Write a network and return the path of its card; see `save_model`."""
+    tensors = {key: value.detach().cpu().numpy() for key, value in net.state_dict().items()}
+    facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
+    return save_model(Path(folder) / f"{name}.json", "network", tensors, facts, calibration, fallback)
 
 
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:

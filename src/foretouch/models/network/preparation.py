@@ -20,6 +20,9 @@ from foretouch.types import Cloud, Float32, Float64, Grasp, stacked
 MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
 
+SAMPLER_SEED = 0
+"""Of the points that prediction chooses."""
+
 _DM_PER_M = 10.0
 
 
@@ -55,15 +58,15 @@ def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | 
     Args:
         cloud: In metres, any frame. Points without depth are ignored.
         config: Of the network.
-        rng: Chooses the points; by default a new one with `config.sampler_seed`, so that one cloud always
-            gives the same input. Training passes its own, so that other points are chosen each time.
+        rng: Chooses the points; by default a new one with `SAMPLER_SEED`, so that one cloud always gives the same
+            input. Training passes its own, so that other points are chosen each time.
 
     Raises:
         CloudError: As `finite_points`.
         ModelError: As `finite_points`.
     """
     usable = finite_points(cloud, config)
-    rng = np.random.default_rng(config.sampler_seed) if rng is None else rng
+    rng = np.random.default_rng(SAMPLER_SEED) if rng is None else rng
     frame = UnitSphereFrame.fit(usable.xyz)
     index = sample_indices(usable.xyz, config.n_points, method=config.sampler, rng=rng)
     return PreparedCloud(sample_channels(usable, index, frame, config), frame)

@@ -175,7 +175,7 @@ class MonitorNode(GuardedCallbacks, Node):
                 self._drawable.append(message)
                 if self._with_hand:
                     header, grasps = message.header, [one.grasp for one in message.predictions]
-                    self._assembler.add_grasps(stamp_ns(header.stamp), header.frame_id, grasps)
+                    self._assembler.matcher.add_plan(stamp_ns(header.stamp), header.frame_id, grasps)
             if self._on_touch is not None:
                 self._on_touch(message)
 

@@ -105,10 +105,10 @@ class RecordingSession:
 
     def _run(self) -> None:
         try:
-            while not self._queue.closed and not self.writer.removed:
+            while not self._queue.closed and not self.writer.output.removed:
                 self._process(*self._queue.take(_POLL_S))
             self._queue.close()
-            if self.writer.removed:  # it is still open: what waits is written too, and `close` then copies it
+            if self.writer.output.removed:  # it is still open: what waits is written too, and `close` then copies it
                 self._error = f"{self.writer.file}: was removed during the recording"
                 self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
@@ -118,7 +118,7 @@ class RecordingSession:
             self._warn(traceback.format_exc())
             self._error = f"{type(err).__name__}: {err}"
         try:
-            removed = self.writer.removed
+            removed = self.writer.output.removed
             self.writer.close()
         except ForetouchError as err:
             self._error = str(err) if removed else self._error or str(err)
@@ -183,7 +183,7 @@ class RecordingSession:
                 self._warn(f"{one.topic}: {err}")
 
     def _update_status(self) -> None:
-        now, size = time.monotonic(), self.writer.bytes_written
+        now, size = time.monotonic(), self.writer.output.size
         self._sizes.append((now, size))
         while self._sizes[0][0] < now - _RATE_WINDOW_S:
             self._sizes.popleft()

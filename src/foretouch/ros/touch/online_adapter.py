@@ -124,8 +124,8 @@ class OnlineAdapter:
         with self._input_lock:
             if not known:
                 message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))
-                self._assembler.add_cloud(message, now_s=time.monotonic())
-            self._assembler.add_grasps(stamp, cloud.header.frame_id, named)
+                self._assembler.add("cloud", message, received_ns=0, now_s=time.monotonic())
+            self._assembler.matcher.add_plan(stamp, cloud.header.frame_id, named)
 
     # Output, for the thread that predicts.
 
@@ -205,7 +205,7 @@ class OnlineAdapter:
         """Entries for /diagnostics."""
         with self._input_lock:
             age_s, self._texts["tare.fault"] = self._tare.age_s(time.monotonic()), self._tare.fault
-            counts = {"waiting": self._assembler.matcher.pending, **self._touch_counts}
+            counts = {"waiting": len(self._assembler.matcher.pending), **self._touch_counts}
         return {
             "regime": self._calibration_group,
             "touches": str(self._history.touches),

@@ -1,97 +1,126 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learners of networks: supervised and SR-GAN training, resumable at every epoch."""
+"""The methods of training behind one interface: a learner fits, predicts, calibrates and saves.
 
-from abc import abstractmethod
+A further method takes a learner here, and its name and group of settings in `run_config`.
+"""
+
+import copy
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any
 
 import numpy as np
 from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, DataSplit, Indices, TrainingSet
+from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, TrainingSet, labels_of
 from foretouch.learning.data.training_set import predict_set
-from foretouch.learning.training.contact import describe_objects
+from foretouch.learning.training.calibration import calibrate_on_folds
+from foretouch.learning.training.contact import ContactPredictor, describe_objects
 from foretouch.learning.training.device import DistributedContext
-from foretouch.learning.training.learners.learner import CardCalibration, Learner, RunConfig, register
+from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import TENSORBOARD_FOLDER, RunFolder
-from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
+from foretouch.learning.training.srgan import SrganTrainer
+from foretouch.learning.training.supervised import SupervisedTrainer
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.calibration import add_calibration
+from foretouch.models.contact.estimator import save_contact
+from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
-from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import MODALITIES, TactileRanges, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 
-@dataclass(frozen=True, kw_only=True)
-class NetworkRun(RunConfig):
-    """Settings of all methods that train a network.
+class Learner(ABC):
+    """A training method, applied to one dataset.
+
+    Indices count the labelled training samples, so that folds of them can be held out.
+
+    Attributes:
+        config: Settings of the run.
+        split: Partition of the dataset into training, validation and test samples.
+        samples: The labelled training samples.
+        labels: (S, 50) their labels [counts].
+        epochs: Number of epochs of the last `fit`; 0 for a method without epochs.
 
     Raises:
-        ConfigError: Also if a network with only some of the modalities is to be calibrated or released.
+        DatasetError: If a sample cannot be used; names the sample.
     """
 
-    has_epochs: ClassVar[bool] = True
+    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+        self.config = config
+        self.split = split
+        self.samples = [data.samples[k] for k in split.train]
+        self.labels = labels_of(self.samples)
+        self.epochs = 0
 
-    model: ModelConfig = ModelConfig()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.calibrates and self.outputs != MODALITIES:
-            field = "release" if self.release else "calibrate"
-            raise ConfigError(
-                f"RunConfig.{field}: model.outputs: {list(self.outputs)} are not all modalities, {', '.join(MODALITIES)}"
-            )
-
-    @property
     @abstractmethod
-    def training(self) -> TrainConfig | SrganConfig:
-        """Settings of the training."""
+    def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
+        """Fit to the chosen training samples, by default to all.
 
-    @property
-    def seed(self) -> int:
-        """Seed of the training."""
-        return self.training.seed
+        Args:
+            chosen: (T,) indices.
+            run: Where a method with epochs keeps log and state, and from which it resumes.
 
-    @property
-    def device(self) -> str:
-        """`cpu` or `cuda`."""
-        return self.training.resolved_device
+        Raises:
+            DatasetError: If there are too few samples, or a loss becomes infinite or NaN.
+        """
 
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Modalities that the network predicts."""
-        return self.model.outputs
+    @abstractmethod
+    def predict(self, index: Indices) -> Float64:
+        """(T, 50) predictions of training samples by the model of the last `fit`; NaN for absent modalities [counts]."""
+
+    @abstractmethod
+    def save(
+        self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
+    ) -> Path:
+        """Write weights, card and calibration of the last `fit`, all files or none; returns the path of the card."""
+
+    def predict_fold(self, fold: Fold) -> Float64:
+        """(T, 50) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
+        learner = copy.copy(self)
+        learner.fit(fold.train)
+        return learner.predict(fold.test)
+
+    def calibrate(self, predicted: Mapping[str, Float64] | None = None, *, workers: int = 1) -> CardCalibration:
+        """See `calibrate_on_folds`; the fitted model stays as it is."""
+        return calibrate_on_folds(
+            self.samples, self.labels, self.predict_fold, self.config.seed, predicted, workers=workers
+        )
 
 
-@dataclass(frozen=True, kw_only=True)
-class SupervisedRun(NetworkRun):
-    """Settings of `method: supervised`."""
+class ContactLearner(Learner):
+    """Fits a contact model at the rest level of all training samples."""
 
-    train: TrainConfig = TrainConfig()
+    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+        super().__init__(config, data, split)
+        self._predictor = ContactPredictor(self.samples, self.labels, config.contact)
 
-    @property
-    def training(self) -> TrainConfig:
-        """Settings of the training."""
-        return self.train
+    def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
+        """As `Learner.fit`; it takes seconds, so a run that was stopped starts again."""
+        del run
+        self._estimator = self._predictor.fit(np.arange(len(self.samples)) if chosen is None else chosen)
 
+    def predict(self, index: Indices) -> Float64:
+        """As `Learner.predict`."""
+        return self._estimator.predict_rows(self._predictor.rows[index])[0]
 
-@dataclass(frozen=True, kw_only=True)
-class SrganRun(NetworkRun):
-    """Settings of `method: srgan`."""
-
-    srgan: SrganConfig = SrganConfig()
-
-    @property
-    def training(self) -> SrganConfig:
-        """Settings of the training."""
-        return self.srgan
+    def save(
+        self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
+    ) -> Path:
+        """As `Learner.save`."""
+        gains = zip(MODALITIES, self._estimator.generalisation_gain, strict=True)
+        shares = ", ".join(f"{modality} {value:.2f}" for modality, value in gains)
+        limits = [
+            *facts.get("limits", []),
+            f"Unfamiliar objects get the mean of the training labels and this share of what the kernel predicts beyond it: {shares}.",
+            "The camera is taken to look along the vertical: grasps that approach from elsewhere than the camera are unfamiliar.",
+        ]
+        facts = {**facts, "config": self.config.contact.to_mapping(), "limits": limits}
+        return save_contact(folder, name, self._estimator, facts, calibration)
 
 
 @dataclass
@@ -103,13 +132,14 @@ class _Best:
     weights: dict[str, Tensor]  # the network's weights by name, empty without any
 
 
-_N = TypeVar("_N", bound=NetworkRun)
-
-
-class NetworkLearner(Learner[_N]):
+class NetworkLearner(Learner):
     """Trains a network; without a run folder, for as many epochs as the kept epoch of the run before."""
 
-    def __init__(self, config: _N, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+        if config.method == "srgan" and not len(split.unlabelled):
+            raise DatasetError(
+                f"{data.name}: srgan: no sample is unlabelled; choose a split that withholds labels, such as labels/T50"
+            )
         super().__init__(config, data, split)
         if config.calibrates and DistributedContext.of_process_group().world_size > 1:
             raise ConfigError("RunConfig.calibrate: requires a single process; start the training without torchrun")
@@ -121,19 +151,15 @@ class NetworkLearner(Learner[_N]):
         """All but the trained weights, which the processes that fit folds do not use."""
         return {**self.__dict__, "_net": None, "_best": replace(self._best, weights={})}
 
-    @property
-    def ranges(self) -> TactileRanges:
-        """Ranges of the hand that it learns from."""
-        return self.config.model.ranges
-
-    @abstractmethod
-    def _trainer(self, train: Indices) -> Trainer:
-        """The trainer of the method; indices count the samples of the dataset."""
-
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
         """As `Learner.fit`; with a run folder, every epoch is on disk before it is reported."""
         self._chosen = np.arange(len(self.samples)) if chosen is None else chosen
-        trainer = self._trainer(self.split.train[self._chosen])
+        train = self.split.train[self._chosen]
+        trainer: Trainer
+        if self.config.method == "srgan":
+            trainer = SrganTrainer(self._prepared, train, self.split.unlabelled, self.config.srgan)
+        else:
+            trainer = SupervisedTrainer(self._prepared, train, self.config.train)
         if run is not None:
             self._train(trainer, run)
             self.epochs = trainer.epoch
@@ -163,10 +189,8 @@ class NetworkLearner(Learner[_N]):
             "familiar": LengthRangeCheck.fit(self._prepared.lengths[learned]).to_card(),
             "training": {**self.config.replace(data=None).to_mapping(), "best_epoch": best},
         }
-        card = save_network(folder, name, self._net, {**facts, **own})
-        if calibration is not None:
-            add_calibration(card, *calibration, self._fallback())
-        return card
+        fallback = None if calibration is None else self._fallback()
+        return save_network(folder, name, self._net, {**facts, **own}, calibration, fallback)
 
     def _fallback(self) -> Fallback:
         return Fallback.fit(self._objects[self._chosen], self.labels[self._chosen])
@@ -216,39 +240,8 @@ class NetworkLearner(Learner[_N]):
         return patience is not None and best >= 0 and trainer.epoch - 1 - best >= patience
 
 
-@register("supervised")
-class SupervisedLearner(NetworkLearner[SupervisedRun]):
-    """Trains a network on labelled samples."""
-
-    config_type = SupervisedRun
-
-    def _trainer(self, train: Indices) -> Trainer:
-        return SupervisedTrainer(self._prepared, train, self.config.train)
-
-
-@register("srgan")
-class SrganLearner(NetworkLearner[SrganRun]):
-    """Trains a network on labelled, unlabelled and generated samples."""
-
-    config_type = SrganRun
-
-    def __init__(self, config: SrganRun, data: Dataset, split: DataSplit) -> None:
-        if not len(split.unlabelled):
-            raise DatasetError(
-                f"{data.name}: srgan: no sample is unlabelled; choose a split that withholds labels, such as labels/T50"
-            )
-        super().__init__(config, data, split)
-
-    def _trainer(self, train: Indices) -> Trainer:
-        return SrganTrainer(self._prepared, train, self.split.unlabelled, self.config.srgan)
-
-
 def _tensorboard_writer(folder: Path) -> Any:
-    """A writer in `folder`, beside the events of an earlier part of the same run.
-
-    Raises:
-        ConfigError: If TensorBoard is not installed.
-    """
+    """A writer in `folder`, beside the events of an earlier part of the same run; a `ConfigError` without TensorBoard."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as err:

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of one training, by whatever method, and how they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from foretouch.config import Settings, load_yaml, parse_overrides, setting
+from foretouch.errors import ConfigError
+from foretouch.learning.training.contact import ContactConfig
+from foretouch.learning.training.srgan import SrganConfig
+from foretouch.learning.training.supervised import TrainConfig
+from foretouch.models.network.config import ModelConfig
+from foretouch.tactile import MODALITIES, TactileRanges
+
+METHODS: Final = ("supervised", "srgan", "contact")
+
+GROUPS: Final = {
+    "model": ("supervised", "srgan"),
+    "train": ("supervised",),
+    "srgan": ("srgan",),
+    "contact": ("contact",),
+}
+"""The methods that each group of settings is for."""
+
+_RECIPES: Final = "recipes/train"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig(Settings):
+    """Settings of every `foretouch train`.
+
+    Raises:
+        ConfigError: If a setting is out of bounds or has no effect on the method, patience is set without validation,
+            validation is set for a method without epochs, a release is set to train on a part of the samples, or a
+            network with only some of the modalities is to be calibrated or released.
+    """
+
+    name: str = setting("touchnet", "Name of the model and of its files")
+    data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
+    method: str = setting(
+        "supervised",
+        "Training method: supervised (a network from labelled samples), srgan (a network from labelled, unlabelled and "
+        "generated samples) or contact (the contact model)",
+        choices=METHODS,
+    )
+    split: str | None = setting(
+        None, "Part of the dataset to learn from, such as labels/T50 or time/block 0; all samples by default"
+    )
+    validation: float = setting(
+        0.0, "Share of the labelled samples set aside to choose the best epoch", minimum=0.0, maximum=0.5
+    )
+    tensorboard: bool = setting(False, "Write the log for TensorBoard, too; requires foretouch[tensorboard]")
+    patience: int | None = setting(None, "Stop after this many epochs without a better validation error", minimum=1)
+    calibrate: bool | None = setting(
+        None,
+        "Calibrate intervals on held-out predictions, for which the model is fitted again on each of up to 15 folds; "
+        "the weights do not depend on it. By default for method contact only, which takes seconds",
+    )
+    release: bool = setting(
+        False,
+        "Score model and baselines on three splits by cross-validation, calibrate, and list the limits in the card",
+    )
+    model: ModelConfig = ModelConfig()
+    train: TrainConfig = TrainConfig()
+    srgan: SrganConfig = SrganConfig()
+    contact: ContactConfig = ContactConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.calibrate is None:
+            object.__setattr__(self, "calibrate", not self.has_network)
+        for group, methods in GROUPS.items():
+            given, default = (getattr(one, group).to_mapping() for one in (self, type(self)))
+            changed = [key for key in given if given[key] != default[key]]
+            if self.method not in methods and changed:
+                raise ConfigError(f"RunConfig.{group}.{changed[0]}: has no effect on method {self.method!r}")
+        if self.patience is not None and self.validation == 0.0:
+            raise ConfigError("RunConfig.patience: needs validation above 0, for nothing else may stop a training")
+        if self.validation > 0.0 and not self.has_network:
+            raise ConfigError(
+                f"RunConfig.validation: a {self.method} model has no epochs to choose from; leave it at 0"
+            )
+        if self.release and (self.split is not None or self.validation > 0.0):
+            raise ConfigError("RunConfig.release: trains on all samples; leave split empty and validation at 0")
+        if self.calibrates and self.outputs != MODALITIES:
+            field = "release" if self.release else "calibrate"
+            raise ConfigError(
+                f"RunConfig.{field}: model.outputs: {list(self.outputs)} are not all modalities, {', '.join(MODALITIES)}"
+            )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain nested data that `from_mapping` accepts, without the groups that have no effect on the method."""
+        return {name: value for name, value in super().to_mapping().items() if self.method in GROUPS.get(name, METHODS)}
+
+    @property
+    def has_network(self) -> bool:
+        """Whether a network is trained, in epochs."""
+        return self.method in GROUPS["model"]
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether the model gets intervals."""
+        return bool(self.calibrate) or self.release
+
+    @property
+    def seed(self) -> int:
+        """Seed of the method."""
+        return self._own.seed
+
+    @property
+    def device(self) -> str:
+        """`cpu` or `cuda`."""
+        own = self._own
+        return "cpu" if isinstance(own, ContactConfig) else own.resolved_device
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Modalities that the model predicts."""
+        return self.model.outputs  # a contact model's group has its defaults, all of them
+
+    @property
+    def ranges(self) -> TactileRanges:
+        """Ranges of the hand that the model learns from."""
+        return self.model.ranges if self.has_network else self.contact.ranges
+
+    @property
+    def _own(self) -> TrainConfig | SrganConfig | ContactConfig:
+        own: dict[str, TrainConfig | SrganConfig | ContactConfig] = {"supervised": self.train, "srgan": self.srgan}
+        return own.get(self.method, self.contact)
+
+
+def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunConfig:
+    """Settings of a run from a YAML file and `key=value` words.
+
+    Args:
+        config: A YAML file, the name of a recipe that comes with the package, such as `contact-v2`, or a method, for
+            its defaults. `model` may be the path of a YAML file with the network's settings, relative to the file that
+            names it.
+        overrides: `key=value`, applied to the file's settings.
+
+    Raises:
+        ConfigError: If a file cannot be read, or a setting is unknown or out of bounds; names file, field and rule.
+    """
+    path = Path(config)
+    shipped = Path(str(resources.files("foretouch.learning"))) / _RECIPES / f"{config}.yaml"
+    if not path.exists() and str(config) in METHODS:
+        mapping: dict[str, Any] = {"name": str(config), "method": str(config)}
+    else:
+        file = shipped if shipped.is_file() and not path.exists() else path
+        mapping = _with_network(load_yaml(file), file.parent)
+    return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), str(config))
+
+
+def _with_network(mapping: dict[str, Any], folder: Path) -> dict[str, Any]:
+    network = mapping.get("model")
+    return {**mapping, "model": load_yaml(folder / network)} if isinstance(network, str) else mapping
