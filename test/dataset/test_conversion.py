@@ -34,8 +34,8 @@ NS = 1_000_000_000
 
 
 def records(path: Path) -> list[SampleRecord]:
-    with open_samples(path) as samples:
-        return list(samples.records(discarded=True))
+    samples = open_samples(path)
+    return list(samples.records(discarded=True))
 
 
 @pytest.fixture

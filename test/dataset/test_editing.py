@@ -23,8 +23,8 @@ def dataset(tmp_path: Path) -> Path:
 
 
 def ids(path: Path) -> list[str]:
-    with RecordedDataset(path) as samples:
-        return [stored.record.sample.id for stored in samples]
+    samples = RecordedDataset(path)
+    return [stored.record.sample.id for stored in samples]
 
 
 def test_edits_are_seen_by_whoever_reads_and_the_recordings_stay_as_they_are(dataset: Path, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from foretouch.dataset.bag import Recording
 from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.recording import SampleRecord, verify_dataset
-from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, FileError
 from foretouch.types import Cloud
@@ -125,8 +125,8 @@ def write_topics(path: Path, faults: Faults | None = None) -> None:
 def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
     write_topics(tmp_path / "bag", faults)
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
-    with open_samples(tmp_path / "ds") as samples:
-        return result, list(samples.records(discarded=True))
+    samples = open_samples(tmp_path / "ds")
+    return result, list(samples.records(discarded=True))
 
 
 def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> None:
@@ -232,7 +232,7 @@ def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypat
             writer.write(message.topic, kind, message.bag_time_ns, data)
     result = import_samples(tmp_path / "other", tmp_path / "ds")
     assert (result.samples, result.labelled) == (2, 1)
-    with open_samples(tmp_path / "ds") as samples:
-        touch = next(samples.records()).sample.touch
+    samples = open_samples(tmp_path / "ds")
+    touch = next(samples.records()).sample.touch
     assert touch is not None
     np.testing.assert_array_equal(touch.e_mf, np.arange(24) + 2900)

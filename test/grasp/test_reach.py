@@ -62,8 +62,8 @@ def test_grasps_within_reach_are_accepted(ball) -> None:
 def test_every_recorded_grasp_is_accepted(real_data: Path) -> None:
     from foretouch.dataset.samples import open_samples
 
-    with open_samples(str(real_data / "vision2tactile")) as found:
-        samples = [record.sample for record in found.records()]
+    found = open_samples(str(real_data / "vision2tactile"))
+    samples = [record.sample for record in found.records()]
     assert len(samples) >= 400
     for sample in samples:
         check_reach(sample.grasp, sample.cloud.xyz, 0.2, 0.05)

@@ -217,8 +217,8 @@ def _show(arguments: argparse.Namespace) -> int:
     from foretouch.report.touch_figure import save_contact_sheet
 
     require_writable(arguments.out)
-    with open_samples(arguments.source) as samples:
-        selected = list(_selected(samples, arguments))
+    samples = open_samples(arguments.source)
+    selected = list(_selected(samples, arguments))
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
@@ -283,8 +283,7 @@ def _edit(arguments: argparse.Namespace) -> int:
         record["edit"] = editing.merge(path, *arguments.merge)
     elif arguments.undo:
         record["undone"] = editing.undo(path)
-    with RecordedDataset(path) as dataset:
-        edits = dataset.edits.descriptions()
+    edits = RecordedDataset(path).edits.descriptions()
     if arguments.json:
         print_json({**record, "edits": edits})
     else:

@@ -103,14 +103,14 @@ class _Steps:
 
     def _of_samples(self, path: str) -> Iterator[ViewStep]:
         """The samples of a dataset that the operator has not discarded."""
-        with open_samples(path, unfinished=True) as samples:
-            for k in range(len(samples)):
-                try:
-                    record = samples.record(k)
-                    if DISCARDED not in record.flags:
-                        yield self._of_sample(record)
-                except ForetouchError as err:
-                    self._refuse(samples.name(k), err)
+        samples = open_samples(path, unfinished=True)
+        for k in range(len(samples)):
+            try:
+                record = samples.record(k)
+                if DISCARDED not in record.flags:
+                    yield self._of_sample(record)
+            except ForetouchError as err:
+                self._refuse(samples.name(k), err)
 
     def _of_answers(self, path: Path) -> Iterator[ViewStep]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""

@@ -18,8 +18,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import cloud_fields
-from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample, sample_types
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud

@@ -62,7 +62,8 @@ def _locked(path: Path) -> Iterator[dict[str, str]]:
     """The recorded ids by the current ones of a dataset that nobody else writes meanwhile."""
     if not is_dataset(path):
         raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
-    with lock(path), RecordedDataset(path) as dataset:
+    with lock(path):
+        dataset = RecordedDataset(path)
         yield {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}
 
 

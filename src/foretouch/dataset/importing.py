@@ -101,7 +101,7 @@ def import_samples(
     result = ImportResult()
     with ExitStack() as stack:
         if is_sample_set(source):
-            samples = stack.enter_context(open_samples(source))
+            samples = open_samples(source)
             found, records = samples.identity, samples.records(discarded=True)
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
@@ -122,15 +122,15 @@ def import_samples(
 def _own_samples(bag: Recording, topics: list[str]) -> tuple[Identity, Iterator[SampleRecord]]:
     """Hand and camera of the first sample of foretouch in a bag, and all samples."""
 
-    def stored() -> Iterator[StoredSample]:
+    def _stored() -> Iterator[StoredSample]:
         for message in bag.messages(topics):
             try:
                 yield decode_sample(message.data)
             except DatasetError as err:
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 
-    first = next(stored(), None)
-    return Identity() if first is None else first.identity, (one.record for one in stored())
+    first = next(_stored(), None)
+    return Identity() if first is None else first.identity, (one.record for one in _stored())
 
 
 def _assembled(bag: Recording, topics: BagTopics, result: ImportResult) -> tuple[Identity, Iterator[SampleRecord]]:
@@ -159,7 +159,7 @@ def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterat
     yield from _samples(assembler.poll(now_s, ending=True), result)
     result.left_out += assembler.rejected_clouds
     result.left_out["cloud without grasps"] += assembler.clouds_without_grasps
-    result.left_out["grasps without their cloud"] += assembler.matcher.plans
+    result.left_out["grasps without their cloud"] += len(assembler.matcher.plans)
 
 
 def _samples(assembled: list[AssembledSample | RejectedGrasp], result: ImportResult) -> Iterator[SampleRecord]:

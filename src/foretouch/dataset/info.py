@@ -54,29 +54,29 @@ def describe(path: str | Path) -> SampleSetInfo:
     sizes: list[int] = []
     stamps: list[int] = []
     errors: list[float] = []
-    with open_samples(path, unfinished=True) as samples:
-        info = SampleSetInfo(
-            kind=samples.kind,
-            hand=dict(samples.identity.hand),
-            camera=dict(samples.identity.camera),
-            unfinished=[file.name for file in samples.unfinished],
-            accounts=samples.message_counts(),
-            edits=list(samples.edits),
-        )
-        for record in samples.records(discarded=True):
-            sample = record.sample
-            info.samples += 1
-            info.objects[sample.object] += 1
-            info.outcomes[record.outcome] += 1
-            info.flags.update(record.flags)
-            info.discarded += DISCARDED in record.flags
-            info.tared += sample.tare is not None
-            sizes.append(sample.cloud.size)
-            stamps.append(sample.stamp_ns)
-            if record.pairing_error_ns is not None:
-                errors.append(record.pairing_error_ns * 1e-6)
-            if sample.touch is not None:
-                touches.append(sample.touch.vector())
+    samples = open_samples(path, unfinished=True)
+    info = SampleSetInfo(
+        kind=samples.kind,
+        hand=dict(samples.identity.hand),
+        camera=dict(samples.identity.camera),
+        unfinished=[file.name for file in samples.unfinished],
+        accounts=samples.message_counts(),
+        edits=list(samples.edits),
+    )
+    for record in samples.records(discarded=True):
+        sample = record.sample
+        info.samples += 1
+        info.objects[sample.object] += 1
+        info.outcomes[record.outcome] += 1
+        info.flags.update(record.flags)
+        info.discarded += DISCARDED in record.flags
+        info.tared += sample.tare is not None
+        sizes.append(sample.cloud.size)
+        stamps.append(sample.stamp_ns)
+        if record.pairing_error_ns is not None:
+            errors.append(record.pairing_error_ns * 1e-6)
+        if sample.touch is not None:
+            touches.append(sample.touch.vector())
     if sizes:
         info.points = (min(sizes), int(np.median(sizes)), max(sizes))
         info.first_ns, info.last_ns = min(stamps), max(stamps)

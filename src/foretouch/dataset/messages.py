@@ -33,22 +33,15 @@ _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per ele
 _SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no difference
 
 
-class StampedHeader(NamedTuple):
-    """Stamp [ns] and frame of a message."""
-
-    stamp_ns: int
-    frame_id: str
-
-
-def read_header(data: bytes) -> StampedHeader:
-    """The header of a serialised message that begins with one; a `DatasetError` if it cannot be read."""
+def read_header(data: bytes) -> tuple[int, str]:
+    """Stamp [ns] and frame of a serialised message that begins with a header; a `DatasetError` if it cannot be read."""
     order = _byte_order(data)
     try:
         seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", data, _START)
         frame = data[_START + 12 : _START + 12 + length]
         if len(frame) != length:
             raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
-        return StampedHeader(seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode())
+        return seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode()
     except (struct.error, UnicodeDecodeError) as err:
         raise DatasetError(f"header: {err}") from err
 

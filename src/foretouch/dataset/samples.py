@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from foretouch.types import GraspSample
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """The samples of a dataset in order, read on demand and as often as needed; a context manager."""
+    """The samples of a dataset in order, read on demand and as often as needed."""
 
     path: Path  # the dataset
     kind: str  # name of its format
@@ -28,16 +28,9 @@ class SampleSet:
     record: Callable[[int], SampleRecord]  # reads one sample by its number; raises `FileError` with file and position
     name: Callable[[int], str]  # where a sample is stored, for messages
     identity: Identity = field(default_factory=Identity)  # hand and camera, as far as they are known
-    close: Callable[[], None] = lambda: None  # closes the files
     unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
     edits: tuple[str, ...] = ()  # descriptions of later changes
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __len__(self) -> int:
         return self.size
@@ -130,6 +123,6 @@ def export_samples(
     """
     export = _functions(next(entry for entry in formats.FORMATS if entry.name == kind)).export
     result = ExportResult()
-    with new_folder(Path(out)) as folder, open_samples(source) as samples:
-        export(samples, folder, result, progress)
+    with new_folder(Path(out)) as folder:
+        export(open_samples(source), folder, result, progress)
     return result

@@ -83,10 +83,10 @@ class Source:
         return replace(cloud, stamp_ns=stamp_ns, frame_id=cloud.frame_id or self.frame_id)
 
     def _samples(self) -> Iterator[SourceItem]:
-        with open_samples(self.path) as samples:
-            names = [samples.name(k) for k in range(len(samples))]
-            for number, k in enumerate(sorted(range(len(names)), key=lambda k: _natural(names[k])), 1):
-                yield SourceItem(names[k], partial(self._load_sample, samples, k, number * STAMP_STEP_NS))
+        samples = open_samples(self.path)
+        names = [samples.name(k) for k in range(len(samples))]
+        for number, k in enumerate(sorted(range(len(names)), key=lambda k: _natural(names[k])), 1):
+            yield SourceItem(names[k], partial(self._load_sample, samples, k, number * STAMP_STEP_NS))
 
     def _recorded(self) -> Iterator[SourceItem]:
         with Recording(self.path) as recording:
@@ -117,8 +117,8 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     """
     path = require_existing(path)
     if topic is None and is_sample_set(path):
-        with open_samples(path) as samples:
-            return Source(path, "samples", None, frame_id, (), len(samples))
+        samples = open_samples(path)
+        return Source(path, "samples", None, frame_id, (), len(samples))
     if is_recording(path):
         with Recording(path) as recording:
             topic = recording.cloud_topic(topic)

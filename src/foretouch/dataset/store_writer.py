@@ -179,18 +179,18 @@ def build_store(
     with StoreWriter(out, about) as writer:
         for source in sources:
             renumbered = ids.begin(str(source))
-            with open_samples(source) as samples:
-                identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
-                origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-                for record in samples.records(discarded=True):
-                    progress()
-                    if DISCARDED in record.flags:
-                        result.left_out[DISCARDED] += 1
-                        continue
-                    sample = ids.with_own_id(only_finite(record.sample))
-                    writer.write(sample)
-                    labelled = sample.touch is not None
-                    result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, labelled))
+            samples = open_samples(source)
+            identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
+            origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
+            for record in samples.records(discarded=True):
+                progress()
+                if DISCARDED in record.flags:
+                    result.left_out[DISCARDED] += 1
+                    continue
+                sample = ids.with_own_id(only_finite(record.sample))
+                writer.write(sample)
+                labelled = sample.touch is not None
+                result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, labelled))
             if renumbered:
                 origins[-1]["renumbered"] = renumbered
                 result.renumbered += len(renumbered)

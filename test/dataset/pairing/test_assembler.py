@@ -21,7 +21,7 @@ from foretouch.dataset.pairing import (
     SampleAssembler,
     SerializedCloud,
 )
-from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import GraspError, TactileError
 from foretouch.tactile.messages import TactileReader, TactileReading
 from foretouch.types import Cloud
@@ -58,7 +58,7 @@ class Session:
         message = cloud_fields(cloud)
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
         self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
-        self.assembler.add_grasps(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
+        self.assembler.matcher.add_plan(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
 
     def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
         times = {

@@ -18,7 +18,7 @@ from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, rec
 
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, RepairReport, repair_dataset, verify_dataset
-from foretouch.dataset.recording.reader import sample_messages
+from foretouch.dataset.recording.reader import _sample_messages
 from foretouch.dataset.recording.records import mapped, walk
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
 from foretouch.dataset.recording.verify import FileReport
@@ -34,17 +34,17 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one in sample_messages(path, mapped(path))]
+    return [(one.start, one.end) for one in _sample_messages(path, mapped(path))]
 
 
 def numbers(path: Path) -> list[int]:
     """The numbers of the samples in a file, each of which equals the recorded one."""
     found = []
-    with RecordedDataset(path) as dataset:
-        for stored in dataset:
-            found.append(int(stored.record.sample.grasp.id.removeprefix("grasp-")))
-            points = stored.record.sample.cloud.size
-            assert_same_sample(stored.record.sample, record(found[-1], points=points).sample)
+    dataset = RecordedDataset(path)
+    for stored in dataset:
+        found.append(int(stored.record.sample.grasp.id.removeprefix("grasp-")))
+        points = stored.record.sample.cloud.size
+        assert_same_sample(stored.record.sample, record(found[-1], points=points).sample)
     return found
 
 
@@ -264,7 +264,7 @@ def test_what_a_crash_left_unwritten_is_counted_as_lost(tmp_path: Path) -> None:
     writer._counted_s -= 1.0
     writer.receive("/cloud", 5)  # in a queue when the process is killed
     writer.append(record(0))
-    writer._file.abandon()
+    writer.output.abandon()
     writer._release.close()
     report = verify(writer.file)
     assert report.fault_lines() == [f"{writer.file}: byte {report.size}: not finished: no index; repair creates one"]

@@ -12,8 +12,7 @@ from every_case import every_case
 from recording_builders import IDENTITY, assert_same_sample, record
 
 from foretouch.dataset.record import SampleRecord, TouchSeries, check_id
-from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample, encode_sample, is_intact
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, Definitions, decode_sample, encode_sample
 from foretouch.errors import DatasetError
 from foretouch.types import Cloud, Touch
 
@@ -58,11 +57,9 @@ def test_an_unlabelled_sample_with_an_organised_cloud_keeps_its_shape_and_has_no
 
 def test_any_changed_byte_is_detected_and_other_bytes_are_refused_in_one_line() -> None:
     data = encode_sample(with_sample(record(0, points=5)), IDENTITY)
-    assert is_intact(data)
     for place in range(0, len(data), 97):
         changed = bytearray(data)
         changed[place] ^= 1
-        assert not is_intact(changed)
         with pytest.raises(DatasetError, match="SHA-256"):
             decode_sample(bytes(changed))
     for size in (0, 4, 31, 32, 40):

@@ -43,8 +43,8 @@ from foretouch.errors import DatasetError, FileError
 
 
 def ids(path: Path) -> list[str]:
-    with RecordedDataset(path) as dataset:
-        return [stored.record.sample.id for stored in dataset]
+    dataset = RecordedDataset(path)
+    return [stored.record.sample.id for stored in dataset]
 
 
 def assert_clean(path: Path) -> None:
@@ -54,11 +54,11 @@ def assert_clean(path: Path) -> None:
 def test_what_is_appended_is_read_back_and_a_resumed_dataset_continues_its_ids(tmp_path: Path) -> None:
     write_dataset(tmp_path / "ds", 3)
     file = write_dataset(tmp_path / "ds", 2, name="sponge", first=3)
-    with RecordedDataset(tmp_path / "ds") as dataset:
-        assert len(dataset) == 5
-        for number, stored in enumerate(dataset):
-            assert_same_sample(stored.record.sample, record(number, "ball" if number < 3 else "sponge").sample)
-            assert stored.identity == IDENTITY
+    dataset = RecordedDataset(tmp_path / "ds")
+    assert len(dataset) == 5
+    for number, stored in enumerate(dataset):
+        assert_same_sample(stored.record.sample, record(number, "ball" if number < 3 else "sponge").sample)
+        assert stored.identity == IDENTITY
     assert ids(tmp_path / "ds") == [*(f"ball/{n:06d}" for n in range(1, 4)), "sponge/000004", "sponge/000005"]
     files = sorted((tmp_path / "ds").glob("*.mcap"))
     assert [one.name for one in files] == ["session-0001.mcap", "session-0002.mcap"]
@@ -229,19 +229,19 @@ def test_clocks_that_jump_and_stamps_that_repeat_are_kept_as_they_are(tmp_path: 
             writer.append(replace(made, sample=replace(made.sample, stamp_ns=time_ns % 2**60)), log_time_ns=time_ns)
     assert len(set(ids(tmp_path / "ds"))) == 5
     assert_clean(tmp_path / "ds")
-    with RecordedDataset(tmp_path / "ds") as dataset:
-        assert [stored.record.sample.stamp_ns for stored in dataset] == [t % 2**60 for t in times]
+    dataset = RecordedDataset(tmp_path / "ds")
+    assert [stored.record.sample.stamp_ns for stored in dataset] == [t % 2**60 for t in times]
 
 
 def test_messages_wait_no_longer_than_they_should(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "ds", IDENTITY, replace(QUICK, chunk_s=0.05)) as writer:
         writer.add_topic(TACTILE, TACTILE_TYPE)
-        before = writer.bytes_written
+        before = writer.output.size
         writer.write(TACTILE, MESSAGE, 0)
-        assert writer.bytes_written == before
+        assert writer.output.size == before
         time.sleep(0.06)
         writer.write(TACTILE, MESSAGE, 1)
-        assert writer.bytes_written > before
+        assert writer.output.size > before
         writer.receive(TACTILE, 2)
 
 

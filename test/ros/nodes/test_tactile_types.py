@@ -37,8 +37,8 @@ def test_recorder_and_touch_predictor_accept_it(graph, tmp_path, monkeypatch):
     graph.until(lambda: predictor.notes()["tactile.received"] == str(hand.sent["/rh/tactile"]))
     assert predictor.notes()["tactile.unreadable"] == "0"
     recorder.end()
-    with RecordedDataset(tmp_path / "set") as dataset:
-        one = dataset[0]
+    dataset = RecordedDataset(tmp_path / "set")
+    one = dataset[0]
     np.testing.assert_allclose(one.record.sample.touch.vector(), level(0), atol=5.0)
     names = {"tactile": MADE_UP_TYPE, "thumb": "thumb", "middle_finger": "middle"}
     assert {key: one.identity.hand[key] for key in names} == names

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
 from foretouch.dataset.messages import decode_grasp, decode_objects, read_header
-from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
@@ -122,9 +122,11 @@ class SampleAssembler:
         if role == "tactile":
             self.add_tactile(message, received_ns=received_ns, now_s=now_s)
         elif role == "cloud":
-            self.add_cloud(message, now_s=now_s)
+            stamp, _ = read_header(message.data)
+            self._last_cloud_s = now_s
+            self._remove(self.clouds.add(stamp, message, now_s))
         elif role == "grasps":
-            self.add_grasps(stamp_ns(message.header.stamp), message.header.frame_id, message.grasps)
+            self.matcher.add_plan(stamp_ns(message.header.stamp), message.header.frame_id, message.grasps)
         else:
             self.matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
 
@@ -146,16 +148,6 @@ class SampleAssembler:
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
         return accepted
-
-    def add_cloud(self, message: SerializedCloud, *, now_s: float) -> None:
-        """Add an object cloud (raises as `add`)."""
-        header = read_header(message.data)
-        self._last_cloud_s = now_s
-        self._remove(self.clouds.add(header.stamp_ns, message, now_s))
-
-    def add_grasps(self, cloud_stamp_ns: int, frame_id: str, grasps: Any) -> None:
-        """Add `Grasp` messages planned on the cloud of this stamp."""
-        self.matcher.add_plan(cloud_stamp_ns, frame_id, grasps)
 
     # Output.
 

@@ -96,6 +96,10 @@ class GraspTouchMatcher:
         buffer, clouds, config, contact: Readings, clouds, and settings of the pairing and of the contact detector.
         assume: Whether a contact without a report belongs to the best grasp of the last cloud before it.
         successes_only: Whether grasps that failed after contact are rejected too.
+
+    Attributes:
+        pending: Executed grasps that are not complete yet.
+        plans: Grasps by the stamp of the cloud that they were planned on [ns], until they are forgotten.
     """
 
     def __init__(
@@ -114,23 +118,13 @@ class GraspTouchMatcher:
         self._contact = contact
         self._assume = assume
         self._successes_only = successes_only
-        self._plans: OrderedDict[int, PlannedGrasps] = OrderedDict()
+        self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()
         self._stamp_of: dict[str, int | None] = {}  # None: the id was planned on two clouds
-        self._pending: list[_Pending] = []
+        self.pending: list[_Pending] = []
         self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
         self._finished: deque[ExecutedGrasp] = deque(maxlen=_KEPT_GRASPS)
         self._unclaimed: list[tuple[Episode, float]] = []
-
-    @property
-    def pending(self) -> int:
-        """Number of executed grasps that are not complete yet."""
-        return len(self._pending)
-
-    @property
-    def plans(self) -> int:
-        """Number of clouds with grasps that have not been forgotten."""
-        return len(self._plans)
 
     # Input.
 
@@ -141,15 +135,15 @@ class GraspTouchMatcher:
         for grasp in grasps:
             known = self._stamp_of.get(grasp.id, stamp_ns)
             self._stamp_of[grasp.id] = stamp_ns if known == stamp_ns else None
-        before, ids = self._plans.get(stamp_ns), {grasp.id for grasp in grasps}
+        before, ids = self.plans.get(stamp_ns), {grasp.id for grasp in grasps}
         kept = [one for one in before.grasps if one.id not in ids] if before and before.frame_id == frame_id else []
-        self._plans[stamp_ns] = PlannedGrasps(stamp_ns, frame_id, (*kept, *grasps))
-        while len(self._plans) > _MAX_PLANS:
-            self.forget_plan(next(iter(self._plans)))
+        self.plans[stamp_ns] = PlannedGrasps(stamp_ns, frame_id, (*kept, *grasps))
+        while len(self.plans) > _MAX_PLANS:
+            self.forget_plan(next(iter(self.plans)))
 
     def forget_plan(self, stamp_ns: int) -> PlannedGrasps | None:
         """Remove the grasps of a cloud that is no longer kept; gives them."""
-        plan = self._plans.pop(stamp_ns, None)
+        plan = self.plans.pop(stamp_ns, None)
         for grasp in () if plan is None else plan.grasps:
             if self._stamp_of.get(grasp.id) == stamp_ns:
                 del self._stamp_of[grasp.id]
@@ -159,11 +153,11 @@ class GraspTouchMatcher:
         """Add a grasp that was executed."""
         label = self._labels.pop(executed.grasp_id, None)
         self._unclaimed = [pair for pair in self._unclaimed if not _covers(executed.interval, pair[0])]
-        self._pending.append(_Pending(executed, now_s, label))
+        self.pending.append(_Pending(executed, now_s, label))
 
     def add_episode(self, episode: Episode, now_s: float) -> None:
         """Add a contact that has ended; the robot has `wait_s` to report it."""
-        known = [*self._finished, *(one.executed for one in self._pending)]
+        known = [*self._finished, *(one.executed for one in self.pending)]
         if not any(_covers(executed.interval, episode) for executed in known):
             self._unclaimed.append((episode, now_s))
 
@@ -173,7 +167,7 @@ class GraspTouchMatcher:
         Raises a `PairingError` if the grasp is not known, or its sample is complete.
         """
         name = label.grasp_id or self._latest()
-        pending = next((one for one in reversed(self._pending) if one.executed.grasp_id == name), None)
+        pending = next((one for one in reversed(self.pending) if one.executed.grasp_id == name), None)
         if pending is not None:
             pending.label = label
             return name, "its touch is being recorded"
@@ -194,9 +188,9 @@ class GraspTouchMatcher:
         """The grasps that are complete by now; at the end, all."""
         if self._unclaimed:
             self._claim_late_episodes(now_s, ending=ending)
-        ready = [one for one in self._pending if ending or self._is_ready(one, now_s)]
+        ready = [one for one in self.pending if ending or self._is_ready(one, now_s)]
         if ready:
-            self._pending = [one for one in self._pending if one not in ready]
+            self.pending = [one for one in self.pending if one not in ready]
         results = [self._finish(one) for one in ready]
         if ending:
             message = "labelled, but never executed"
@@ -205,11 +199,11 @@ class GraspTouchMatcher:
         return results
 
     def _latest(self) -> str:
-        if self._pending:
-            return self._pending[-1].executed.grasp_id
-        if not self._plans:
+        if self.pending:
+            return self.pending[-1].executed.grasp_id
+        if not self.plans:
             raise PairingError("grasp_unknown", "there is no grasp to label: none was planned while recording")
-        name: str = self._plans[next(reversed(self._plans))].grasps[0].id
+        name: str = self.plans[next(reversed(self.plans))].grasps[0].id
         return name
 
     def _claim_late_episodes(self, now_s: float, *, ending: bool) -> None:
@@ -221,7 +215,7 @@ class GraspTouchMatcher:
             flags: tuple[str, ...] = ("detected_interval",)
             name = next(labelled, None)
             if name is None and self._assume:
-                before = [plan for stamp, plan in self._plans.items() if stamp < episode.first]
+                before = [plan for stamp, plan in self.plans.items() if stamp < episode.first]
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
                 flags = ("detected_interval", "assumed_grasp")
             if name is not None:
@@ -269,7 +263,7 @@ class GraspTouchMatcher:
         stamp = self._stamp_of[name]
         if stamp is None:
             raise PairingError("grasp_ambiguous", f"grasp {name}: was planned on two clouds")
-        plan, cloud = self._plans[stamp], self._clouds.get(stamp)
+        plan, cloud = self.plans[stamp], self._clouds.get(stamp)
         if cloud is None:
             raise PairingError("cloud_unknown", "its cloud was not received, or is no longer kept")
         if cloud.ambiguous:

@@ -3,8 +3,8 @@
 
 from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries
 from foretouch.dataset.recording.folder import is_dataset
-from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
 from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.records import MessageCounts, TopicCounts
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, StoredSample
 from foretouch.dataset.recording.verify import FileReport, verify_dataset

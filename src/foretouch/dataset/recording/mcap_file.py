@@ -7,9 +7,10 @@ off again. Chunks are not compressed: a reader finds a message by its offset, an
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, BinaryIO, Final
 
 from mcap.exceptions import EndOfFile
@@ -31,6 +32,7 @@ class McapFile:
 
     Attributes:
         types: Type of the messages, by declared topic.
+        size: Its size so far [bytes].
 
     Raises:
         FileError: If the path exists or cannot be written. So do all methods that write; nothing of what they were to
@@ -40,18 +42,15 @@ class McapFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.types: dict[str, str] = {}
+        self.size = 0
         with disk_errors(self.path):
-            self._output = _Output(os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644))
+            self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        self._parts: list[bytes] = []  # made by the writer, and not in the file yet
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._failed = False
         self._writer = self._new_writer()
         self._commit()
-
-    @property
-    def size(self) -> int:
-        """Its size so far [bytes]."""
-        return self._output.size
 
     def declare(self, topic: str, type_name: str, definition: str) -> None:
         """Declare a topic of messages such as `std_msgs/msg/String`, with their definition as `ros2msg`."""
@@ -84,34 +83,34 @@ class McapFile:
     @property
     def removed(self) -> bool:
         """Whether the path no longer leads to the open file: it was removed, moved, or its file system unmounted."""
-        if self._output.fd < 0:
+        if self._fd < 0:
             return False
         try:
             found = self.path.stat()
         except OSError:
             return True
-        return not os.path.samestat(found, os.fstat(self._output.fd))
+        return not os.path.samestat(found, os.fstat(self._fd))
 
     @property
     def free_bytes(self) -> int:
         """Space on the disk that holds the open file, for this user [bytes]; 0 once it is closed."""
-        if self._output.fd < 0:
+        if self._fd < 0:
             return 0
         with disk_errors(self.path):
-            space = os.fstatvfs(self._output.fd)
+            space = os.fstatvfs(self._fd)
         return space.f_bavail * space.f_frsize
 
     def reopen(self) -> BinaryIO:
         """The open file at its start, for reading, even if it was removed; stays open after `finish`."""
         with disk_errors(self.path):
-            file = os.fdopen(os.dup(self._output.fd), "rb")
+            file = os.fdopen(os.dup(self._fd), "rb")
         file.seek(0)
         return file
 
     def sync(self) -> None:
         """Wait until everything written is on the disk; if this fails, the content of the disk is unknown."""
         with disk_errors(self.path, "cannot be synchronised"):
-            os.fdatasync(self._output.fd)
+            os.fdatasync(self._fd)
 
     def finish(self) -> None:
         """Write index and summary and close the file in any case; if that fails, every chunk is there without them."""
@@ -126,30 +125,50 @@ class McapFile:
 
     def abandon(self) -> None:
         """Close the file as it is; may be called more than once."""
-        self._output.close()
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
 
     def _new_writer(self) -> Any:
-        output: Any = self._output
+        output: Any = SimpleNamespace(write=self._parts.append, tell=self._end, flush=lambda: None)
         writer = Writer(output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start("ros2", LIBRARY)
         return writer
+
+    def _end(self) -> int:
+        return self.size + sum(map(len, self._parts))
 
     def _add(self, one: Message) -> None:
         self._writer.add_message(one.channel_id, one.log_time, one.data, one.publish_time, one.sequence)
 
     def _commit(self) -> None:
-        if self._output.fd < 0:
+        if self._fd < 0:
             raise FileError(self.path, "is closed")
+        self._writer.flush()
+        content = b"".join(self._parts)
+        self._parts.clear()
+        rest = memoryview(content)
         try:
             with disk_errors(self.path):
-                self._writer.flush()
+                while rest:
+                    rest = rest[os.write(self._fd, rest) :]
         except FileError:
             self._failed = True
+            self._cut()
             raise
+        self.size += len(content)
+
+    def _cut(self) -> None:
+        """Remove the remains of a failed write."""
+        try:
+            os.ftruncate(self._fd, self.size)
+        except OSError:
+            self.abandon()  # the remains stay: readers stop before them, and nothing may be written after them
 
     def _repeat(self) -> None:
         """Pass the file to a new writer, since the index of the old one holds what could not be written."""
-        with disk_errors(self.path), self.reopen() as file, self._output.repeated(), suppress(EndOfFile):
+        with disk_errors(self.path), self.reopen() as file, suppress(EndOfFile):
+            self.size = 0
             self._writer = self._new_writer()
             for record in StreamReader(file, emit_chunks=True).records:
                 if isinstance(record, Metadata):
@@ -162,49 +181,5 @@ class McapFile:
                     elif isinstance(one, Message):
                         self._add(one)
                 self._writer.flush()
-
-
-class _Output:
-    """The stream of a writer: everything up to a `flush` reaches the file in one call, or not at all."""
-
-    def __init__(self, fd: int) -> None:
-        self.fd = fd
-        self.size = 0  # of the file [bytes]
-        self._parts: list[bytes] = []
-        self._repeating = False
-
-    def write(self, data: bytes) -> None:
-        self._parts.append(data)
-
-    def tell(self) -> int:
-        return self.size + sum(map(len, self._parts))
-
-    def flush(self) -> None:
-        content, self._parts = b"".join(self._parts), []
-        rest = memoryview(b"" if self._repeating else content)
-        try:
-            while rest:
-                rest = rest[os.write(self.fd, rest) :]
-        except OSError:
-            self._cut()
-            raise
-        self.size += len(content)
-
-    def _cut(self) -> None:
-        """Remove the remains of a failed write."""
-        try:
-            os.ftruncate(self.fd, self.size)
-        except OSError:
-            self.close()  # the remains stay: readers stop before them, and nothing may be written after them
-
-    @contextmanager
-    def repeated(self) -> Iterator[None]:
-        """What is written is in the file already."""
-        self.size, self._repeating = 0, True
-        yield
-        self._repeating = False
-
-    def close(self) -> None:
-        if self.fd >= 0:
-            os.close(self.fd)
-            self.fd = -1
+                self.size = self._end()
+                self._parts.clear()  # they are in the file already

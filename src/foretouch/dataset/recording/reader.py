@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata, Statistics
@@ -19,13 +19,13 @@ from foretouch.checked_files import open_regular
 from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, recorded_files, session_files
-from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     IN_SUMMARY,
     MAGIC,
     Damage,
     Declarations,
+    MessageCounts,
     Record,
     RecordedMessage,
     is_finished,
@@ -34,7 +34,7 @@ from foretouch.dataset.recording.records import (
     summary_of,
     walk,
 )
-from foretouch.dataset.recording.repair import is_readable, salvaged
+from foretouch.dataset.recording.repair import readable, salvaged
 from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPE, StoredSample, decode_sample
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
@@ -49,7 +49,7 @@ class _Sample(NamedTuple):
 
 
 class RecordedDataset:
-    """The samples of a recorded dataset, or of one of its `.mcap` files; a context manager.
+    """The samples of a recorded dataset, or of one of its `.mcap` files.
 
     Attributes:
         path: As given.
@@ -65,28 +65,16 @@ class RecordedDataset:
         self.path = Path(path)
         self.files = recorded_files(self.path)
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
-        self._closed = False
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []
         for file in self.files:
             data = mapped(file)
-            found = [_Sample(file, data, message) for message in sample_messages(file, data)]
+            found = [_Sample(file, data, message) for message in _sample_messages(file, data)]
             if is_finished(data):
                 _check_count(file, data, len(found))
             else:
                 self.unfinished.append(file)
             self._samples += found
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the files; may be called more than once."""
-        self._closed = True
-        self._samples = []
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -102,16 +90,14 @@ class RecordedDataset:
 
     def as_recorded(self, index: int) -> StoredSample:
         """One sample before any edit (raises as indexing)."""
-        if self._closed:
-            raise FileError(self.path, "is closed")
         file, data, message = self._samples[index]
         try:
-            return decode_sample(bytes(data[message.start : message.end]))
+            return decode_sample(data[message.start : message.end])
         except DatasetError as err:
             raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
 
-    def message_counts(self) -> MessageCounts:
-        """The message counts, summed over the last ones of each recording; a `FileError` if they are damaged."""
+    def message_counts(self) -> dict[str, dict[str, Any]]:
+        """The message counts by topic, summed over the last ones of each recording; a `FileError` for damage."""
         total = MessageCounts()
         for file in self.files:
             declared = Declarations()
@@ -119,7 +105,7 @@ class RecordedDataset:
                 if isinstance(record, Record):
                     _require(file, declared.add(record))
             total.add(declared.counts or MessageCounts())
-        return total
+        return total.to_record()
 
     def name(self, index: int) -> str:
         """File and offset of a sample, for messages."""
@@ -153,7 +139,7 @@ def _holds_samples(path: Path) -> bool:
     return start.startswith(MAGIC) and (begins or SAMPLE_TYPE.encode() in start)
 
 
-def sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
+def _sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
     """The messages with samples in a file, in order, up to its end or to where it is cut off.
 
     Raises a `FileError` at the first invalid record, unless the file merely ends within it.
@@ -226,11 +212,11 @@ class SampleIds:
 
 
 def _sample_ids(path: Path) -> list[str]:
-    """The ids in a file, including those after damage that `repair` would save (raises as `sample_messages`)."""
+    """The ids in a file, including those after damage that `repair` would save (raises as `_sample_messages`)."""
     data = mapped(path)
     cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-    saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and is_readable(data, one))
-    return [_id_of(path, data, message) for message in chain(sample_messages(path, data), saved)]
+    saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
+    return [_id_of(path, data, message) for message in chain(_sample_messages(path, data), saved)]
 
 
 def _id_of(path: Path, data: memoryview, sample: RecordedMessage) -> str:
@@ -255,7 +241,6 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
     dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
-        dataset.close()
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
     return SampleSet(
         path=path,
@@ -264,9 +249,8 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
         record=lambda k: dataset[k].record,
         name=dataset.name,
         identity=dataset[0].identity if len(dataset) else Identity(),
-        close=dataset.close,
         unfinished=cut,
-        message_counts=lambda: dataset.message_counts().to_record(),
+        message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
     )
 

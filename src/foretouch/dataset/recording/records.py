@@ -3,14 +3,22 @@
 
 The file is mapped into memory, so only requested bytes are copied, and no length in it can make the reader allocate
 more memory than the size of the file. Verification, repair and reading all use `walk`.
+
+Of the message counts in a recording, received = written + dropped (by reason), for each topic. Messages that the
+middleware lost before they arrived were never received; they are counted separately.
 """
 
+from __future__ import annotations
+
+import json
 import mmap
 import os
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -21,8 +29,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from foretouch.checked_files import open_regular
-from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.checked_files import open_regular, parse_json
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS
 from foretouch.errors import DatasetError, FileError
 
@@ -212,6 +219,76 @@ def _content(data: memoryview, opcode: int, start: int, end: int) -> Any:
     except (McapError, ValueError, struct.error, EOFError, OverflowError) as err:
         return f"no {name}: {' '.join(str(err).split()) or type(err).__name__}"
     return content if stream.count == end - start else f"extra bytes after a {name}"
+
+
+@dataclass
+class TopicCounts:
+    """Counts of one topic."""
+
+    received: int = 0  # messages that arrived
+    written: int = 0  # messages in the file
+    dropped: Counter[str] = field(default_factory=Counter)  # messages discarded, by reason
+    lost: int = 0  # messages that the middleware lost before they arrived
+
+    @property
+    def pending(self) -> int:
+        """Received, and neither written nor dropped yet: in a queue or in the next chunk."""
+        return self.received - self.written - self.dropped.total()
+
+    def drop(self, reason: str, count: int) -> None:
+        """Count messages as discarded."""
+        if count > 0:
+            self.dropped[reason] += count
+
+
+@dataclass
+class MessageCounts:
+    """The counts of a recording, by topic."""
+
+    topics: dict[str, TopicCounts] = field(default_factory=dict)
+
+    def topic(self, name: str) -> TopicCounts:
+        """The counts of one topic, created if needed."""
+        return self.topics.setdefault(name, TopicCounts())
+
+    def add(self, other: MessageCounts) -> None:
+        """Add the counts of another recording."""
+        for name, theirs in other.topics.items():
+            counts = self.topic(name)
+            counts.received += theirs.received
+            counts.written += theirs.written
+            counts.dropped.update(theirs.dropped)
+            counts.lost += theirs.lost
+
+    def to_record(self) -> dict[str, dict[str, Any]]:
+        """By topic, in plain types."""
+        return {
+            name: {
+                "received": counts.received,
+                "written": counts.written,
+                "dropped": dict(sorted(counts.dropped.items())),
+                "lost": counts.lost,
+            }
+            for name, counts in sorted(self.topics.items())
+        }
+
+    def to_mapping(self) -> dict[str, str]:
+        """As MCAP metadata: one JSON text a topic."""
+        return {name: json.dumps(counts) for name, counts in self.to_record().items()}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, str]) -> MessageCounts:
+        """Parse the result of `to_mapping`; a `DatasetError` if a text is invalid."""
+        result = cls()
+        for name, text in mapping.items():
+            try:
+                counts = parse_json(text)
+                dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
+                received, written, lost = (int(counts[key]) for key in ("received", "written", "lost"))
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
+                raise DatasetError(f"message counts: {name}: {text[:80]!r} holds no counts") from err
+            result.topics[name] = TopicCounts(received, written, dropped, lost)
+        return result
 
 
 class Declarations:

@@ -19,16 +19,18 @@ from typing import Final
 from mcap.records import Message
 
 from foretouch.dataset.files import disk_errors, sync_folder
+from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
-from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     MAGIC,
     Chunk,
     Damage,
     Declarations,
+    MessageCounts,
     RecordedMessage,
+    TopicCounts,
     mapped,
     next_chunk,
     walk,
@@ -40,7 +42,6 @@ from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TOPIC,
     SAMPLE_TYPE,
     decode_sample,
-    is_intact,
     sample_types,
 )
 from foretouch.dataset.recording.verify import verify_file
@@ -90,7 +91,7 @@ def _repair_file(path: Path) -> RepairReport:
         data = mapped(path)
         if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
             raise FileError(path, "is no MCAP file, and holds no part of one")
-        _Repair(data, found.declared, McapFile(part), report).run()
+        _Repair(data, found.declared, McapFile(part), report)
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -114,7 +115,7 @@ def _replace(path: Path, repaired: Path) -> Path:
 
 
 class _Repair:
-    """Copies the intact parts of a file into a new one."""
+    """The intact parts of a file, copied into a new one."""
 
     def __init__(self, data: memoryview, declared: Declarations, file: McapFile, report: RepairReport) -> None:
         self._data = data
@@ -124,23 +125,20 @@ class _Repair:
         self._topics: dict[int, str] = {}  # by the channel of the original
         self._pending: list[Message] = []
         self._written: Counter[str] = Counter()
-
-    def run(self) -> None:
         try:
             self._declare()
-            self._file.write_metadata(ABOUT, {**self._declared.about, "repaired_by": LIBRARY})
-            for item in salvaged(self._data):
+            file.write_metadata(ABOUT, {**declared.about, "repaired_by": LIBRARY})
+            for item in salvaged(data):
                 if isinstance(item, Damage):
-                    self._report.lost.append(item)
+                    report.lost.append(item)
                 else:
                     self._copy(item)
             self._flush()
-            self._report.messages = self._written.total()
-            self._report.samples = self._written[SAMPLE_TOPIC]
-            self._file.write_metadata(COUNTS, self._counts().to_mapping())
-            self._file.finish()
+            report.messages, report.samples = self._written.total(), self._written[SAMPLE_TOPIC]
+            file.write_metadata(COUNTS, self._counts().to_mapping())
+            file.finish()
         finally:
-            self._file.abandon()
+            file.abandon()
 
     def _declare(self) -> None:
         definition = sample_types().text(SAMPLE_TYPE)  # the file's own copy may be damaged
@@ -157,7 +155,7 @@ class _Repair:
         """Write a message; a sample gets a chunk of its own."""
         topic = self._topics.get(one.channel, SAMPLE_TOPIC)
         is_sample = topic == SAMPLE_TOPIC
-        if is_sample and not is_readable(self._data, one):
+        if is_sample and readable(self._data, one) is None:
             self._report.lost.append(Damage(one.start, "a message whose declaration or content is damaged"))
             return
         if is_sample or sum(len(message.data) for message in self._pending) > _CHUNK_BYTES:
@@ -211,8 +209,8 @@ def _samples_in(data: memoryview, start: int, end: int) -> Iterator[RecordedMess
             continue
         for last in sorted({stop, end}):
             one = RecordedMessage(0, 0, 0, 0, head + _HEAD, last)
-            if last <= end and is_readable(data, one):
-                stamp_ns = decode_sample(bytes(data[one.start : last])).record.sample.stamp_ns
+            if last <= end and (record := readable(data, one)) is not None:
+                stamp_ns = record.sample.stamp_ns
                 yield one._replace(log_time_ns=stamp_ns, publish_time_ns=stamp_ns)
                 at = last
                 break
@@ -229,15 +227,11 @@ def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, in
     return sorted(heads.items())
 
 
-def is_readable(data: memoryview, message: RecordedMessage) -> bool:
-    """Whether a message is a complete sample; a `VersionError` if it is one of another version."""
-    cdr = data[message.start : message.end]
-    if not is_intact(cdr):
-        return False
+def readable(data: memoryview, message: RecordedMessage) -> SampleRecord | None:
+    """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
-        decode_sample(bytes(cdr))
+        return decode_sample(data[message.start : message.end]).record
     except VersionError:
         raise
     except DatasetError:
-        return False
-    return True
+        return None

@@ -2,15 +2,25 @@
 """Encodes a recorded grasp as a `foretouch_msgs/GraspSample` and decodes it, without ROS.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
+
+Definitions of message types are found without ROS, since a recording stores them beside the messages. Search order:
+ROS 2 Kilted as included in `rosbags`, the texts in the folder `definitions` (copies of those in `foretouch_msgs`), then
+every installed message package on `AMENT_PREFIX_PATH` and in the Python environment.
 """
+
+from __future__ import annotations
 
 import functools
 import hashlib
 import json
-from collections.abc import Mapping
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -19,10 +29,12 @@ from foretouch.checked_files import parse_json
 from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
-from foretouch.dataset.recording.definitions import Definitions
 from foretouch.errors import DatasetError, ForetouchError, VersionError
 from foretouch.tactile.messages import stamp_ns
 from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
 SAMPLE_TOPIC: Final = "/foretouch/samples"
@@ -30,6 +42,8 @@ ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camer
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
 SCHEMA_VERSION: Final = 1
 
+_OWN: Final = Path(__file__).parent / "definitions"
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")
 _DIGEST_SIZE: Final = 32
 _OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
@@ -89,7 +103,7 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
     return body + hashlib.sha256(body).digest()
 
 
-def is_intact(data: bytes | memoryview) -> bool:
+def _is_intact(data: bytes | memoryview) -> bool:
     """Whether the bytes are an unchanged result of `encode_sample`."""
     return len(data) > _DIGEST_SIZE and hashlib.sha256(data[:-_DIGEST_SIZE]).digest() == bytes(data[-_DIGEST_SIZE:])
 
@@ -99,7 +113,7 @@ def decode_sample(data: bytes | memoryview) -> StoredSample:
 
     Raises a `DatasetError` if the bytes are damaged, of another schema version, or break a rule.
     """
-    if not is_intact(data):
+    if not _is_intact(data):
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
         message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
@@ -191,3 +205,60 @@ def _series_of(message: Any) -> TouchSeries | None:
         phases=np.asarray(message.series_phase, np.uint8),
         others=dict(zip(message.other_names, others, strict=True)),
     )
+
+
+class Definitions:
+    """Message types, looked up on request; `store` holds those found so far, and serialises their messages."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store: Typestore = get_typestore(Stores.ROS2_KILTED)
+
+    def register(self, type_name: str, text: str) -> None:
+        """Register a type by the text of its `.msg` file, which definitions of the types in it may follow, as in MCAP.
+
+        Raises a `DatasetError` if the text is no definition, or contradicts a registered one.
+        """
+        from rosbags.typesys import TypesysError, get_types_from_msg
+
+        try:
+            self.store.register(get_types_from_msg(text, type_name))
+        except TypesysError as err:
+            raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
+
+    def text(self, type_name: str) -> str:
+        """The definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
+        self._require(type_name)
+        return self.store.generate_msgdef(type_name, ros_version=2)[0]
+
+    def _require(self, type_name: str) -> None:
+        if type_name not in self.store.fielddefs:
+            if not _TYPE_NAME.fullmatch(type_name):
+                raise DatasetError(f"{type_name!r} is no message type, such as std_msgs/msg/String")
+            self.register(type_name, _find(type_name))
+        for needed in _types_in(self.store, type_name):
+            self._require(needed)
+
+
+def _find(type_name: str) -> str:
+    package, _, name = type_name.split("/")
+    if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
+        return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    for prefix in prefixes:
+        file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if file.is_file():
+            return file.read_text(encoding="utf-8")
+    raise DatasetError(f"{type_name}: no definition is known, and {package} is not installed")
+
+
+def _types_in(store: Typestore, type_name: str) -> Iterator[str]:
+    from rosbags.interfaces import Nodetype
+
+    for _, field in store.fielddefs[type_name][1]:
+        kind, detail = cast("tuple[Any, Any]", field)
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            (kind, detail), _ = detail
+        if kind == Nodetype.NAME:
+            yield detail

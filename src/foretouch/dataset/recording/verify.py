@@ -8,6 +8,7 @@ the message counts match the contents.
 
 import zlib
 from collections import Counter
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -17,13 +18,13 @@ from mcap.records import ChunkIndex, Header, Statistics
 
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files
-from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     IN_SUMMARY,
     Chunk,
     Damage,
     Declarations,
+    MessageCounts,
     RecordedMessage,
     is_finished,
     magic_damage,
@@ -91,7 +92,8 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
 def verify_file(path: Path) -> FileReport:
     """Verify one recording; a `FileError` if it cannot be read."""
     report = FileReport(path)
-    _Verification(report, mapped(path)).run()
+    for fault in _Verification(report, mapped(path)).faults():
+        report.faults.append(fault)  # one at a time: some checks are made only where there are none so far
     del report.faults[_MAX_FAULTS:]
     return report
 
@@ -105,81 +107,75 @@ class _Verification:
         self.declared = report.declared
         self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
+        report.size = len(data)
+        report.finished = is_finished(data)
 
-    def run(self) -> None:
-        self.report.size = len(self.data)
-        self.report.finished = is_finished(self.data)
-        self._note(magic_damage(self.data))
-        data_end = self._data_section()
+    def faults(self) -> Iterator[Damage]:
+        """Find all faults, and fill the report meanwhile."""
+        if damage := magic_damage(self.data):
+            yield damage
+        data_end = yield from self._data_section()
         summary = summary_of(self.data)
         if not isinstance(summary, Damage):
-            self._summary(data_end, *summary)
+            yield from self._summary(data_end, *summary)
         elif data_end is not None or self.report.finished:
-            self._note(summary)
+            yield summary
         elif self.report.clean:
-            self._fault(len(self.data), "not finished: no index; repair creates one")
+            yield Damage(len(self.data), "not finished: no index; repair creates one")
         for number, count in self.found.items():
             self.report.messages[self.declared.channels[number].topic] += count
         if self.report.clean:
-            self._check_counts()
+            yield from self._count_faults()
 
-    def _fault(self, offset: int, rule: str) -> None:
-        self.report.faults.append(Damage(offset, rule))
-
-    def _note(self, damage: Damage | None) -> None:
-        if damage is not None:
-            self.report.faults.append(damage)
-
-    def _data_section(self) -> int | None:
+    def _data_section(self) -> Generator[Damage, None, int | None]:
         """Check up to the record that ends the data, and return where that record ends; None if it is not reached."""
         for number, record in enumerate(walk_on(self.data)):
             if isinstance(record, Damage):
-                self._note(record)
+                yield record
                 continue
             if number == 0 and not (isinstance(record.content, Header) and record.content.profile == "ros2"):
-                self._fault(record.offset, "damaged: no header of a ROS 2 recording")
+                yield Damage(record.offset, "damaged: no header of a ROS 2 recording")
             if record.opcode == Opcode.DATA_END:
                 if record.content.data_section_crc != zlib.crc32(self.data[: record.offset]):
-                    self._fault(record.offset, "damaged: the bytes before do not match this checksum")
+                    yield Damage(record.offset, "damaged: the bytes before do not match this checksum")
                 return record.end
-            self._note(self.declared.add(record))
+            if damage := self.declared.add(record):
+                yield damage
             if isinstance(record.content, Chunk):
-                self._chunk(record.offset, record.content)
+                yield from self._chunk(record.offset, record.content)
         return None
 
-    def _chunk(self, offset: int, chunk: Chunk) -> None:
+    def _chunk(self, offset: int, chunk: Chunk) -> Iterator[Damage]:
         if not chunk.intact(self.data):
-            self._fault(offset, "damaged: a chunk that does not match its checksum")
+            yield Damage(offset, "damaged: a chunk that does not match its checksum")
             return
         self.chunks.append(offset)
         for item in walk(self.data, chunk.start, chunk.end, IN_CHUNK):
             if isinstance(item, Damage):
-                self._note(item)
+                yield item
             elif isinstance(item.content, RecordedMessage):
-                self._message(item.content)
+                yield from self._message(item.content)
             else:
                 self.declared.add(item)
 
-    def _message(self, message: RecordedMessage) -> None:
+    def _message(self, message: RecordedMessage) -> Iterator[Damage]:
         type_name = self.declared.type_of(message.channel)
         if not type_name:
-            self._fault(message.start, f"a message of channel {message.channel}, which is not declared")
+            yield Damage(message.start, f"a message of channel {message.channel}, which is not declared")
             return
         self.found[message.channel] += 1
         if type_name != SAMPLE_TYPE:
             return
         try:
-            stored = decode_sample(bytes(self.data[message.start : message.end]))
+            self.report.ids.append(decode_sample(self.data[message.start : message.end]).record.sample.id)
         except DatasetError as err:
-            self._fault(message.start, f"sample: {err}")
-        else:
-            self.report.ids.append(stored.record.sample.id)
+            yield Damage(message.start, f"sample: {err}")
 
-    def _summary(self, data_end: int | None, start: int, end: int) -> None:
+    def _summary(self, data_end: int | None, start: int, end: int) -> Iterator[Damage]:
         chunks = []
         for record in walk(self.data, start, end, IN_SUMMARY):
             if isinstance(record, Damage):
-                self._note(record)
+                yield record
                 continue
             self.declared.add(record)
             if isinstance(record.content, ChunkIndex):
@@ -187,20 +183,20 @@ class _Verification:
             elif isinstance(record.content, Statistics) and self.report.clean:
                 declared, found = record.content.message_count, self.found.total()
                 if declared != found:
-                    self._fault(record.offset, f"declares {declared} messages, {found} are there")
+                    yield Damage(record.offset, f"declares {declared} messages, {found} are there")
         if self.report.clean and (start != data_end or chunks != self.chunks):
-            self._fault(start, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
+            yield Damage(start, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
 
-    def _check_counts(self) -> None:
+    def _count_faults(self) -> Iterator[Damage]:
         """Compare the message counts with the contents."""
         if self.report.counts is None:
-            self._fault(0, "holds no message counts")
+            yield Damage(0, "holds no message counts")
             return
         found = self.report.messages
         for topic in sorted(self.report.counts.topics.keys() | found.keys()):
             counts = self.report.counts.topic(topic)
             if counts.pending:
                 total = f"written {counts.written} + dropped {counts.dropped.total()}"
-                self._fault(0, f"{topic}: received {counts.received} is not {total}")
+                yield Damage(0, f"{topic}: received {counts.received} is not {total}")
             if counts.written != found[topic]:
-                self._fault(0, f"{topic}: {counts.written} messages are counted as written, {found[topic]} are there")
+                yield Damage(0, f"{topic}: {counts.written} messages are counted as written, {found[topic]} are there")

@@ -19,7 +19,7 @@ Guarantees:
 - received = written + dropped, by topic; the counts are stored in the file.
 - When the disk is almost full, or fails, the session ends with an error that says so, and the file holds everything
   that was acknowledged.
-- When the file is removed while it is written, `removed` says so within the call, and `close` copies the whole session
+- When the file is removed while it is written, `output.removed` is true at once, and `close` copies the whole session
   into a new dataset in `fallback_folder`; without such a folder, its messages and samples are counted as dropped.
 """
 
@@ -40,8 +40,8 @@ from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.reader import SampleIds
+from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
@@ -86,7 +86,8 @@ class RecordingWriter:
 
     Attributes:
         path: The dataset; that in `fallback_folder` after the session was copied there.
-        file: The file of the session.
+        file: The path of the session's file.
+        output: The open file; once it is `removed`, nothing more should be recorded.
         closed: Whether the session has ended, by `close` or because the disk is full or failed.
         counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
         samples: Samples appended.
@@ -125,10 +126,10 @@ class RecordingWriter:
             stack.enter_context(opened_to_write(self.path, identity))
             self._ids = SampleIds(self.path)
             self.file = new_session_path(self.path)
-            self._file = McapFile(self.file)
-            stack.callback(self._file.abandon)
-            self._file.write_metadata(ABOUT, _about(self.file.stem, identity))
-            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
+            self.output = McapFile(self.file)
+            stack.callback(self.output.abandon)
+            self.output.write_metadata(ABOUT, _about(self.file.stem, identity))
+            self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
             sync_folder(self.path)
             self._release = stack.pop_all()
@@ -141,19 +142,9 @@ class RecordingWriter:
         self.close()
 
     @property
-    def bytes_written(self) -> int:
-        """Size of the session's file so far [bytes]."""
-        return self._file.size
-
-    @property
     def free_bytes(self) -> int:
         """Disk space available to this user, less `min_free_mb` [bytes]; the session ends at 0. 0 after its end."""
-        return max(0, self._file.free_bytes - int(self.config.min_free_mb * _MB))
-
-    @property
-    def removed(self) -> bool:
-        """Whether the file was removed, moved or unmounted while it is open; nothing more should then be recorded."""
-        return self._file.removed
+        return max(0, self.output.free_bytes - int(self.config.min_free_mb * _MB))
 
     def add_topic(self, topic: str, type_name: str) -> None:
         """Declare a topic of messages such as `sensor_msgs/msg/PointCloud2`, before its first message.
@@ -161,10 +152,10 @@ class RecordingWriter:
         Raises a `DatasetError` if the type has no definition, or the topic another type.
         """
         with self._guard:
-            known = self._file.types.get(topic)
+            known = self.output.types.get(topic)
             if known is None:
                 self._require_open()
-                self._file.declare(topic, type_name, sample_types().text(type_name))
+                self.output.declare(topic, type_name, sample_types().text(type_name))
             elif known != type_name:
                 raise DatasetError(f"{topic}: holds {known}, not {type_name}")
 
@@ -213,7 +204,7 @@ class RecordingWriter:
             if sequence is None:
                 sequence = self.counts.topics[topic].written if topic in self.counts.topics else 0
             sent = log_time_ns if publish_time_ns is None else publish_time_ns
-            self._pending.append((topic, self._file.message(topic, data, log_time_ns, sent, sequence)))
+            self._pending.append((topic, self.output.message(topic, data, log_time_ns, sent, sequence)))
             self._pending_bytes += len(data)
             late = time.monotonic() - self._flushed_s >= self.config.chunk_s
             if late or self._pending_bytes >= _CHUNK_BYTES:
@@ -239,7 +230,7 @@ class RecordingWriter:
             data = encode_sample(record, self.identity)
             now = time.time_ns() if log_time_ns is None else log_time_ns
             sample = record.sample
-            message = self._file.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
+            message = self.output.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
             self._write_pending()
             self._pending = [(SAMPLE_TOPIC, message)]
@@ -282,7 +273,7 @@ class RecordingWriter:
             return
         if self.free_bytes < self._pending_bytes:
             self._stop(f"disk almost full: less than {self.config.min_free_mb:g} MB would be left", "disk full")
-        self._guarded(lambda: self._file.write_chunk([message for _, message in self._pending]))
+        self._guarded(lambda: self.output.write_chunk([message for _, message in self._pending]))
         for topic, _ in self._pending:
             self.counts.topic(topic).written += 1
         self._pending, self._pending_bytes = [], 0
@@ -299,10 +290,10 @@ class RecordingWriter:
             self._guarded(self._sync)
 
     def _write_counts(self) -> None:
-        self._file.write_metadata(COUNTS, self.counts.to_mapping())
+        self.output.write_metadata(COUNTS, self.counts.to_mapping())
 
     def _sync(self) -> None:
-        self._file.sync()
+        self.output.sync()
         self._unsynced_samples = 0
         self._synced_s = time.monotonic()
 
@@ -328,8 +319,8 @@ class RecordingWriter:
             counts.drop(reason, counts.pending)
         with ExitStack() as stack:
             stack.enter_context(self._release)
-            if self._file.removed:
-                remains = stack.enter_context(self._file.reopen())
+            if self.output.removed:
+                remains = stack.enter_context(self.output.reopen())
                 with suppress(FileError):  # without its index it is worth a copy too
                     self._finish()
                 self._removal = self._save(remains)
@@ -338,7 +329,7 @@ class RecordingWriter:
 
     def _finish(self) -> None:
         self._write_counts()
-        self._file.finish()
+        self.output.finish()
 
     def _save(self, remains: BinaryIO) -> str:
         """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""

@@ -138,8 +138,8 @@ def load_dataset(path: str | Path) -> Dataset:
         DatasetError: If two samples have the same id.
     """
     path = Path(path)
-    with open_samples(path) as opened:
-        samples = tuple(only_finite(record.sample) for record in opened.records())
+    opened = open_samples(path)
+    samples = tuple(only_finite(record.sample) for record in opened.records())
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     if (path / SPLITS_FILE).is_file():

@@ -18,7 +18,7 @@ from rclpy.qos import ReliabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
-from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
@@ -177,11 +177,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
 
 def foxglove_sdk() -> Any:
-    """The package `foxglove`.
-
-    Raises:
-        MissingDependencyError: If it is not installed.
-    """
+    """The package `foxglove`; a `MissingDependencyError` if it is not installed."""
     try:
         import foxglove
     except ImportError as err:

@@ -340,7 +340,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if entry.stamped and self.config.restamp:
             data = with_stamp(data, self.get_clock().now().nanoseconds)
         elif entry.stamped and shift_ns:
-            data = with_stamp(data, read_header(data).stamp_ns + shift_ns)
+            data = with_stamp(data, read_header(data)[0] + shift_ns)
         if entry.topic == CLOUDS:
             self._publish_cloud(data)
             self.statistics.use(arrived, time.monotonic() - due)
@@ -350,17 +350,17 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         return True
 
     def _publish_cloud(self, data: bytes) -> None:
-        header = read_header(data)
+        stamp_ns, frame_id = read_header(data)
         if self._table is not None:
             plane = plane_to_msg(Plane.from_coefficients(self.config.table))
-            stamped = header_to_msg(header.frame_id, header.stamp_ns)
+            stamped = header_to_msg(frame_id, stamp_ns)
             self._table.publish(TablePlane(header=stamped, plane=plane, status=Status.OK))
         self._topic_publishers[CLOUDS].publish(data)
         self.played[self.clouds_topic] += 1
         if self.config.lockstep:
             with self._answered:
                 self.unanswered += not self._answered.wait_for(
-                    lambda: self._last_answer_ns == header.stamp_ns or self._stopping.is_set(), _ANSWER_S
+                    lambda: self._last_answer_ns == stamp_ns or self._stopping.is_set(), _ANSWER_S
                 )
 
     def _on_answer(self, message: TouchPredictionArray) -> None:

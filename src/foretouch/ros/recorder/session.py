@@ -50,13 +50,8 @@ class SessionStatus:
 class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
-    Args:
-        writer: Open; closed here.
-        queue: Source of the messages.
-        assembler: Assembles the samples.
-        inputs: Role and message class by topic, for the topics that samples are assembled from.
-        losses: Gives the number of messages that the middleware has lost since the session began, by topic.
-        warn: Called with each warning.
+    The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
+    assembled from; `losses` gives the messages that the middleware has lost since the session began, by topic.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -105,10 +100,10 @@ class RecordingSession:
 
     def _run(self) -> None:
         try:
-            while not self._queue.closed and not self.writer.removed:
+            while not self._queue.closed and not self.writer.output.removed:
                 self._process(*self._queue.take(_POLL_S))
             self._queue.close()
-            if self.writer.removed:  # it is still open: what waits is written too, and `close` then copies it
+            if self.writer.output.removed:  # it is still open: what waits is written too, and `close` then copies it
                 self._error = f"{self.writer.file}: was removed during the recording"
                 self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
@@ -118,7 +113,7 @@ class RecordingSession:
             self._warn(traceback.format_exc())
             self._error = f"{type(err).__name__}: {err}"
         try:
-            removed = self.writer.removed
+            removed = self.writer.output.removed
             self.writer.close()
         except ForetouchError as err:
             self._error = str(err) if removed else self._error or str(err)
@@ -183,7 +178,7 @@ class RecordingSession:
                 self._warn(f"{one.topic}: {err}")
 
     def _update_status(self) -> None:
-        now, size = time.monotonic(), self.writer.bytes_written
+        now, size = time.monotonic(), self.writer.output.size
         self._sizes.append((now, size))
         while self._sizes[0][0] < now - _RATE_WINDOW_S:
             self._sizes.popleft()
