@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descent of the elastic layer, compiled and by NumPy."""
 
-import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
+from contact_builders import skin
 from every_case import every_case
 from kernels.references import layer as reference
 from numpy.testing import assert_allclose
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "simulation" / "contact"))
-from contact_builders import skin
 
 from foretouch.simulation.contact import Command, ContactProblem, Layer
 from foretouch.simulation.contact import layer as layers

@@ -6,13 +6,12 @@ import signal
 from pathlib import Path
 
 import pytest
-from every_case import every_case
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros import executables
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch_msgs.msg import Status, TouchPredictionArray
+from foretouch_msgs.msg import TouchPredictionArray
 
 pytestmark = pytest.mark.ros
 
@@ -70,34 +69,13 @@ def test_namespace_and_topics_can_be_remapped_and_an_unknown_parameter_is_a_warn
 
 @pytest.mark.slow
 def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
-    def check(name, parameter, message):
+    for name, parameter, message in (
+        ("segmentation", "target.mode:=prettiest", "foretouch: TargetConfig.mode: 'prettiest' is none of nearest"),
+        ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
+        ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
+    ):
         process = lone_graph.start(name, "-p", parameter)
         _, stderr = process.communicate(timeout=30)
         assert process.returncode == 1
         (line,) = stderr.strip().splitlines()
         assert message in line
-
-    every_case(
-        [
-            (
-                "segmentation",
-                "target.mode:=prettiest",
-                "foretouch: TargetConfig.mode: 'prettiest' is none of nearest, largest, point, all",
-            ),
-            ("segmentation", "queue_depth:=0", "foretouch: queue_depth"),
-            ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
-            ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
-        ],
-        check,
-    )
-
-
-@pytest.mark.slow
-def test_an_absent_model_is_named_and_every_cloud_still_answered(lone_graph, scene_cloud):
-    graph = lone_graph
-    graph.start("perception", "-p", "model:=absent.json")
-    heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "points")
-    graph.matched("points", "touch")
-    publisher.publish(cloud_to_msg(scene_cloud()))
-    graph.until(lambda: heard)
-    assert (heard[0].status, "absent.json" in heard[0].reason) == (Status.NO_MODEL, True)

@@ -1,20 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from contact_builders import press, rounded_edge
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
 from foretouch.simulation import fingertip
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    PadConfig,
-    contact_frame,
-    gap_field,
-    pad_direction,
-    pad_window,
-    solve_contact,
-)
+from foretouch.simulation.contact import PadConfig, contact_frame, pad_direction, pad_window
 from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
 from foretouch.tactile import P2_RANGES, electrode_positions, to_kohm, touch_faults
@@ -24,22 +16,12 @@ PAD = PadConfig()
 THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))
 
 
-def pressed(force, pitch=0.0, roll=0.0):
-    """The pad on a plane."""
-    window = pad_window(PAD, pad_direction(pitch, roll))
-    problem = ContactProblem(gap_field(window.depth, np.zeros_like(window.x)), PAD.step_m, (PAD.layer,))
-    return window, solve_contact(problem, Command(force_n=force))
-
-
 def read(force, pitch=0.0, roll=0.0, finger=THUMB):
-    return read_contact(PAD, finger, *pressed(force, pitch, roll))
+    return read_contact(PAD, finger, *press(PAD, (pitch, roll), force))
 
 
-def test_no_force_reads_rest_to_the_bit():
+def test_touch_raises_pdc_and_drops_the_electrodes_below_and_no_force_reads_rest_to_the_bit():
     assert_array_equal(read(0.0), np.append(THUMB.pdc_rest, THUMB.electrode_rest))
-
-
-def test_touch_raises_pdc_and_drops_the_electrodes_below():
     two, four = read(2.0), read(4.0)
     assert two[0] > THUMB.pdc_rest + 100
     drop = THUMB.electrode_rest - two[1:]
@@ -68,13 +50,12 @@ def pressed_anywhere(rng):
     pitch, roll = rng.normal(0.0, 0.3), float(np.clip(rng.normal(0.0, 0.35), -1.2, 1.2))
     force, angle, radius = rng.uniform(1.0, 5.0), rng.uniform(0.0, np.pi), rng.uniform(0.02, 0.05)
     beside, kind = rng.normal(0.0, 0.002), rng.integers(3)
-    window = pad_window(PAD, pad_direction(pitch, roll))
-    across = np.cos(angle) * window.x + np.sin(angle) * window.y
-    from_edge = across - np.cos(angle) * beside
-    edge = np.clip(from_edge + 0.001, 0.0, 0.002) ** 2 / 0.004 + np.maximum(from_edge - 0.001, 0.0)
-    height = (np.zeros_like(across), -(across**2) / (2.0 * radius), -edge)[kind]
-    problem = ContactProblem(gap_field(window.depth, height), PAD.step_m, (PAD.layer,))
-    return window, solve_contact(problem, Command(force_n=force))
+
+    def surface(x, y):
+        across = np.cos(angle) * x + np.sin(angle) * y
+        return (0.0 * x, -(across**2) / (2.0 * radius), rounded_edge(across - np.cos(angle) * beside))[kind]
+
+    return press(PAD, (pitch, roll), force, surface)
 
 
 def test_counts_spread_as_in_real_grasps():

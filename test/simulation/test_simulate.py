@@ -134,3 +134,12 @@ def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
     assert again.targets[0] != first.targets[0]
     assert not np.array_equal(first.touch.e_th, again.touch.e_th)
     assert not np.array_equal(first.fingers[0].origin, again.fingers[0].origin)
+
+
+def test_a_stream_is_seeded_by_scene_name_slot_and_attempt() -> None:
+    digest = hashlib.sha256(b"noise").digest()[:16]
+    words = np.frombuffer(digest, "<u4").tolist()
+    expected = np.random.Generator(np.random.PCG64(np.random.SeedSequence((5, *words, 7, 2)))).random(4)
+    np.testing.assert_array_equal(SampleKey(5, 7, 2).stream("noise").random(4), expected)
+    keys = [SampleKey(0, 0), SampleKey(1, 0), SampleKey(0, 1), SampleKey(0, 0, 1)]
+    assert len({key.stream(name).random() for key in keys for name in ("noise", "holes", "noise ")}) == 12

@@ -33,9 +33,6 @@ def rays(rng, count=4000):
     return (POSITION + rng.uniform(-0.08, 0.08, (count, 3)) - EYE) * rng.uniform(0.3, 3.0, (count, 1))
 
 
-# Solids in closed form.
-
-
 def test_rays_meet_solids_where_a_hand_calculation_says():
     ball = Sphere(position=np.array([0.0, 0.0, 1.0]), radius=0.1)
     t = ball.cast(np.zeros(3), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.5], [0.0, 0.2, 1.0], [0.0, 0.0, -1.0]]))
@@ -95,9 +92,6 @@ def test_the_distance_from_a_solid_is_zero_on_its_surface_and_grows_with_the_way
         assert (farther > 0.0).all()
 
     every_case(list(solids.items()), check)
-
-
-# Meshes.
 
 
 def test_a_stretched_ball_is_an_ellipsoid_with_its_gradient_as_normals(turn, rng):

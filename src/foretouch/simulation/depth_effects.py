@@ -61,16 +61,8 @@ def add_flying_pixels(depth: Float64, rng: np.random.Generator) -> Float64:
 def stereo_shadow(depth: Float64, focal_px: float, baseline_m: float = D415_BASELINE_M) -> npt.NDArray[np.bool_]:
     """Pixels that the second imager, to the right of the first, cannot see.
 
-    A pixel at column u is seen there at u - f·B/z. It is hidden if a pixel to its right, hence of
-    something nearer, is seen at the same place or farther left.
-
-    Args:
-        depth: (H, W) float64 [m] of the left imager, inf where there is none.
-        focal_px: f [px].
-        baseline_m: B [m].
-
-    Returns:
-        (H, W) bool, true where the camera would give no depth.
+    A pixel at column u of the depth (H, W) [m] is seen there at u - f·B/z. It is hidden if a pixel to its right, hence
+    of something nearer, is seen at the same place or farther left.
     """
     seen_at = np.arange(depth.shape[1]) - focal_px * baseline_m / depth
     leftmost = np.minimum.accumulate(seen_at[:, ::-1], axis=1)[:, ::-1]

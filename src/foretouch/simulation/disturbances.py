@@ -59,15 +59,7 @@ def ou_noise(
 ) -> Float64:
     """(rows, channels) Ornstein-Uhlenbeck noise, stationary from its first row.
 
-    x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)).
-
-    Args:
-        rows: Number of messages.
-        channels: Number of channels.
-        counts: Standard deviation [counts].
-        memory_s: Time in which the autocorrelation falls to 1/e [s].
-        rate_hz: Rate of the messages [Hz].
-        rng: Generator of the noise.
+    x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)), of standard deviation `counts`.
     """
     a = float(np.exp(-1.0 / (rate_hz * memory_s)))
     steps = counts * rng.standard_normal((rows, channels))
@@ -94,13 +86,7 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
     """The skin as a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
 
     A constant load creeps on, a released one leaves a rest that fades, and a cycle of load encloses an area:
-    relaxation and hysteresis are one effect.
-
-    Args:
-        series: (T, ...) float64, the response of an ideal fingertip; T may not be 0.
-        rate_hz: Rate of the rows [Hz].
-        share: Part of the response that comes late.
-        time_s: Time constant of the late part [s].
+    relaxation and hysteresis are one effect. `series` (T, ...) is the response x of an ideal fingertip, T at least 1.
     """
     late = np.array(series[0], np.float64)
     pull = -np.expm1(-1.0 / (rate_hz * time_s))
@@ -118,13 +104,7 @@ def temperature_drift(config: TemperatureConfig, times_s: Float64) -> Float64:
 
 
 def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "low") -> Float64:
-    """The same series with some electrodes dead.
-
-    Args:
-        series: (T, 24) [counts].
-        dead: Which, 0 to 23.
-        stuck_at: `low`: 0 counts, `high`: 4095, `last`: the counts of the first row.
-    """
+    """A series (T, 24) in which some electrodes, 0 to 23, read 0 (`low`), 4095 (`high`) or their first count (`last`)."""
     result, columns = series.copy(), list(dead)
     stuck: dict[str, Float64 | float] = {"low": 0.0, "high": float(FULL_SCALE), "last": result[:1, columns]}
     result[:, columns] = stuck[stuck_at]
@@ -142,14 +122,7 @@ def slip_path(
     """(rows,) float64 [m]: how far the object has slid in the tangent plane, starting at 0, never back.
 
     It sticks for exponentially distributed times and slips by exponentially distributed lengths, which
-    keep the mean speed.
-
-    Args:
-        rows: Number of messages.
-        rate_hz: Rate of the messages [Hz].
-        rng: Generator of the slips.
-        speed_m_s: Mean speed [m/s].
-        length_m: Mean length of one slip [m].
+    keep the mean speed; `length_m` is the mean length of one slip.
     """
     slips = rng.poisson(speed_m_s / (length_m * rate_hz), rows)
     lengths = rng.standard_gamma(np.maximum(slips, 1)) * length_m * (slips > 0)

@@ -118,12 +118,7 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
 
 
 def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
-    """Liquid pushed aside by the contact [m³].
-
-    Args:
-        displacement: (N, N) float64 [m], of the skin; a rise beside the contact takes liquid up.
-        cell_m2: Area of a cell [m²].
-    """
+    """Liquid pushed aside by the contact [m³]; where the skin's displacement is a rise, it takes liquid up."""
     return max(float(np.minimum(displacement, BOTTOMING_M).sum()) * cell_m2, 0.0)
 
 
@@ -136,16 +131,9 @@ def _pdc_counts(frame: ContactFrame, volume_m3: float, rest: float) -> float:
 def _electrode_weights(
     pad: PadConfig, frame: ContactFrame, skin_points: Float64, kernel_m: float = KERNEL_M
 ) -> Float64:
-    """Weight of each cell of a contact at each electrode.
+    """(24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1.
 
-    Args:
-        pad: Shape of the pad.
-        frame: Where it is touched.
-        skin_points: (N, N, 3) float64 [m], the cells on the skin, fingertip frame; not finite beside the pad.
-        kernel_m: Standard deviation of an electrode's field on the skin [m].
-
-    Returns:
-        (24, N * N) float64; over a plane of cells the weights of an electrode facing it sum to 1.
+    `skin_points` (N, N, 3) are the cells on the skin in the frame of the fingertip [m]; not finite beside the pad.
     """
     points = skin_points.reshape(-1, 3)
     normals = electrode_normals()
@@ -169,16 +157,7 @@ def _skin_approach(weights: Float64, displacement: Float64, volume_m3: float) ->
 
 
 def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
-    """Counts of electrodes, not yet rounded, in (0, 4095).
-
-    Args:
-        approach: (..., 24) float64 [m] of `_skin_approach`.
-        rest: (24,) counts without contact, above 0 and below 4095.
-        gain: Of each electrode, or of all.
-
-    Raises:
-        TactileError: If a rest is outside (0, 4095].
-    """
+    """Counts (..., 24) of electrodes, not yet rounded, by the approach of `_skin_approach` and the counts without contact."""
     impedance_kohm = to_kohm(rest) * np.exp(np.clip(gain * approach / THINNING_M, -_MAX_EXPONENT, _MAX_EXPONENT))
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 

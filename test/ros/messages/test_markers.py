@@ -35,29 +35,22 @@ def points(marker):
     return np.array([[p.x, p.y, p.z] for p in marker.points])
 
 
-def assert_rotation(matrix):
-    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(matrix) == pytest.approx(1.0)
-
-
-def test_a_fingertip_is_a_rotation_whose_pad_faces_the_other_contact():
-    assert_rotation(GRASP.rotation)
+def test_fingertips_are_rotations_whose_pads_face_each_other_in_a_closed_or_turned_hand_too():
+    turned = [
+        Grasp(np.array([0.0, 0.0, width_m]), np.zeros(3), np.eye(3)[:, list(order)])
+        for width_m in (5e-324, 1e-200, 1e-13, 0.05)
+        for order in ((0, 1, 2), (2, 0, 1))  # the hand's Z, or its X, along the contacts
+    ]
+    for grasp in (GRASP, *turned):
+        first, second = (fingertip_rotation(grasp, contact) for contact in (grasp.g1, grasp.g2))
+        for rotation in (first, second):
+            np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+            assert np.linalg.det(rotation) == pytest.approx(1.0)
+        np.testing.assert_allclose(first[:, 2], -second[:, 2], atol=1e-12)
     for contact in (GRASP.g1, GRASP.g2):
-        rotation = fingertip_rotation(GRASP, contact)
-        assert_rotation(rotation)
-        inward = (GRASP.midpoint - contact) / np.linalg.norm(GRASP.midpoint - contact)
-        np.testing.assert_allclose(-rotation[:, 2], inward, atol=1e-12)
+        rotation, inward = fingertip_rotation(GRASP, contact), GRASP.midpoint - contact
+        np.testing.assert_allclose(-rotation[:, 2], inward / np.linalg.norm(inward), atol=1e-12)
         assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
-
-
-def test_a_closed_or_turned_hand_has_fingertips_too():
-    for width_m in (5e-324, 1e-200, 1e-13, 0.05):
-        for order in ((0, 1, 2), (2, 0, 1)):  # the hand's Z, or its X, along the contacts
-            grasp = Grasp(np.array([0.0, 0.0, width_m]), np.zeros(3), np.eye(3)[:, list(order)])
-            first, second = (fingertip_rotation(grasp, contact) for contact in (grasp.g1, grasp.g2))
-            for rotation in (first, second):
-                np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
-            np.testing.assert_allclose(first[:, 2], -second[:, 2], atol=1e-12)
 
 
 def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
@@ -89,11 +82,7 @@ def test_contacts_and_hand_axes_are_where_the_grasp_is():
     flat = [marker for group in markers.values() for marker in group]
     assert len({(m.ns, m.id) for m in flat}) == len(flat)
     assert {m.header.frame_id for m in flat} == {"cam"}
-
-
-def test_a_refusal_draws_nothing():
-    refusal = refusal_to_msg(grasp_to_msg(GRASP), HEADER, Status.REFUSED, "no")
-    assert not touch_markers(refusal, P2_RANGES).markers
+    assert not touch_markers(refusal_to_msg(grasp_to_msg(GRASP), HEADER, Status.REFUSED, "no"), P2_RANGES).markers
 
 
 def test_boxes_enclose_their_objects(scene_cloud):

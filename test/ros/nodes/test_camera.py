@@ -2,6 +2,7 @@
 """The camera node over real DDS, on librealsense's own software device."""
 
 import time
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -34,6 +35,10 @@ def start(graph, source="synthetic", **parameters):
     return node, heard, reports
 
 
+def plug(node, *, on):
+    node.synthetic.plugged = on
+
+
 def is_streaming(reports):
     return reports and reports[-1].level == DiagnosticStatus.OK and reports[-1].values["camera"] == "streaming"
 
@@ -62,18 +67,11 @@ def test_a_synthetic_camera_publishes_organised_clouds(graph):
     graph.until(lambda: len(heard) > count)
 
 
-def test_colour_and_the_frame_are_as_asked(graph):
-    _, heard, _ = start(graph, camera__align="colour_to_depth", camera__frame_id="eye")
-    graph.until(lambda: heard)
-    assert (heard[0].header.frame_id, heard[0].point_step) == ("eye", 16)
-    assert decode_cloud(heard[0]).rgb.max() > 0
-
-
 def test_a_stalled_or_unplugged_camera_is_named_in_diagnostics_and_comes_back(graph):
     node, heard, reports = start(graph, **QUICK)
     for fault, end, texts in (
         (node.synthetic.pause, node.synthetic.start, ("stalled: no frame for", "reconnecting: ")),
-        (node.synthetic.unplug, node.synthetic.plug, ("absent: ", "is unplugged; attempt")),
+        (partial(plug, node, on=False), partial(plug, node, on=True), ("absent: ", "is unplugged; attempt")),
     ):
         graph.until(lambda: heard and is_streaming(reports))
         fault()
@@ -84,14 +82,6 @@ def test_a_stalled_or_unplugged_camera_is_named_in_diagnostics_and_comes_back(gr
         del heard[:], reports[:]
         graph.until(lambda: heard and is_streaming(reports))
         assert int(reports[-1].values["opened"]) >= 2
-
-
-def test_an_absent_device_is_named_and_tried_again(graph):
-    _, _, reports = start(graph, "device", camera__serial="000000000000", **QUICK)
-    graph.until(lambda: reports and int(reports[-1].values.get("failures", 0)) >= 2)
-    assert reports[-1].level == DiagnosticStatus.ERROR
-    assert "absent: camera 000000000000: " in reports[-1].message
-    assert "attempt" in reports[-1].message
 
 
 def test_a_recording_is_played_once_and_the_node_ends(graph, tmp_path):
@@ -126,8 +116,10 @@ def test_a_recording_that_is_missing_or_none_and_parameters_that_exclude_each_ot
 
 
 def test_filters_change_while_it_streams_and_the_rest_is_refused(graph):
-    _, heard, _ = start(graph)
+    _, heard, _ = start(graph, camera__align="colour_to_depth", camera__frame_id="eye")
     graph.until(lambda: heard)
+    assert (heard[0].header.frame_id, heard[0].point_step) == ("eye", 16)
+    assert decode_cloud(heard[0]).rgb.max() > 0
 
     def change(name, value):
         request = SetParametersAtomically.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])

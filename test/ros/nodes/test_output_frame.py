@@ -110,12 +110,6 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     assert monitor.last_drawables() == []  # a prediction in another frame than its cloud is not drawn
 
 
-def test_the_default_is_the_frame_of_the_cloud(graph, cloud, model_card):
-    grasps, touch, _ = answers(graph, cloud, model_card)
-    assert grasps[0].header.frame_id == touch[0].header.frame_id == CAMERA
-    assert touch[0].predictions[0].grasp == grasps[0].grasps[0]
-
-
 @pytest.fixture
 def tf2(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_ros", tf2_stand_in.module())
@@ -209,9 +203,20 @@ def test_objects_in_the_frame_of_a_link_are_refused_by_name(graph, truth, model_
         assert message.reason.startswith("cloud: frame 'camera_link': not_optical: ")
 
 
-def test_a_header_alone_asks_about_the_latest_object(graph, cloud, model_card, in_robot):
+def test_a_header_alone_asks_about_the_latest_object_and_before_the_first_is_refused(
+    graph, cloud, truth, model_card, in_robot, tf2
+):
+    header = {"cloud": PointCloud2(header=header_to_msg("base_link", 0))}
+    (node,) = graph.add("touch_predictor", model=model_card, output_frame="base_link")
+    target, plan = truth
+    grasps = [grasp_to_msg(plan[0])]
+    assert ask(graph, **header, grasps=grasps).status == Status.EMPTY_CLOUD
+    answer = ask(graph, cloud=objects_to_msg([target], "base_link", 5), grasps=grasps)
+    reason = "no_transform: the frame of the camera is not known before the first object_cloud"
+    assert (answer.status, answer.reason) == (Status.UNKNOWN_FRAME, reason)
+    graph.remove(node)
     grasps, touch, _ = answers(graph, cloud, model_card, **in_robot)
-    request = {"cloud": PointCloud2(header=header_to_msg("base_link", 0)), "grasps": grasps[0].grasps}
+    request = {**header, "grasps": grasps[0].grasps}
     answer = ask(graph, **request)
     assert answer.header == touch[0].header
     assert_allclose(answer.predictions[0].pdc_th.value, touch[0].predictions[0].pdc_th.value, rtol=1e-6)
@@ -220,24 +225,3 @@ def test_a_header_alone_asks_about_the_latest_object(graph, cloud, model_card, i
     answer = ask(graph, **request)
     assert answer.status == Status.UNKNOWN_FRAME
     assert answer.reason == f"cloud: frame 'world' of the request is not '{CAMERA}' or 'base_link'"
-
-
-def test_a_header_alone_before_the_first_object_is_refused(graph, truth, model_card, tf2):
-    graph.add("touch_predictor", model=model_card, output_frame="base_link")
-    target, plan = truth
-    grasps = [grasp_to_msg(plan[0])]
-    answer = ask(graph, cloud=PointCloud2(header=header_to_msg("base_link", 0)), grasps=grasps)
-    assert answer.status == Status.EMPTY_CLOUD
-    answer = ask(graph, cloud=objects_to_msg([target], "base_link", 5), grasps=grasps)
-    reason = "no_transform: the frame of the camera is not known before the first object_cloud"
-    assert (answer.status, answer.reason) == (Status.UNKNOWN_FRAME, reason)
-
-
-def test_a_frame_without_a_transform_refuses_to_configure_in_one_line(graph, model_card, capfd):
-    for name, model in (("grasp", {}), ("touch_predictor", {"model": model_card})):
-        for hand_eye, reason in (("", "needs tf2_ros, which is not installed"), ("/nope.yaml", "/nope.yaml")):
-            (node,) = graph.add(name, output_frame="base_link", hand_eye=hand_eye, **model)
-            assert node.state_name == "unconfigured"
-            (line,) = (one for one in capfd.readouterr().err.splitlines() if "ERROR" in one)
-            assert reason in line
-            graph.remove(node)

@@ -204,19 +204,6 @@ def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cl
     assert sorted(message.header.stamp.nanosec for message in heard) == [1, 2, 10, 11]
 
 
-def test_inputs_are_taken_in_a_thread_of_their_own(graph):
-    (node,) = graph.add("grasp", autostart=False)
-    threads = {}
-    note = lambda key: lambda _: threads.setdefault(key, threading.current_thread().name)  # noqa: E731
-    node.subscribe(TablePlane, "other", note("input"))
-    node.create_subscription(TablePlane, "other", note("plain"), 1)
-    publisher = graph.talk(TablePlane, "other")
-    graph.matched("other", subscribers=2)
-    publisher.publish(TablePlane())
-    graph.until(lambda: len(threads) == 2)
-    assert threads["input"] == "inputs" != threads["plain"]
-
-
 def test_graphs_of_two_namespaces_do_not_mix(graph, scene_cloud, model_card):
     model = [Parameter("model", value=model_card)]
     left, right = (make_nodes(*PERCEPTION, parameter_overrides=model, namespace=name) for name in ("/left", "/right"))

@@ -45,39 +45,27 @@ def stamps(messages):
     return [stamp_ns(message.header.stamp) for message in messages]
 
 
-def test_late_subscribers_that_ask_for_them_get_the_last_ten_answers(graph, model_card):
+def test_late_subscribers_that_ask_for_them_get_the_last_ten_answers_until_the_node_is_cleaned_up(graph, model_card):
     """Of the grasps too, which the nodes of one process hand over as objects."""
     nodes = dict(zip(TOPICS, graph.add("grasp", "touch_predictor", model=model_card), strict=True))
     for node in nodes.values():
         answer(node, *range(1, 13))
+    assert graph.change("grasp", "deactivate")  # they are kept
     late = {topic: listen_late(graph, topic) for topic in TOPICS}
-    volatile = {topic: graph.listen(kind, topic) for topic, kind in TOPICS.items()}
     for topic in TOPICS:
         graph.until(lambda topic=topic: len(late[topic]) == 10)
-        graph.matched(topic, subscribers=2)
+    assert graph.change("grasp", "cleanup", "configure", "activate")
+    volatile = {topic: graph.listen(kind, topic) for topic, kind in TOPICS.items()}
+    second = listen_late(graph, "grasps")
+    graph.matched("grasps", subscribers=3)
+    graph.matched("touch", subscribers=2)
+    for topic in TOPICS:
         answer(nodes[topic], 13)
         graph.until(lambda topic=topic: volatile[topic] and len(late[topic]) == 11)
         assert stamps(late[topic]) == [*range(3, 14)]
         assert stamps(volatile[topic]) == [13]
-
-
-def test_answers_are_kept_while_a_node_is_inactive_and_until_it_is_cleaned_up(graph):
-    (node,) = graph.add("grasp")
-    answer(node, 1, 2)
-    assert graph.change("grasp", "deactivate")
-    first = listen_late(graph, "grasps")
-    graph.until(lambda: len(first) == 2)
-    assert graph.change("grasp", "cleanup", "configure", "activate")
-    second = listen_late(graph, "grasps")
-    graph.matched("grasps", subscribers=2)
-    answer(node, 3)
-    graph.until(lambda: len(first) == 3 and second)
-    assert (stamps(first), stamps(second)) == ([1, 2, 3], [3])
-
-
-def test_the_durability_can_be_overridden(graph):
-    (node,) = graph.add("grasp", **{"qos_overrides./foretouch/grasps.publisher.durability": "volatile"})
-    assert not node._grasps.keeps
+    graph.until(lambda: second)
+    assert stamps(second) == [13]
 
 
 def test_a_node_reports_its_matches_at_once(graph):
@@ -87,6 +75,8 @@ def test_a_node_reports_its_matches_at_once(graph):
     assert float(reports[-1].values[UPTIME]) < 60.0
     graph.listen(GraspArray, "grasps")
     graph.until(lambda: reports[-1].values[key] == "1")
+    (node,) = graph.add("grasp", **{"qos_overrides./foretouch/grasps.publisher.durability": "volatile"})
+    assert not node._grasps.keeps
 
 
 def reported(uptime_s, state="active", **ends):

@@ -38,13 +38,16 @@ def test_what_is_missing_is_set(bare):
     assert os.environ["OMP_NUM_THREADS"] == "1"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_what_the_user_has_set_stays(bare, name):
-    bare.setenv(name, "mine")
-    prepare_environment()
-    assert os.environ[name] == "mine"
-    if name in PROFILE_VARIABLES:
-        assert not any(other in os.environ for other in PROFILE_VARIABLES if other != name)
+def test_what_the_user_has_set_stays(bare):
+    for name in NAMES:
+        with bare.context() as patch:
+            for other in NAMES:
+                patch.setenv(other, "x")
+                patch.delenv(other)
+            patch.setenv(name, "mine")
+            prepare_environment()
+            assert os.environ[name] == "mine"
+            assert name not in PROFILE_VARIABLES or sum(other in os.environ for other in PROFILE_VARIABLES) == 1
 
 
 @pytest.mark.parametrize(("package", "name"), list(zip(("fastdds", "fastrtps"), PROFILE_VARIABLES, strict=True)))

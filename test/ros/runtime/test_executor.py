@@ -78,21 +78,3 @@ def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, monkeyp
     assert [one.header.stamp.nanosec for one in heard] == [1, 4, 5]
     summary = node.statistics.summary()
     assert (summary.received, summary.used, summary.lost) == (3, 3, 0)
-
-
-def test_an_error_in_taking_is_reported_and_the_next_message_is_taken(graph, predictor, monkeypatch):
-    node, send, heard = predictor
-    add, failed = node._synchronizer.add, []
-
-    def fail_once(*args):
-        if not failed:
-            failed.append(args)
-            raise ValueError("broken")
-        return add(*args)
-
-    monkeypatch.setattr(node._synchronizer, "add", fail_once)
-    send(1)
-    graph.until(lambda: bool(failed))
-    send(2)
-    graph.until(lambda: len(heard) == 1)
-    assert sum(node.internal_errors.counts().values()) == 1

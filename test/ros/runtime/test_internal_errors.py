@@ -37,16 +37,16 @@ def is_active(graph, name="segmentation"):
     return graph.call(GetState, f"{name}/get_state").current_state.id == State.PRIMARY_STATE_ACTIVE
 
 
-@pytest.mark.parametrize("callback", [fail, fail_later])
-def test_a_service_that_fails_answers_with_the_reason_and_the_node_goes_on(graph, callback):
+def test_a_service_that_fails_answers_with_the_reason_and_the_node_goes_on(graph):
     (node,) = graph.add("segmentation")
-    node.create_service(Trigger, "broken", callback)
-    for count in (1, 2):
-        answer = graph.call(Trigger, "broken")
-        assert (answer.success, answer.message) == (False, REASON)
-        assert node.internal_errors.counts() == {"broken": count}
-    node.create_service(PredictTouch, "broken_touch", callback)
-    node.create_service(StartRecording, "broken_start", callback)
+    for name, callback in (("broken", fail), ("broken_later", fail_later)):
+        node.create_service(Trigger, name, callback)
+        for count in (1, 2):
+            answer = graph.call(Trigger, name)
+            assert (answer.success, answer.message) == (False, REASON)
+            assert node.internal_errors.counts()[name] == count
+    node.create_service(PredictTouch, "broken_touch", fail)
+    node.create_service(StartRecording, "broken_start", fail_later)
     touch, started = graph.call(PredictTouch, "broken_touch").touch, graph.call(StartRecording, "broken_start")
     assert (touch.status, touch.reason) == (Status.FAILED, REASON)
     assert (started.success, started.message) == (False, REASON)
@@ -67,26 +67,24 @@ def test_timers_and_topics_that_fail_are_counted_and_reported_in_diagnostics(gra
     assert reports[-1].level == DiagnosticStatus.WARN
 
 
-def test_a_parameter_of_an_unknown_type_is_refused(graph):
-    """For which rclpy itself would raise a ValueError."""
+def test_a_parameter_of_an_unknown_type_or_whose_callback_fails_is_refused(graph):
     (node,) = graph.add("segmentation")
-    unknown = [ParameterMsg(name="autostart", value=ParameterValue(type=77))]
-    (one,) = graph.call(SetParameters, "segmentation/set_parameters", SetParameters.Request(parameters=unknown)).results
-    request = SetParametersAtomically.Request(parameters=unknown)
+    change = lambda **value: [ParameterMsg(name="silence_s", value=ParameterValue(**value))]  # noqa: E731
+
+    def ask(parameters):
+        request = SetParameters.Request(parameters=parameters)
+        return graph.call(SetParameters, "segmentation/set_parameters", request).results[0]
+
+    request = SetParametersAtomically.Request(parameters=change(type=77))  # for which rclpy itself would raise
     together = graph.call(SetParametersAtomically, "segmentation/set_parameters_atomically", request).result
-    for result in (one, together):
+    for result in (ask(change(type=77)), together):
         assert not result.successful
-        assert result.reason == "autostart: type 77 is none of rcl_interfaces/ParameterType"
+        assert result.reason == "silence_s: type 77 is none of rcl_interfaces/ParameterType"
     assert not node.internal_errors.counts()  # the error is the sender's
-    assert is_active(graph)
-
-
-def test_a_parameter_callback_that_fails_refuses_the_change(graph):
-    (node,) = graph.add("segmentation")
     node.add_on_set_parameters_callback(fail)
-    change = [ParameterMsg(name="silence_s", value=ParameterValue(type=3, double_value=7.0))]
-    (one,) = graph.call(SetParameters, "segmentation/set_parameters", SetParameters.Request(parameters=change)).results
+    one = ask(change(type=3, double_value=7.0))
     assert (one.successful, one.reason, node.config.silence_s) == (False, REASON, 5.0)
+    assert is_active(graph)
 
 
 def test_a_node_that_cannot_stop_is_deactivated_nevertheless(graph, monkeypatch):

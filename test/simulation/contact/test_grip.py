@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_builders import paraboloid, skin
 from every_case import every_case
 from numpy.testing import assert_allclose
-
-sys.path.insert(0, str(Path(__file__).parent))
-from contact_builders import paraboloid, skin
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact import LEVELS, Command, Layer, solve_grip, weigh

@@ -1,28 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
-import sys
-import warnings
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_builders import RADIUS, grid, half_space, paraboloid, skin
 from every_case import every_case
 from numpy.testing import assert_allclose
 
-sys.path.insert(0, str(Path(__file__).parent))
-from contact_builders import RADIUS, grid, half_space, paraboloid, skin
-
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    Layer,
-    bed_stiffness,
-    solve_hertz,
-    solve_layer,
-    solve_winkler,
-)
+from foretouch.simulation.contact import Command, ContactProblem, Layer, bed_stiffness, solve_layer
 from foretouch.simulation.contact import layer as module
 
 TIGHT = {"tolerance": 1e-9}
@@ -151,23 +138,8 @@ def test_hard_gaps_converge(rng):
     every_case([(name, gap, layer) for (name, gap), layer in product(gaps.items(), layers)], check)
 
 
-def test_any_float_is_solved_or_refused_by_name_without_a_warning():
-    values = (0.0, 5e-324, 1e-310, 1e-200, 1e-100, 1e-30, 1e-12, 1e-3, 1.0, 1e3, 1e30, 1e100, 1e200, 1e300, 1.7e308)
+def test_small_pushes_are_proportional_and_none_is_no_pressure():
     problem = paraboloid(24, 0.006, skin(0.002))
-
-    def check(solve, kind, value):
-        try:
-            found = solve(problem, Command(**{kind: value}))
-        except ContactError as err:
-            assert str(err).partition(":")[0] in ("layers[0]", "depth", kind)  # noqa: PT017
-            return
-        assert np.isfinite([found.force_n, found.depth_m, found.area_m2]).all()
-        assert np.isfinite([found.pressure, *found.displacement]).all()
-        assert_allclose(getattr(found, kind), value, rtol=1e-9)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        every_case(product((solve_layer, solve_winkler, solve_hertz), ("force_n", "depth_m"), values), check)
     small, smaller = (solve_layer(problem, Command(force_n=force)) for force in (1e-9, 1e-29))
     assert_allclose(smaller.pressure * 1e20, small.pressure, rtol=1e-6)
     nothing = solve_layer(problem, Command(depth_m=-1e-3))

@@ -3,48 +3,26 @@
 
 import numpy as np
 import pytest
+from contact_builders import press, rounded_edge
 from every_case import every_case
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    Layer,
-    PadConfig,
-    choose_level,
-    gap_field,
-    pad_direction,
-    pad_window,
-    solve_contact,
-)
+from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, choose_level, solve_contact
 from foretouch.simulation.fingertip import ThumbConfig, draw_finger, read_contact
 
 FINGER = draw_finger(ThumbConfig(), np.random.default_rng(0))
 FOAM = Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)
 RUBBER = Layer(modulus_pa=1e6, poisson=0.3, thickness_m=0.01)
-CONTACTS = [  # pitch, roll, force, object
-    (0.0, 0.0, 3.0, "plane"),
-    (0.3, -0.4, 1.0, "cylinder"),
-    (-0.2, 0.2, 5.0, "cylinder"),
-    (0.2, 0.3, 2.0, "edge"),
+CONTACTS = [  # pitch and roll, force, height of the object
+    ((0.0, 0.0), 3.0, lambda x, _y: np.zeros_like(x)),
+    ((0.3, -0.4), 1.0, lambda x, y: -((np.cos(0.7) * x + np.sin(0.7) * y) ** 2) / (2 * 0.033)),  # a cylinder
+    ((-0.2, 0.2), 5.0, lambda x, y: -((np.cos(0.7) * x + np.sin(0.7) * y) ** 2) / (2 * 0.033)),
+    ((0.2, 0.3), 2.0, lambda x, y: rounded_edge(np.cos(0.5) * x + np.sin(0.5) * y)),
 ]
 
 
-def surface(shape, x, y):
-    """Height of a plane, of a lying cylinder of 33 mm, or of an edge that falls at 45 degrees, rounded over 2 mm."""
-    if shape == "cylinder":
-        return -((np.cos(0.7) * x + np.sin(0.7) * y) ** 2) / (2 * 0.033)
-    across = np.cos(0.5) * x + np.sin(0.5) * y
-    edge = np.clip(across + 0.001, 0.0, 0.002) ** 2 / 0.004 + np.maximum(across - 0.001, 0.0)
-    return np.zeros_like(x) if shape == "plane" else -edge
-
-
 def drops(pad, contact, other, level):
-    pitch, roll, force, shape = contact
-    window = pad_window(pad, pad_direction(pitch, roll))
-    gap = gap_field(window.depth, surface(shape, window.x, window.y))
-    solution = solve_contact(ContactProblem(gap, pad.step_m, (pad.layer, *other)), Command(force_n=force), level)
-    return FINGER.electrode_rest - read_contact(pad, FINGER, window, solution)[1:]
+    return FINGER.electrode_rest - read_contact(pad, FINGER, *press(pad, *contact, other, level))[1:]
 
 
 def test_auto_gives_the_electrodes_of_a_fine_solve():

@@ -25,27 +25,21 @@ SIZE = np.array([0.06, 0.05, 0.09])
 
 
 def write_glb(path: Path, mesh: TriangleMesh) -> str:
-    """By hand: Open3D 0.20 writes buffer views that it refuses itself."""
-    vertices, faces = mesh.vertices.astype("<f4"), mesh.faces.astype("<u4")
-    box = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    """By hand, corner by corner: Open3D 0.20 writes buffer views that it refuses itself."""
+    corners = mesh.vertices[mesh.faces.ravel()].astype("<f4")
+    box = {"min": corners.min(axis=0).tolist(), "max": corners.max(axis=0).tolist()}
     document = {
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "buffers": [{"byteLength": vertices.nbytes + faces.nbytes}],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": vertices.nbytes},
-            {"buffer": 0, "byteOffset": vertices.nbytes, "byteLength": faces.nbytes},
-        ],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3", **box},
-            {"bufferView": 1, "componentType": 5125, "count": faces.size, "type": "SCALAR"},
-        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "buffers": [{"byteLength": corners.nbytes}],
+        "bufferViews": [{"buffer": 0, "byteLength": corners.nbytes}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": len(corners), "type": "VEC3", **box}],
     }
-    head, body = json.dumps(document).encode(), vertices.tobytes() + faces.tobytes()
-    chunks = ((b"JSON", head + b" " * (-len(head) % 4)), (b"BIN\0", body + b"\0" * (-len(body) % 4)))
+    head = json.dumps(document).encode()
+    chunks = ((b"JSON", head + b" " * (-len(head) % 4)), (b"BIN\0", corners.tobytes()))
     data = b"".join(struct.pack("<I4s", len(chunk), kind) + chunk for kind, chunk in chunks)
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(data)) + data)
     return str(path)

@@ -162,7 +162,7 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     cells = len(rows)
     below = [sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows) for model in MODELS]
     sentences = [
-        *tally(rows),
+        *_tally(rows),
         f"mean error below that of the mean of the labels: PointNet in {below[0]} of {cells} cells, SR-GAN in {below[1]}",
     ]
     with_trees = [row for row in rows if row["trees_rmse"] is not None]
@@ -184,7 +184,7 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     ]
 
 
-def tally(rows: Rows) -> list[str]:
+def _tally(rows: Rows) -> list[str]:
     """Wins, ties and losses by interval, and by mean error alone, as P2 counts."""
     verdicts = [row["verdict"] for row in rows]
     plurals = {"win": "wins", "tie": "ties", "loss": "losses"}

@@ -72,14 +72,7 @@ def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
 
 
 def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: float) -> Float64:
-    """Displacement of a half-space at (x, y) from its centre, by a square cell under 1 Pa [m/Pa].
-
-    Args:
-        x: Offset along the rows [m].
-        y: Offset along the columns, broadcastable with `x` [m].
-        step_m: Side of the cell [m].
-        plane_modulus_pa: E / (1 - ν²) [Pa].
-    """
+    """Displacement of a half-space at (x, y) [m] from its centre, by a square cell under 1 Pa [m/Pa]."""
     left, right = x - step_m / 2.0, x + step_m / 2.0
     low, high = y - step_m / 2.0, y + step_m / 2.0
     return (_corner(right, high) + _corner(left, low) - _corner(right, low) - _corner(left, high)) / (
@@ -88,18 +81,14 @@ def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: flo
 
 
 def _layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
-    """(n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa.
-
-    Raises:
-        ContactError: If the layer is thinner than half a cell, where the smooth part cannot be averaged.
-    """
+    """(n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa."""
     offset = step_m * np.arange(n, dtype=np.float64)
     x, y = offset[None, :], offset[:, None]
     half_space = _love_influence(x, y, step_m, layer.plane_modulus_pa)
     if math.isinf(layer.thickness_m):
         return half_space
     if layer.thickness_m < step_m / 2.0:
-        raise ContactError(
+        raise ContactError(  # the smooth part cannot be averaged over a cell
             f"thickness_m: {layer.thickness_m:g} is less than half a cell, {step_m / 2.0:g} m: use the Winkler level"
         )
     nodes, weights = np.polynomial.legendre.leggauss(_GAUSS)
@@ -128,16 +117,9 @@ def _influence_spectrum(layer: Layer, n: int, step_m: float) -> Complex128:
 
 
 def _convolve(pressure: Float64, spectrum: Complex128) -> Float64:
-    """Displacement [m] of a pressure (N, N) [Pa], by the spectrum of `_influence_spectrum`.
+    """(L, N, N) float64 [m], displacement by a pressure (N, N) [Pa], from `_influence_spectrum` (L, 2N, N + 1) of L layers.
 
     By axis, so that rows of zeros are not transformed on the way in, nor unused ones on the way out.
-
-    Args:
-        pressure: (N, N) float64 [Pa].
-        spectrum: (2N, N + 1), or (L, 2N, N + 1) for one layer each.
-
-    Returns:
-        (N, N) or (L, N, N) float64 [m].
     """
     n = pressure.shape[0]
     waves = np.fft.fft(np.fft.rfft(pressure, 2 * n, axis=1), 2 * n, axis=0) * spectrum

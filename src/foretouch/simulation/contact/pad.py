@@ -150,15 +150,11 @@ def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) ->
 
 
 def gap_field(depth: Float64, object_height: Float64) -> Float64:
-    """Distance of skin and object along the normal, at first touch [m].
+    """(N, N) float64 [m], distance of skin and object at first touch: least value 0, infinite where one is absent.
 
     Args:
         depth: (N, N) of `pad_depth` [m].
-        object_height: (N, N) [m], the object's surface above the tangent plane, measured away from the pad's
-            normal, that is towards the pad; -inf where there is none. A constant added to it changes nothing.
-
-    Returns:
-        (N, N) float64, least value 0, infinite where one of the surfaces is absent.
+        object_height: (N, N) [m], the object's surface above the tangent plane, towards the pad; -inf where there is none.
 
     Raises:
         ContactError: If the two share no cell.

@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_builders import RADIUS, grid, half_space, paraboloid, skin
 from every_case import every_case
 from numpy.testing import assert_allclose
 
-sys.path.insert(0, str(Path(__file__).parent))
-from contact_builders import RADIUS, grid, half_space, paraboloid
-
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import Command, ContactProblem, solve_hertz, solve_layer
+from foretouch.simulation.contact import (
+    Command,
+    ContactProblem,
+    Layer,
+    bed_stiffness,
+    solve_hertz,
+    solve_layer,
+    solve_winkler,
+)
 
 
-def test_sphere_is_the_closed_form():
+def test_hertz_of_a_sphere_is_the_closed_form():
     depth = 1e-4
     solution = solve_hertz(paraboloid(25, 0.006), Command(depth_m=depth))
     force = 4 / 3 * half_space().plane_modulus_pa * math.sqrt(RADIUS) * depth**1.5
@@ -28,7 +32,7 @@ def test_sphere_is_the_closed_form():
     assert_allclose(tiny.pressure.sum() * (0.012 / 24) ** 2, 1e-7, rtol=1e-12)
 
 
-def test_ellipse_agrees_with_the_elastic_half_space_and_far_away_with_a_point_load():
+def test_hertz_of_an_ellipse_agrees_with_the_elastic_half_space_and_far_away_with_a_point_load():
     depth = 8e-5
     for ratio in (1.0, 2.0, 8.0):
         problem = paraboloid(96, 0.0036, ratio=ratio)
@@ -47,7 +51,7 @@ def test_ellipse_agrees_with_the_elastic_half_space_and_far_away_with_a_point_lo
         assert_allclose(displacement[away], point_load, rtol=1e-5)
 
 
-def test_what_is_no_paraboloid_is_refused():
+def test_what_is_no_paraboloid_is_refused_by_hertz():
     x, y, step = grid(25, 0.012)
     round_gap = paraboloid(25, 0.012).gap
     gaps = [
@@ -63,3 +67,28 @@ def test_what_is_no_paraboloid_is_refused():
             solve_hertz(ContactProblem(gap - gap.min(), step, (half_space(),)), Command(force_n=1.0))
 
     every_case(gaps, check)
+
+
+def test_force_of_a_bed_under_a_paraboloid_is_the_closed_form():
+    depth = 2e-4  # F = π R k d² (Johnson 1985, section 4.3)
+    solution = solve_winkler(paraboloid(256, 0.006, skin()), Command(depth_m=depth))
+    assert_allclose(solution.force_n, math.pi * RADIUS * bed_stiffness(skin()) * depth**2, rtol=1e-3)
+
+
+def test_beds_in_series_share_the_depth():
+    soft = Layer(modulus_pa=1e5, poisson=0.0, thickness_m=0.01)
+    problem = paraboloid(24, 0.012, skin(), soft)
+    solution = solve_winkler(problem, Command(force_n=0.5))
+    overlap = np.maximum(solution.depth_m - problem.gap, 0.0)
+    assert_allclose(solution.displacement.sum(axis=0), overlap, atol=1e-15)
+    assert_allclose(
+        solution.displacement[0] * bed_stiffness(skin()), solution.displacement[1] * bed_stiffness(soft), rtol=1e-9
+    )
+
+
+def test_a_bed_without_push_has_no_pressure_and_too_much_is_refused():
+    assert not solve_winkler(paraboloid(8, 0.01, skin()), Command(force_n=0.0)).pressure.any()
+    with pytest.raises(ContactError, match="a half-space has no Winkler bed"):
+        solve_winkler(paraboloid(8, 0.01, half_space()), Command(force_n=1.0))
+    with pytest.raises(ContactError, match=r"layers\[0\]: compressed by .* of its 1.5 mm"):
+        solve_winkler(paraboloid(24, 0.012, skin()), Command(force_n=200.0))
