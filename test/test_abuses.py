@@ -115,7 +115,7 @@ MISTAKES = {
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     write_scenes(folder / "recording", 40)
     cloud = scene_cloud(3, objects=2, width=424)
@@ -130,7 +130,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def start(files: Path) -> Callable[[Abuse, Path], subprocess.Popen[bytes]]:
+def start(files) -> Callable[[Abuse, Path], subprocess.Popen[bytes]]:
     """Starts a command as the leader of a session of its own, as a terminal does, in a DDS domain of these tests."""
     environment = {
         **os.environ,
@@ -212,9 +212,7 @@ def check_end(abuse: Abuse, process: subprocess.Popen[bytes], out: bytes, err: s
 
 @pytest.mark.ros
 @pytest.mark.parametrize("commands", SIGNALS)
-def test_a_signal_at_any_moment_ends_it_in_order(
-    commands: str, start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+def test_a_signal_at_any_moment_ends_it_in_order(commands, start, tmp_path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
     def check(abuse: Abuse) -> None:
@@ -243,9 +241,7 @@ def test_a_signal_at_any_moment_ends_it_in_order(
 
 @pytest.mark.ros
 @pytest.mark.parametrize("kind", MISTAKES)
-def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
-    kind: str, start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+def test_a_mistake_or_a_fault_outside_is_told_in_one_line(kind, start, tmp_path) -> None:
     if kind == "ros":
         pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -268,9 +264,7 @@ def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
 
 
 @pytest.mark.ros
-def test_a_second_graph_in_the_namespace_is_named(
-    start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+def test_a_second_graph_in_the_namespace_is_named(start, tmp_path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     abuse = Abuse("two graphs", "replay @/recording --no-wait --rate 8 --json", {0})
     ends = [process.communicate(timeout=PATIENCE_S) for process in [start(abuse, tmp_path) for _ in range(2)]]

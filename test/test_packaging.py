@@ -160,7 +160,7 @@ def test_the_constraints_are_within_the_ranges_and_complete() -> None:
 
 
 @pytest.fixture(scope="module")
-def unpacked_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unpacked_wheel(tmp_path_factory) -> Path:
     """The content of the wheel, as `pip install foretouch` would install it."""
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"  # built in a copy: setuptools leaves its build folder beside setup.py
@@ -175,7 +175,7 @@ def unpacked_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_wheel_predicts_without_ros(unpacked_wheel: Path, tmp_path: Path) -> None:
+def test_the_wheel_predicts_without_ros(unpacked_wheel, tmp_path) -> None:
     """In a process in which nothing of ROS can be imported, with nothing but the wheel."""
     rng = np.random.default_rng(0)
     np.savez(tmp_path / "can.npz", xyz=rng.normal((0.0, 0.0, 0.8), 0.02, (2000, 3)).astype(np.float32))

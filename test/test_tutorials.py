@@ -98,7 +98,7 @@ def run(page: Path, folder: Path) -> tuple[list[Step], list[str]]:
 @pytest.mark.parametrize(
     "page", [pytest.param(page, id=page.stem, marks=pytest.mark.xdist_group(f"tutorial_{page.stem}")) for page in PAGES]
 )
-def test_the_commands_of_a_tutorial_run_and_print_what_it_quotes(page: Path, tmp_path: Path) -> None:
+def test_the_commands_of_a_tutorial_run_and_print_what_it_quotes(page, tmp_path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
     steps, outputs = run(page, tmp_path)
