@@ -24,6 +24,7 @@ from foretouch.ros.graph import Graph
 if TYPE_CHECKING:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.nodes.bridge import BridgeNode
+    from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch_msgs.msg import TouchPredictionArray
@@ -246,7 +247,9 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.json:
         counts: dict[str, Any] = {"played": played, "answered": answered, "conflicts": conflicts}
         counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
-        print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
+        if "hand" in graph.nodes:
+            counts["executed"] = dict(cast("HandNode", graph.nodes["hand"]).executed)
+        print_json(counts)
     else:
         title = f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered"
         terminal().print(live_panel(view, title))
