@@ -198,16 +198,6 @@ def _axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return (1.0 + far / np.sqrt(high)) * high / (high - middle), gap_up_to_sign(found.direction, vectors[:, 2])
 
 
-@kernel("voxel mean")
-def _voxel_mean(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """More and more points in one cell, at 1 m: up to 2^29 numbers of single precision add up exactly in double."""
-    count = int(span(t, 2.0, 1000.0))
-    points = float32_cloud(rng.uniform(0.01, 0.99, (count, 3)) * 0.0125 + 80 * 0.0125)
-    grid = voxel_grid(points, 0.0125)
-    wanted = exact(points).sum(axis=0) / count
-    return 1.0, relative_gap(grid.mean(points)[0], wanted) if len(grid.counts) == 1 else np.inf
-
-
 @kernel("voxel cell")
 def _voxel_cell(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points on both sides of a face, nearer and nearer to it and at up to 10 km."""

@@ -23,7 +23,6 @@ from benchmarks.references.reference import (
     span,
     spread_points,
 )
-from foretouch.dataset.messages import rotation_from_quaternion
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 from foretouch.grasp.ranking import GraspPlane, SurfacePoints, _plane_distance, _ScaledSide, _two_rankings
@@ -320,11 +319,3 @@ def _matrix(q: Exact) -> Exact:
         ],
         object,
     )
-
-
-@kernel("quaternion to rotation")
-def _from_quaternion(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Lengths within 1e-3 of 1."""
-    q = rng.normal(size=4)
-    q *= (1.0 + 9e-4 * (2.0 * t - 1.0)) / np.linalg.norm(q)
-    return 1.0, gap(rotation_from_quaternion(q), _matrix(exact(q) / mpmath.sqrt((exact(q) ** 2).sum())))

@@ -36,68 +36,18 @@ from foretouch.simulation.contact.layer import (
     solve_layer,
 )
 from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.disturbances import creep
-from foretouch.simulation.effects.approach import _slope
 from foretouch.simulation.fingertip import (
     BOTTOMING_M,
     BULGE_AREA_M2,
-    PDC_SPAN,
-    SATURATION_M3,
-    THINNING_M,
     _displaced_volume,
-    _electrode_counts,
     _electrode_weights,
-    _pdc_counts,
     _skin_approach,
 )
-from foretouch.simulation.solids import Body, Sphere
-from foretouch.tactile import P2_RANGES, electrode_normals, electrode_positions, offsets, restore, to_kohm
-from foretouch.tactile.contact_detector import contact_scores
-from foretouch.types import Touch
+from foretouch.simulation.solids import Body
+from foretouch.tactile import electrode_normals, electrode_positions
 
 SKIN = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
 GEL = Layer(modulus_pa=1e6, poisson=0.3)
-
-
-@kernel("impedance [kOhm]")
-def _kohm(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Counts nearer and nearer to full scale."""
-    counts = 4095.0 - span(t, 4000.0, 1e-6) * rng.uniform(0.5, 1.0)
-    return 4095.0 / (4095.0 - counts), relative_gap(to_kohm(counts), (4095 / exact(counts) - 1) * 10)
-
-
-@kernel("offsets and restore")
-def _offsets(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Readings that are small against the tare."""
-    touch, tare = rng.uniform(0.5, 1.0, 50) * span(t, 4000.0, 1e-6), rng.uniform(1000.0, 4095.0, 50)
-    rest = Touch.from_vector(tare)
-    offset = offsets(Touch.from_vector(touch), rest)
-    error = max(gap(offset, exact(touch) - exact(tare)), gap(restore(offset, rest).vector(), touch)) / touch.min()
-    return float((touch.min() + tare.max()) / touch.min()), error
-
-
-@kernel("scaling by the ranges")
-def _ranges(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Counts of up to 1e9."""
-    counts = rng.uniform(-1.0, 1.0, 50) * span(t, 100.0, 1e9)
-    low, width = exact(P2_RANGES.low), exact(P2_RANGES.high) - exact(P2_RANGES.low)
-    scaled = P2_RANGES.scale(counts)
-    kappa = 1.0 + float(np.max(np.abs(counts) + P2_RANGES.high) / 700.0)
-    return kappa, gap(scaled, (exact(counts) - low) / width)
-
-
-@kernel("contact score")
-def _contact_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Changes of 1000 down to 1e-6 counts."""
-    rest = rng.integers(1000, 3000, (1, 50)) + np.zeros((5, 1))
-    counts = rest[:1] + span(t, 1000.0, 1e-6) * rng.normal(size=(1, 50))
-    change = exact(counts[0]) - exact(rest[0])
-    found = contact_scores(counts, rest)[0]
-    wanted = []
-    for pdc, first in ((0, 2), (1, 26)):
-        electrodes = change[first : first + 24] / exact(4.4)
-        wanted.append(max(mpmath.sqrt((electrodes**2).sum() / 24) / 3, abs(change[pdc]) / exact(0.4) / 12))
-    return 1.0, relative_gap(found, np.array(wanted, object))
 
 
 @kernel("Hertz: ellipse")
@@ -165,16 +115,6 @@ def _winkler(t: float, rng: np.random.Generator) -> tuple[float, float]:
     pressure = k * np.maximum(depth - exact(problem.gap), mpmath.mpf(0))
     kappa = float((depth * (n + 1) + gaps[: n + 1].sum()) / (depth * (n + 1) - gaps[: n + 1].sum()))
     return kappa, max(relative_gap(found.depth_m, depth), gap(found.pressure, pressure) / float(pressure.max()))
-
-
-@kernel("bed stiffness")
-def _bed(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Poisson's ratio up to its cap of 0.45."""
-    nu = span(t, 0.01, 0.45)
-    layer = Layer(modulus_pa=rng.uniform(1e4, 1e9), poisson=nu, thickness_m=rng.uniform(1e-5, 1.0))
-    n = exact(nu)
-    wanted = exact(layer.modulus_pa) * (1 - n) / ((1 + n) * (1 - 2 * n)) / exact(layer.thickness_m)
-    return 1.0 / (1.0 - 2.0 * nu), relative_gap(bed_stiffness(layer), wanted)
 
 
 @kernel("layer: transfer function")
@@ -319,15 +259,6 @@ def _pad_depth(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, relative_gap(found, np.array([near, rim], object))
 
 
-@kernel("slope at first touch")
-def _touch_slope(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Cosines of nearly 0 to nearly 1."""
-    slope = span(t, 1e4, 1e-6) * rng.uniform(0.5, 1.0)
-    cosine = float(1.0 / np.sqrt(1.0 + slope**2))
-    wanted = mpmath.sqrt(1 / mpmath.mpf(cosine) ** 2 - 1)
-    return 1.0 / float(wanted) + float(wanted), gap(_slope(cosine), wanted)
-
-
 @kernel("grip: shares of the weight")
 def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Contacts that approach each other, far from the origin."""
@@ -401,68 +332,6 @@ def _approach(t: float, rng: np.random.Generator) -> tuple[float, float]:
     wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(BULGE_AREA_M2)
     kappa = float((weights @ u.ravel())[0] + bulge) / abs(float(wanted))
     return kappa, relative_gap(_skin_approach(weights, u, volume)[0], wanted)
-
-
-@kernel("electrodes: counts")
-def _counts_of_electrodes(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Rests near full scale, and approaches up to where the exponent is clipped."""
-    rest = 4095.0 - span(t, 3000.0, 0.1)
-    exponent = span(t, 1e-3, 49.0) * float(rng.choice([-1.0, 1.0]))
-    approach = exponent * THINNING_M
-    impedance = (4095 / exact(rest) - 1) * 10 * mpmath.exp(exact(approach) / exact(THINNING_M))
-    found = _electrode_counts(np.array([approach]), np.array([rest]))
-    kappa = 1.0 + abs(exponent) + 4095.0 / (4095.0 - rest)
-    return kappa, relative_gap(found[0], 4095 / (1 + impedance / 10))
-
-
-@kernel("pressure of the liquid")
-def _pdc(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Volumes of 1e-20 to 1e-6 m³."""
-    pad = PadConfig()
-    frame = contact_frame(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
-    volume = span(t, 1e-20, 1e-6)
-    rise = exact(PDC_SPAN) * (-exact(frame.rotation[2, 2])) ** 2
-    wanted = 1676 + rise * mpmath.tanh(exact(volume) / exact(SATURATION_M3))
-    return 1.0, relative_gap(_pdc_counts(frame, volume, 1676.0), wanted)
-
-
-@kernel("creep of the skin")
-def _creep(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Up to 1000 rows, and time constants of up to 1e6 s."""
-    rows, time_s, share_late = int(span(t, 2.0, 1000.0)), span(t, 0.1, 1e6), 0.08
-    series = rng.uniform(1000.0, 4000.0, (rows, 1))
-    pull = 1 - mpmath.exp(-1 / (100 * exact(time_s)))
-    late, wanted, share = exact(series[0, 0]), [], exact(share_late)
-    for value in exact(series[:, 0]):
-        late = late + pull * (value - late)
-        wanted.append((1 - share) * value + share * late)
-    return rows, gap(creep(series, 100.0, share=share_late, time_s=time_s)[:, 0], np.array(wanted, object)) / 4000.0
-
-
-@kernel("ray meets a ball")
-def _ray_ball(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Rays that graze more and more, from farther and farther."""
-    radius, far = 0.05, span(t, 0.2, 100.0)
-    turn = rotation(rng)
-    sine = span(t, 0.9, 1e-3)
-    lateral = radius * np.sqrt(1.0 - sine**2)
-    origin = turn @ [lateral, 0.0, -far]
-    direction = turn[:, 2] * rng.uniform(0.5, 2.0)
-    found = Sphere(position=np.zeros(3), radius=radius).cast(origin, direction[None])[0]
-    o, d = exact(origin), exact(direction)
-    a, b, c = d @ d, d @ o, o @ o - exact(radius) ** 2
-    wanted = (-b - mpmath.sqrt(b * b - a * c)) / a
-    return 1.0 + float(origin @ origin) / (radius**2 * sine), relative_gap(found, wanted)
-
-
-@kernel("oriented box: corners")
-def _corners(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Boxes of 5 cm at up to 10 km."""
-    size, place, turn = rng.uniform(0.01, 0.05, 3), rng.normal(size=3) * span(t, 0.1, 1e4), rotation(rng)
-    found = Body("box", 0, size, place, turn).corners()
-    signs = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)])
-    wanted = exact(place) + (exact(signs) * exact(size)) @ exact(turn).T
-    return float(np.abs(found).max() / size.max()), gap(found, wanted) / size.max()
 
 
 @kernel("ray meets a mesh")

@@ -45,7 +45,7 @@ def test_tares_are_read_and_left_out() -> None:
     assert unique(table, "vision") == ["training_mean, with tares", "training_mean", "past_mean"]
 
 
-def test_every_grasp_is_scored_once_and_tables_are_made_of_the_rows(tmp_path: Path) -> None:
+def test_every_grasp_is_scored_once_and_nothing_later_enters_the_past(tmp_path: Path) -> None:
     cells, settings = cell_rows("prequential", make_collection(6, 6))
     experiment = find_experiment("prequential")
     rows = write_results(tmp_path, experiment.tabulate(settings, cells))
@@ -62,10 +62,7 @@ def test_every_grasp_is_scored_once_and_tables_are_made_of_the_rows(tmp_path: Pa
     assert sum(title.startswith("training_mean") for title in titles) == 4
     (figure,) = experiment.draw(rows, tmp_path)
     assert figure.stat().st_size > 5_000
-
-
-def test_nothing_later_enters_the_past() -> None:
-    first = _recordings(cell_rows("prequential", make_collection(4, 6))[0])["cheezit"]
+    first = _recordings(cells)["cheezit"]
     shown = with_past_mean(first, 1)
     assert set(shown.objects) == {"campbells", "cheezit"}
     assert_allclose(shown.expected, np.tile(first.readings[:6].mean(axis=0), (12, 1)))

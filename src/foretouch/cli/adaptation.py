@@ -10,19 +10,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from foretouch.checked_files import read_json
+from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
+from foretouch.tactile import make_tare
+from foretouch.types import ELECTRODES, Grasp, GraspSample, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
-
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name
-_FIELDS = ("pdc_th", "pdc_mf", "e_th", "e_mf")
+_FIELDS: dict[str, tuple[int, ...]] = {"pdc_th": (), "pdc_mf": (), "e_th": (ELECTRODES,), "e_mf": (ELECTRODES,)}
 
 
 def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +75,7 @@ class Adaptation:
 
     def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
         """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
-        return [one for one in self.touched if sample is None or not _same(one, sample)]
+        return _others(self.touched, sample)
 
     def predict(
         self,
@@ -104,8 +107,8 @@ class Adaptation:
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = self.hand.copy() if self.hand is not None else HandHistory(self.model)
         last = None
-        for one in sorted(self.history, key=lambda one: one.stamp_ns):
-            if one.stamp_ns <= now_ns and not (sample is not None and _same(one, sample)):
+        for one in sorted(_others(self.history, sample), key=lambda one: one.stamp_ns):
+            if one.stamp_ns <= now_ns:
                 self._add(hand, one, one.stamp_ns, new_object=one.object != last)
                 last = one.object
         for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
@@ -161,7 +164,6 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
 def _read_tare(paths: Sequence[str]) -> Touch:
     """The median of all readings in some files, which name the field and the rule that it breaks."""
     from foretouch.dataset.vision2tactile import read_touch
-    from foretouch.tactile import make_tare
 
     readings: list[Touch] = []
     for path in map(Path, paths):
@@ -180,14 +182,10 @@ def _read_tare(paths: Sequence[str]) -> Touch:
 
 def _reading(path: Path, entry: Any) -> Touch:
     """One reading; `make_tare` checks later whether a working sensor can give it."""
-    import numpy as np
-
-    from foretouch.types import ELECTRODES, Touch
-
-    if not isinstance(entry, dict) or sorted(entry) != sorted(_FIELDS):
+    if not isinstance(entry, dict) or entry.keys() != _FIELDS.keys():
         raise FileError(path, f"is no reading: it must hold {', '.join(_FIELDS)} and nothing else")
     values = {}
-    for name, shape in zip(_FIELDS, ((), (), (ELECTRODES,), (ELECTRODES,)), strict=True):
+    for name, shape in _FIELDS.items():
         numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
         if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
             raise FileError(path, "is not numbers", field=name)
@@ -197,11 +195,12 @@ def _reading(path: Path, entry: Any) -> Touch:
     return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"])
 
 
-def _same(one: GraspSample, other: GraspSample) -> bool:
-    """Whether two samples are the same grasp, even from different files; ids alone may recur in another dataset."""
-    if one.touch is None or other.touch is None or one.id != other.id:
-        return False
-    return bool((one.touch.vector() == other.touch.vector()).all())
+def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
+    """Labelled samples without one of them, even from another file; ids alone may recur in another dataset."""
+    if sample is None or sample.touch is None:
+        return samples
+    own = sample.touch.vector()
+    return [one for one in samples if one.id != sample.id or one.touch is None or (one.touch.vector() != own).any()]
 
 
 def _own_tare(sample: GraspSample | None) -> Touch:
@@ -212,8 +211,6 @@ def _own_tare(sample: GraspSample | None) -> Touch:
 
 def read_samples(paths: Sequence[str]) -> list[GraspSample]:
     """All samples of some datasets."""
-    from foretouch.dataset.samples import open_samples
-
     samples: list[GraspSample] = []
     for path in paths:
         samples += [record.sample for record in open_samples(path).records()]

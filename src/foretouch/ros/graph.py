@@ -119,11 +119,6 @@ class Graph:
             if name in self.nodes:
                 self.nodes[name].stop()
 
-    def executed(self) -> dict[str, int]:
-        """Grasps that the simulated hand has executed, by outcome."""
-        hand = cast("HandNode | None", self.nodes.get("hand"))
-        return {} if hand is None else dict(hand.executed)
-
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
         hand, end = cast("HandNode | None", self.nodes.get("hand")), time.monotonic() + timeout_s

@@ -307,11 +307,11 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     widths = [row for row in own if row["coverage"] is not None]
     draw = partial(draw_series, x="bin", series="method", places=labels)
 
-    def draw_skill(axes: Axes, rows: Rows) -> None:
+    def _draw_skill(axes: Axes, rows: Rows) -> None:
         draw(axes, rows, names=shown, spread=0.08)
         axes.set_ylim(-0.6, 1.0)
 
-    def draw_width(axes: Axes, rows: Rows) -> None:
+    def _draw_width(axes: Axes, rows: Rows) -> None:
         draw(axes, rows, names=(TRACKER, MEMORY), values="half_width")
         for row in rows:
             number, place = (TRACKER, MEMORY).index(row["method"]), (labels.index(row["bin"]), row["half_width"])
@@ -321,7 +321,7 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
         axes.set_ylim(bottom=0.0)
 
     lines = [
-        Line(2.4, skills_, draw_skill, y_label=f"skill (vision: {vision})", legend="lower center"),
-        Line(2.4, widths, draw_width, "", "touches of the object", "half width [counts], coverage"),
+        Line(2.4, skills_, _draw_skill, y_label=f"skill (vision: {vision})", legend="lower center"),
+        Line(2.4, widths, _draw_width, "", "touches of the object", "half width [counts], coverage"),
     ]
     return save_panels(folder / "touches.png", 9.0, lines, sharex=True)

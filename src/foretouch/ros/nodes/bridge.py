@@ -177,11 +177,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
 
 def foxglove_sdk() -> Any:
-    """The package `foxglove`.
-
-    Raises:
-        MissingDependencyError: If it is not installed.
-    """
+    """The package `foxglove`; a `MissingDependencyError` if it is not installed."""
     try:
         import foxglove
     except ImportError as err:

@@ -210,10 +210,7 @@ class Predictor:
 def _posed(
     messages: Sequence[GraspMsg], target: FoundObject, config: TouchPredictorConfig, posing: GeoGraspConfig | None
 ) -> list[Grasp | Refusal]:
-    """The grasp of each message, or why there is none.
-
-    Missing orientations are computed as `Pipeline.grasp_between` does, with one search for the object's axis.
-    """
+    """The grasp of each message, posed as by `Pipeline.grasp_between` where it must be, or why there is none."""
     axis: Float64 | None = None
     found: list[Grasp | Refusal] = []
     for decoded, message in zip(decode_grasps(messages), messages, strict=True):
