@@ -124,7 +124,7 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
 
 
 @pytest.mark.parametrize("page", CLAIMS)
-def test_a_statement_is_that_of_the_tables(page: str) -> None:
+def test_a_statement_is_that_of_the_tables(page) -> None:
     text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
 
     def check(phrase: str, holds: Callable[[], Sequence[str] | bool]) -> None:

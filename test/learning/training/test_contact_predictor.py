@@ -12,6 +12,7 @@ from contact_model_builders import FEW_TREES, labels_of, with_tares
 from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
+from recording_builders import read_folder
 
 from foretouch.errors import DatasetError
 from foretouch.learning.evaluation.metrics import mean_over_objects
@@ -171,9 +172,7 @@ def test_one_object_alone_predicts_but_cannot_be_calibrated() -> None:
 
 @pytest.mark.real_data
 def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_data) -> None:
-    from foretouch.dataset.vision2tactile import read_sample, sample_folders
-
-    samples = [read_sample(folder) for folder in sample_folders(real_data / "vision2tactile")[::9]]
+    samples = read_folder(real_data / "vision2tactile")[::9]
     held = max({sample.object for sample in samples}, key=[sample.object for sample in samples].count)
     train, remaining = ([s for s in samples if (s.object == held) is inside] for inside in (False, True))
     fitted = ContactPredictor(train, labels_of(train), FEW_TREES)
