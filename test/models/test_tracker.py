@@ -17,7 +17,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.state_space import FINGERS, TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.types import Evidence
 
 SIZE, S, DAY = 50, 10**9, 86400 * 10**9
 START = 1_700_000_000 * S
@@ -97,22 +96,6 @@ def test_the_level_is_that_of_the_joint_gaussian(rng) -> None:
         assert_allclose(level.variance, variance, rtol=1e-6)
     assert level.evidence.readings == 30
     assert level.evidence.reading_age_s == pytest.approx(500.0)
-
-
-def test_another_object_keeps_the_state_and_forgets_the_object(rng) -> None:
-    tracker = SensorTracker(drifting())
-    for k in range(20):
-        touch(tracker, 60.0 * k, 30.0 + rng.normal(0.0, 20.0, SIZE))
-    own = tracker.level(START + 1200 * S)
-    other = tracker.level(START + 1200 * S, same_object=False)
-    tracker.start_object()
-    begun = tracker.level(START + 1200 * S)
-    assert_array_equal(begun.offset, other.offset)
-    assert_array_equal(begun.variance, other.variance)
-    assert own.evidence == Evidence(20, 60.0, 20, 60.0)
-    assert begun.evidence == Evidence(0, None, 20, 60.0)
-    assert 15.0 < other.offset.mean() < own.offset.mean() < 31.0
-    assert (own.variance < other.variance).all()
 
 
 def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> None:

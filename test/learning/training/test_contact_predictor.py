@@ -82,13 +82,6 @@ def test_labels_and_tares_of_predicted_samples_are_not_used(tared) -> None:
     assert_array_equal(tared.predict(blind), tared.predict(TARED[40:]))
 
 
-def test_neighbours_have_no_influence(tared) -> None:
-    touched, remaining = TARED[40:43], TARED[43:]
-    together = tared.predict_after(touched, remaining, tare=True)
-    alone = [tared.predict_after(touched, [sample], tare=True)[0] for sample in remaining]
-    assert_array_equal(together, alone)
-
-
 def test_touches_of_a_new_object_help_on_its_other_grasps(bare) -> None:
     """Touches measure the lasting offsets of the objects."""
     touched, remaining = BARE[40:43], BARE[43:]
@@ -141,11 +134,6 @@ def test_new_objects_are_held_out_whole_known_ones_in_stretches_of_time() -> Non
         assert mine[-1] - mine[0] == len(mine) - 1  # the samples are in order of time
     few = calibration_folds([sample for k, sample in enumerate(samples) if k % 10 < 3], 0)
     assert sorted(np.concatenate([fold.test for fold in few["known"][0]])) == list(range(12))
-
-
-def test_the_same_seed_gives_the_same_bits(bare) -> None:
-    again = ContactPredictor(BARE[:40], labels_of(BARE[:40]), FEW_TREES)
-    assert_array_equal(again.predict(BARE), bare.predict(BARE))
 
 
 def test_a_tare_that_was_not_taken_is_missed_by_name(tared) -> None:
