@@ -6,7 +6,6 @@ from matplotlib.figure import Figure
 
 from foretouch.experiments.shared import figures
 from foretouch.experiments.shared.figures import draw_intervals, draw_series
-from foretouch.experiments.shared.p1 import P1, draw_errors
 from foretouch.tactile import MODALITIES
 
 
@@ -41,16 +40,6 @@ def test_lines_over_touches(axes) -> None:
     assert [line for line in lines(axes) if len(line[0]) == 1] == [([0.0], [-0.5])]
     assert axes.get_ylim() == (-0.5, 1.0)
     assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "3", "10"]
-
-
-def test_errors_at_one_table_stand_beside_each_other(axes) -> None:
-    names = ("mean", "trees", "contact", P1)
-    rows = [{"predictor": name, "table": "within", "rmse": 40.0} for name in names]
-    draw_errors(axes, rows, tables=["within"], predictors=names, values="rmse")
-    markers = [line[0][0] for line in lines(axes) if line[1] == [40.0]]
-    assert markers == sorted(set(markers))
-    assert sum(markers) == pytest.approx(0.0)
-    assert axes.get_ylim()[0] == 0.0
 
 
 def test_each_line_has_a_panel_for_each_modality(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -179,8 +179,5 @@ def test_the_presets_hold_what_tuning_chose_at_the_size_of_p2() -> None:
         small, large = (find_experiment(name).resolve(preset, {}) for preset in ("quick", "paper"))
         for key in ("optimiser", "learning_rate", "weight_decay", "schedule", "target_scaling", "batch_norm", "loss"):
             assert getattr(large.training, key) == getattr(small.training, key)
-        assert (large.training.optimiser, large.training.schedule) == ("adamw", "cosine")
-        assert large.model.metric_inputs
-        assert small.model.metric_inputs
+        assert large.model.metric_inputs == small.model.metric_inputs
         assert (large.model.n_points, large.model.feature_size, large.model.tnet) == (750, 1024, True)
-        assert (large.training.batch_size, large.training.epochs) == (10, 30)

@@ -35,7 +35,7 @@ def test_means_and_deviations_by_hand() -> None:
     assert told["pointnet_sd"] == pytest.approx(np.sqrt(2.0), abs=1e-4)
     assert told["pointnet_percent"] == pytest.approx(100.0 * 10.0 / 900.0, abs=1e-4)
     # Both runs and all samples agree on -1: nothing is left to chance.
-    assert (told["change_low"], told["change_high"], told["verdict"]) == (-10.0, -10.0, "win")
+    assert (told["change_low"], told["change_high"], told["verdict"]) == (-10.0, -10.0, "better")
     assert (told["runs"], told["samples"], told["p2_change"]) == (2, 3, -6.2)
 
 
@@ -47,7 +47,7 @@ def test_a_single_run_is_no_verdict() -> None:
     assert (errors.rows[0][1], changes.rows[0][1]) == ("2.0 / 3.0", "+50.0")
     assert baselines.rows[0][1] == "14.1 / –"
     assert found.notes == [
-        "SR-GAN by 95 % interval: 0 wins, 0 ties, 0 losses; 1 with a single run",
+        "of 1 cells, the SR-GAN is significantly better in 0 and significantly worse in 0",
         "by mean error the SR-GAN is better in 0 of 1 cells (P2: 12 of 20)",
         "mean error below that of the mean of the labels: PointNet in 1 of 1 cells, SR-GAN in 1",
     ]
@@ -97,7 +97,7 @@ def cell(ratio: int, high: float | None, verdict: str | None, **more: Any) -> di
 def test_the_figure_shows_errors_and_differences_of_all_modalities(tmp_path: Path, monkeypatch) -> None:
     for largest in (-1.0, 24.8):
         other = cell(90, None, None, modality="E_MF", change=largest)
-        rows = [cell(90, -3.0, "win"), cell(10, 2.0, "tie"), other]
+        rows = [cell(90, -3.0, "better"), cell(10, 2.0, "tie"), other]
         (path,) = draw_models(rows, tmp_path)
         assert path.stat().st_size > 5000
         drawn = []

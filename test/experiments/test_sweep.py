@@ -44,12 +44,12 @@ def starts(trace: Path) -> dict[str, int]:
 
 
 def test_table_manifest_and_cells(sweep, out) -> None:
-    told = []
-    result = sweep(workers=2, progress=lambda result, done, total: told.append((result.cell.key, done, total)))
+    reported = []
+    result = sweep(workers=2, progress=lambda result, done, total: reported.append((result.cell.key, done, total)))
     assert [row["number"] for row in result.rows] == [k for k in range(6) for _ in range(2)]
     assert read_results(out / "results.csv") == result.rows
-    assert sorted(key for key, *_ in told) == [f"cell{k}" for k in range(6)]
-    assert [one[1:] for one in told] == [(k + 1, 6) for k in range(6)]
+    assert sorted(key for key, *_ in reported) == [f"cell{k}" for k in range(6)]
+    assert [one[1:] for one in reported] == [(k + 1, 6) for k in range(6)]
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["experiment"] == "counting"
     assert manifest["settings"] == CountingSettings().to_mapping()

@@ -89,6 +89,10 @@ class SensorTracker:
 
     Args:
         parameters: Of the model that predicts by vision.
+
+    Attributes:
+        touches: Number of those of the current object.
+        revision: Changes whenever a reading is added or an object begins.
     """
 
     def __init__(self, parameters: TrackerParameters) -> None:
@@ -104,25 +108,15 @@ class SensorTracker:
         self._suspect = np.zeros(len(FINGERS), np.bool_)
         self._first_log_factor = self._log_factor = np.log(parameters.factor)
         self._expected = np.zeros(TOUCH_SIZE)  # sum over the touches of the object
-        self._touches = self._readings = 0
+        self.touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
-        self._revision = 0
-
-    @property
-    def revision(self) -> int:
-        """Changes whenever a reading is added or an object begins."""
-        return self._revision
+        self.revision = 0
 
     def copy(self) -> SensorTracker:
         """An independent tracker in the same state."""
         twin = copy.copy(self)
         twin._filter = self._filter.copy()  # noqa: SLF001  its own class
         return twin
-
-    @property
-    def touches(self) -> int:
-        """Touches of the current object."""
-        return self._touches
 
     def add_tare(self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None) -> tuple[str, ...]:
         """Add a tare.
@@ -148,7 +142,7 @@ class SensorTracker:
         self._restart(failed)
         self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1)
         self._newest_ns, self._readings = stamp, self._readings + 1
-        self._revision += 1
+        self.revision += 1
         return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
 
     def add_touch(
@@ -177,7 +171,7 @@ class SensorTracker:
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted()
         noise = self.parameters.noise[self._kind]
-        limits = self.parameters.alarm * (1.0 if self._touches else _FIRST_TOUCH)
+        limits = self.parameters.alarm * (1.0 if self.touches else _FIRST_TOUCH)
         failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, limits)
         restarted = failed & self._suspect
         self._restart(restarted)
@@ -186,8 +180,8 @@ class SensorTracker:
         self._filter.observe(self._inverse @ (reading - expected), noise)
         self._expected = self._expected + expected
         self._object_ns = stamp
-        self._readings, self._touches = self._readings + 1, self._touches + 1
-        self._revision += 1
+        self._readings, self.touches = self._readings + 1, self.touches + 1
+        self.revision += 1
         return tuple(name for name, one in zip(FINGERS, restarted, strict=True) if one)
 
     def start_object(self, *, known: bool = False) -> None:
@@ -200,8 +194,8 @@ class SensorTracker:
         self._filter.start_object(self.parameters.object[self._kind])
         self._log_factor = self._other_log_factor()
         self._expected = np.zeros(TOUCH_SIZE)
-        self._touches, self._object_ns = 0, -1
-        self._revision += 1
+        self.touches, self._object_ns = 0, -1
+        self.revision += 1
 
     def level(self, stamp_ns: int, *, same_object: bool = True, known: bool = False) -> Level:
         """Offset of readings from predictions by vision at a time; a stamp before the newest reading counts as that.
@@ -227,7 +221,7 @@ class SensorTracker:
 
     def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
         """Numbers and ages of the readings behind a level; arguments as of `level`."""
-        touches = self._touches if same_object else 0
+        touches = self.touches if same_object else 0
         return Evidence(
             touches=touches,
             touch_age_s=max(0, int(stamp_ns) - self._object_ns) / 1e9 if touches else None,
@@ -319,7 +313,7 @@ class SensorTracker:
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """All that is known, for a file; a tracker made from it continues to the bit as this one."""
-        flags = [self._touches, self._readings, self._kind, *self._suspect]
+        flags = [self.touches, self._readings, self._kind, *self._suspect]
         return {
             "mean": self._filter.mean.copy(),
             "covariance": self._filter.covariance.copy(),
@@ -374,7 +368,7 @@ class SensorTracker:
         self._filter.mean[:], self._filter.covariance[:] = tensors["mean"], covariance
         self._expected = tensors["expected"].astype(np.float64)
         self._log_factor = tensors["log_factor"].astype(np.float64)
-        self._touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
+        self.touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
         self._newest_ns, self._object_ns = newest, last_of_object
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.hold_out.splits import KNOWN, OBJECT_KNOWN, UNITS, CrossTypeSettings, LookalikesSettings
+from foretouch.experiments.p1_as_published import ACROSS, P1, PUBLISHED, draw_errors
 from foretouch.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch.experiments.shared.p1 import ACROSS, P1, PUBLISHED, draw_errors
 from foretouch.experiments.shared.predictors import SHRINKAGE
 from foretouch.experiments.shared.scores import score_table
 from foretouch.experiments.shared.tables import (

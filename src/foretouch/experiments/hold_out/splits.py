@@ -11,8 +11,8 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.hold_out.transfer import TRANSFER_METHODS
+from foretouch.experiments.p1_as_published import ObjectTypes
 from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_objects
-from foretouch.experiments.shared.p1 import ObjectTypes
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
 from foretouch.experiments.shared.scores import labelled
 from foretouch.experiments.shared.simulated_data import (

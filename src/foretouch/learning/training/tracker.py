@@ -68,7 +68,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         np.ones(len(MODALITIES)),
     )
     replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)
-    slow, fast, lasting, slow_s, fast_s, tare, noise = replayed.most_likely()[replayed.owner].T
+    slow, fast, lasting, slow_s, fast_s, tare, noise = _most_likely(replayed)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
     fitted = replace(
@@ -103,24 +103,13 @@ class _Replay:
         sizes = np.bincount(self.owner, minlength=len(MODALITIES))
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
-    def most_likely(self) -> Float64:
-        """(4, 7) multiples of the lasting variance, time constants [s], noise of tares, multiple of W, by modality."""
-        from scipy.optimize import minimize
-
-        start = np.tile(_PRIOR[0], (len(MODALITIES), 1))
-
-        def loss(flat: Float64) -> tuple[float, Float64]:
-            logs = flat.reshape(start.shape)
-            # The modalities are independent: one step in the same parameter of all gives four derivatives.
-            steps = _STEP * np.eye(start.shape[1])[:, None]
-            losses = self._losses(np.concatenate([logs[None], logs + steps]))
-            return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
-
-        bounds = np.tile(_LIMITS, (len(MODALITIES), 1))
-        found = minimize(
-            loss, start.reshape(-1), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
-        )
-        return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
+    def __call__(self, flat: Float64) -> tuple[float, Float64]:
+        """The sum of `_losses` for (28,) logarithms, and its slopes."""
+        logs = flat.reshape(len(MODALITIES), -1)
+        # The modalities are independent: one step in the same parameter of all gives four derivatives.
+        steps = _STEP * np.eye(logs.shape[1])[:, None]
+        losses = self._losses(np.concatenate([logs[None], logs + steps]))
+        return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
 
     def _losses(self, logs: Float64) -> Float64:
         """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 7) candidates at once."""
@@ -140,6 +129,17 @@ class _Replay:
             total += _surprise(filtered, np.tile(value, count), noise, parts=3)
         prior = 0.5 * (((logs - _PRIOR[0]) / _PRIOR[1]) ** 2).sum(axis=2)
         return np.asarray(total.reshape(count, -1) @ self._weights + prior, np.float64)
+
+
+def _most_likely(replayed: _Replay) -> Float64:
+    """(4, 7) multiples of the lasting variance, time constants [s], noise of tares, multiple of W, by modality."""
+    from scipy.optimize import minimize
+
+    start, bounds = (np.tile(one, (len(MODALITIES), 1)) for one in (_PRIOR[0], _LIMITS))
+    found = minimize(
+        replayed, start.reshape(-1), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
+    )
+    return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
 
 
 def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int) -> Float64:
