@@ -32,9 +32,7 @@ def _playing(path: Path, config: RealSenseConfig, **changes: object) -> RealSens
 
 
 @pytest.mark.parametrize("align", ["none", "colour_to_depth"])
-def test_a_recording_plays_back_bit_for_bit(
-    align: str, tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_a_recording_plays_back_bit_for_bit(align, tmp_path, source, config):
     path = tmp_path / "seen.db3"
     config = config.replace(align=align)
     recorded = _record(path, source, config, 5)
@@ -56,9 +54,7 @@ def test_a_recording_plays_back_bit_for_bit(
         assert twin.frame_id == cloud.frame_id
 
 
-def test_in_real_time_the_pace_is_that_of_the_recording(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_in_real_time_the_pace_is_that_of_the_recording(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
         camera.read(0.0)
@@ -73,9 +69,7 @@ def test_in_real_time_the_pace_is_that_of_the_recording(
     assert arrived[-1] - arrived[-3] == pytest.approx(0.4, abs=0.15)
 
 
-def test_a_gap_in_a_recording_is_told_and_waited_for(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_a_gap_in_a_recording_is_told_and_waited_for(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     recorded = []
     patient = config.timeouts.replace(reopen_s=30.0, start_s=30.0)
@@ -105,9 +99,7 @@ def test_a_recording_repeats_when_asked_to(tmp_path: Path, source: SyntheticCame
     assert stamps == [*first, *first, first[0]]
 
 
-def test_a_reconnected_camera_records_to_the_next_file(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_a_reconnected_camera_records_to_the_next_file(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
         for opening in range(2):
@@ -124,9 +116,7 @@ def test_a_reconnected_camera_records_to_the_next_file(
             assert len(list(camera)) == 1
 
 
-def test_files_that_cannot_be_played_or_overwritten_are_named(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_files_that_cannot_be_played_or_overwritten_are_named(tmp_path, source, config):
     precious = tmp_path / "precious.db3"
     precious.write_bytes(b"precious")
     with pytest.raises(FileError, match=r"precious\.db3: exists"):
