@@ -11,7 +11,6 @@ from scipy.special import j0
 from benchmarks.references.reference import (
     EPS,
     Exact,
-    Float64,
     exact,
     exp,
     gap,
@@ -23,18 +22,10 @@ from benchmarks.references.reference import (
     solve,
     span,
 )
-from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, solve_grip
-from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit, bed_stiffness, solve_winkler
+from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig
+from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit, solve_winkler
 from foretouch.simulation.contact.grip import weigh
-from foretouch.simulation.contact.layer import (
-    _convolve,
-    _influence_spectrum,
-    _layer_influence,
-    _layer_transfer,
-    _love_influence,
-    _smooth_part,
-    solve_layer,
-)
+from foretouch.simulation.contact.layer import _layer_transfer, _love_influence, _smooth_part
 from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
 from foretouch.simulation.fingertip import (
     BOTTOMING_M,
@@ -159,61 +150,6 @@ def _smooth(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 + 5e-3**2 / EPS, abs(float(_smooth_part(np.array([rho]), n)[0]) - wanted) / abs(middle)
 
 
-@kernel("layer: convolution")
-def _convolution(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Windows of 4 to 8 cells, pressures that differ by up to 1e12."""
-    n = int(span(t, 4.0, 8.9))
-    pressure = 10.0 ** rng.uniform(0.0, 12.0 * t, (n, n))
-    quarter = _layer_influence(SKIN, n, 5e-4)
-    i, j = np.indices((n, n)).reshape(2, -1)
-    matrix = quarter[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
-    wanted = exact(matrix) @ exact(pressure.ravel())
-    found = _convolve(pressure, _influence_spectrum(SKIN, n, 5e-4))
-    return 2.0 * np.log2(2.0 * n), gap(found.ravel(), wanted) / float(max(wanted))
-
-
-def _pressed(problem: ContactProblem, force: float) -> Float64:
-    """Pressure of the linear complementarity problem by an active set, solved densely in float64."""
-    n = problem.gap.shape[0]
-    quarter = sum(_layer_influence(layer, n, problem.step_m) for layer in problem.layers)
-    i, j = np.indices((n, n)).reshape(2, -1)
-    influence = np.asarray(quarter)[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
-    gap_, wet = problem.gap.ravel(), problem.gap.ravel() <= np.quantile(problem.gap, 0.5)
-    for _ in range(100):
-        k = np.flatnonzero(wet)
-        system = np.block([[influence[np.ix_(k, k)], -np.ones((len(k), 1))], [np.ones((1, len(k))), np.zeros((1, 1))]])
-        scale = influence[0, 0]
-        system[:-1, :-1] /= scale
-        answer = np.linalg.solve(system, np.append(-gap_[k] / scale, force / problem.cell_m2))
-        pressure, depth = np.zeros(n * n), answer[-1] * scale
-        pressure[k] = answer[:-1]
-        overlap = (influence @ pressure + gap_ < depth - 1e-15) & ~wet
-        if not (pressure < 0.0).any() and not overlap.any():
-            return pressure.reshape(n, n)
-        wet = (wet & (pressure >= 0.0)) | (overlap if not (pressure < 0.0).any() else False)
-    raise AssertionError
-
-
-def _solved(t: float, rng: np.random.Generator, layer: Layer) -> tuple[float, float]:
-    n, tolerance = 14, span(t, 1e-2, 1e-11)
-    problem = _bowl(n, 0.004, rng.uniform(0.004, 0.03))
-    problem = ContactProblem(problem.gap, problem.step_m, (layer,))
-    force = 10.0 ** rng.uniform(-1.0, 0.0)
-    found = solve_layer(problem, Command(force_n=force), tolerance=tolerance, max_iterations=3000).pressure
-    wanted = _pressed(problem, force)
-    return tolerance / EPS, float(np.abs(found - wanted).sum() / wanted.sum())
-
-
-@kernel("layer: pressure, thin skin")
-def _layer_skin(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    return _solved(t, rng, SKIN)
-
-
-@kernel("layer: pressure, half-space")
-def _layer_half_space(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    return _solved(t, rng, GEL)
-
-
 @kernel("pad: place of a direction")
 def _pad_frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Directions nearer and nearer to the tip."""
@@ -278,29 +214,6 @@ def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
         gap(found.tangential_n, np.stack([(-across - couple) / 2, (-across + couple) / 2])),
     )
     return 1.0 + float((norm(a) + norm(b) + norm(c)) / length), error / size
-
-
-@kernel("grip: equilibrium at a closing")
-def _grip(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """A sharp and a blunt finger on one object; ε is the solver's tolerance of the closing."""
-    problems = [_bowl(12, 0.012, 0.004), _bowl(12, 0.012, rng.uniform(0.01, 0.03))]
-    closing = span(t, 6e-4, 1e-7)
-    found = solve_grip(problems, [Command(depth_m=closing / 2)] * 2, balanced=True, level="winkler")
-    low, high = 1e-12, 1e3
-    for _ in range(100):
-        force = (low * high) ** 0.5
-        depth = sum(_bed_depth(problem, force) for problem in problems)
-        low, high = (force, high) if depth < closing else (low, force)
-    return 2.0, abs(found[0].force_n - low) / low
-
-
-def _bed_depth(problem: ContactProblem, force: float) -> float:
-    """Depth of a bed of springs under a force."""
-    k = bed_stiffness(problem.layers[0]) * problem.cell_m2
-    gaps = np.sort(problem.gap, axis=None)
-    depths = (force / k + np.cumsum(gaps)) / np.arange(1, gaps.size + 1)
-    reached = np.flatnonzero(np.append(depths[:-1] <= gaps[1:], True))
-    return float(depths[reached[0]])
 
 
 @kernel("electrodes: weights")

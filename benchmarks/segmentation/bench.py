@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long does segmentation take, and does it find all objects? See README.md."""
+"""Does segmentation find all objects, and how exactly, beside a pipeline of Open3D? See README.md."""
 
-from __future__ import annotations
-
-import argparse
 import os
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.common import cpu_ms, print_rows
+from benchmarks.common import print_rows
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.experiments.tradeoff_perception import overlaps
 from foretouch.libusb import ensure_libusb
@@ -82,38 +79,17 @@ def check_generated() -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=51)
-    parser.add_argument("--peer-repeats", type=int, default=3, help="of Open3D; 0 leaves it out")
-    options = parser.parse_args()
     ensure_libusb()
-    all_scenes = scenes(848, 480) + scenes(1280, 720)
     rows = []
-    for name, cloud, truth in all_scenes:
+    for name, cloud, truth in scenes(848, 480) + scenes(1280, 720):
         mine, theirs = ours(cloud), open3d_pipeline(cloud)
         texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
-        rows.append(
-            {
-                "scene": name,
-                "objects": mine.max(),
-                "IoU ours": texts[0],
-                "Open3D objects": theirs.max(),
-                "IoU Open3D": texts[1],
-            }
+        ours_, theirs_ = (
+            {"objects": labels.max(), "IoU": text} for labels, text in zip((mine, theirs), texts, strict=True)
         )
+        rows.append({"scene": name, **ours_, **{f"Open3D {key}": value for key, value in theirs_.items()}})
     print_rows(rows)
     check_generated()
-    print()
-    rows = []
-    for name, cloud, _ in all_scenes:
-        flat = cloud.xyz.reshape(-1, 3)
-        listed = Cloud(flat[np.isfinite(flat[:, 2])])
-        times = [cpu_ms(lambda one=one: ours(Cloud(one.xyz.copy())), options.repeats) for one in (cloud, listed)]
-        peer = (
-            cpu_ms(lambda cloud=cloud: open3d_pipeline(cloud), options.peer_repeats) if options.peer_repeats else None
-        )
-        rows.append({"CPU ms, median": name, "ours": times[0], "no order": times[1], "Open3D": peer})
-    print_rows(rows)
 
 
 if __name__ == "__main__":

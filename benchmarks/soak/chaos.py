@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the graph in separate processes, breaks one thing after the other, and accounts for every cloud (see README.md)."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

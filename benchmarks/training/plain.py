@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plain composition that the quick way is compared with: linear map, torch's batch norm, ReLU, maximum."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 
