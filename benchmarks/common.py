@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What several benchmarks need: tables as CSV, Markdown and text, and scenes. Run them from the root: `python -m benchmarks.guard.bench`."""
 
-from __future__ import annotations
-
 import csv
 import os
 import time

@@ -86,8 +86,6 @@ MISTAKES = {
         Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file"),
         Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters"),
         Abuse("parameter of a wrong type", "record -o %/set --params @/many.yaml", {1}, "queue_mb"),
-        Abuse("absent model", f"{RUN} --model nope", {1}, "nope: is no run folder"),
-        Abuse("absent recording", "replay @/none", {1}, "none: does not exist"),
         Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not"),
         Abuse("unwritable dataset", "record -o /proc/none/set --seconds 1", {1}, "/proc/none/set: No such"),
         Abuse("unwritable picture", f"{RUN} --picture /proc/none/a.png", {1}, "a.png: cannot be written"),
@@ -95,9 +93,7 @@ MISTAKES = {
         Abuse("closed pipe, live", f"{RUN} --count 20", {0}, head=True),
     ],
     "files": [
-        Abuse(
-            "unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "a.npy: cannot be written"
-        ),
+        Abuse("unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "cannot be written"),
         Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
         Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "Format 'xyz' is not supported"),
         Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),

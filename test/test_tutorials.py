@@ -112,14 +112,3 @@ def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
     for page in PAGES:
         steps, _ = read_page(page.read_text(encoding="utf-8"))
         assert len([step for step in steps if step.quoted]) >= 2, page
-
-
-def test_quoted_lines_are_found() -> None:
-    for quoted, output, found in (
-        ("~10 ok", "│ clouds answered: 12 ok │", True),
-        ("PDC ~2933 counts … flags", "PDC   -1.5 counts, and\nflags", True),
-        ("10 ok", "12 ok", False),
-        ("3 samples", "│ 3 │ samples │", True),
-        ("a.b", "axb", False),
-    ):
-        assert bool(pattern(quoted).search(words(output))) == found, quoted

@@ -7,8 +7,6 @@ the flags of the published message. The load is busy processes, twice as many as
 the last rows are measured with real-time priority of the node under this load.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import gc

@@ -22,7 +22,6 @@ from foretouch.models import DEFAULT_MODEL, load_model
 from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
-from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
@@ -41,7 +40,6 @@ STEPS = {
     **{f"{name}: prediction": ("counts", 50.0) for name in MODELS},
     "novelty flag": ("other flags", 0.5),
     "calibration after 3 touches": ("counts", 50.0),
-    "contact simulator: force per cell": ("% of the largest", 10.0),
 }
 """What is compared, in which unit, and from where on a difference counts as a jump."""
 
@@ -185,7 +183,6 @@ def measure(data: Path | None, every: int) -> Found:
             scene_steps(found, image.reshape(-1, 3), change, np.random.default_rng(seed))
             if change.name not in LIST_ONLY:
                 scene_steps(found, image, change, np.random.default_rng(seed))
-    simulator(found)
     live(found)
     return found
 
@@ -358,34 +355,6 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
         found[f"{name}: prediction", OTHERS[0]].append(_largest(_vector(alone), _vector(among)))
         if name == MODELS[0]:
             found["novelty flag", OTHERS[0]].append(float(alone.flags != among.flags))
-
-
-def simulator(found: Found) -> None:
-    """Pressure of the elastic layer under changes of the gap field that leave or carry the contact."""
-    step = "contact simulator: force per cell"
-    layer = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.003)
-    axis = (np.arange(32) - 15.5) * 5e-4
-
-    def force(gap: Float64, scale: float = 1.0) -> Float64:
-        gap = scale * (gap - gap.min())
-        layers = (Layer(modulus_pa=layer.modulus_pa, poisson=layer.poisson, thickness_m=scale * layer.thickness_m),)
-        problem = ContactProblem(gap, scale * 5e-4, layers)
-        return solve_layer(problem, Command(force_n=2.0 * scale**2)).pressure * problem.cell_m2
-
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        x, y = np.meshgrid(axis + rng.normal(0.0, 3e-4), axis + rng.normal(0.0, 3e-4))
-        gap = 0.5 * (x**2 / rng.uniform(0.01, 0.05) + y**2 / rng.uniform(0.01, 0.05))
-        before = force(gap)
-
-        def differ(name: str, after: Float64, carried: Float64, largest: float = float(before.max())) -> None:
-            found[step, name].append(float(np.abs(after - carried).max() / largest * 100.0))
-
-        differ("mirror", force(gap[:, ::-1]), before[:, ::-1])
-        differ("turn 90°", force(np.rot90(gap)), np.rot90(before))
-        differ("scale 1.25", force(gap, 1.25) / 1.25**2, before)
-        for name, sigma in (("jitter 1 µm", 1e-6), ("jitter 0.1 mm", 1e-4)):
-            differ(name, force(gap + np.abs(rng.normal(0.0, sigma, gap.shape))), before)
 
 
 def live(found: Found) -> None:

@@ -9,8 +9,6 @@ verified: every acknowledged id must be in it, with the content that belongs to 
     python benchmarks/recorder/kill.py [--rounds 100] [--seed 0] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -31,10 +31,7 @@ from foretouch.learning.training.losses import SrganLossConfig, matching_loss
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import KernelRegression
 from foretouch.models.network.batch_norm import batch_affine
-from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import grasp_lengths
-from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, columns
@@ -178,37 +175,6 @@ def _conformal(t: float, rng: np.random.Generator) -> tuple[float, float]:
     below = reached[found - 1] if found else mpmath.mpf(0)
     # The score is the quantile of all levels above the weight below it, up to the weight with it.
     return len(order), float(max(below - level, level - reached[found], mpmath.mpf(0)))
-
-
-def _network(seed: int) -> TouchNet:
-    torch.manual_seed(seed)
-    config = ModelConfig(
-        n_points=16, trunk_widths=(8, 16), tnet_widths=(6, 8, 12, 8, 6), head_widths=(12,), head_norm=True
-    )
-    return TouchNet(config).eval()
-
-
-@kernel("network, folded")
-def _folded(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Batch norms whose running mean outweighs their deviation by up to 1e4: folding in double cancels it."""
-    net = _network(int(rng.integers(1 << 30)))
-    far = span(t, 0.1, 1e4)
-    with torch.no_grad():
-        for module in net.modules():
-            if isinstance(module, torch.nn.Linear) and module.weight.abs().sum() == 0:
-                module.weight.normal_(0.0, 0.05)  # the matrix of the T-Net starts at zero
-        for layer in [m for m in net.modules() if getattr(m, "norm", None) is not None]:
-            shift = torch.full_like(layer.linear.bias, far) * torch.sign(torch.randn(len(layer.linear.bias)))
-            layer.linear.bias.add_(shift)
-            layer.norm.running_mean.copy_(shift)
-            layer.norm.running_var.uniform_(0.3, 1.0)
-    points = torch.from_numpy(rng.uniform(-0.6, 0.6, (16, 3)).astype(np.float32))
-    grasps = torch.from_numpy(rng.uniform(-1.0, 1.0, (2, 15)).astype(np.float32))
-    folded = fold(net)
-    found = folded.regress(folded.features(points), grasps).numpy()
-    with torch.no_grad():
-        wanted = net.double().counts(points.double()[None].expand(2, -1, -1), grasps.double()).numpy()
-    return 1.0, float(np.abs(found - wanted).max() / np.abs(wanted).max())
 
 
 @kernel("batch norm by moments")

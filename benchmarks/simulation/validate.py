@@ -5,8 +5,6 @@ Prints one table: what was found in the scenes of this repository, and what it m
 real recordings: 400 grasps of rigid objects, 22 steady touches, and the clouds of the first paper.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator

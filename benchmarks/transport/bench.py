@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamp of a cloud to received touch: stages, processor time and losses (see README.md)."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -45,9 +46,6 @@ _METHODS: dict[str, dict[str, Any]] = {
     "srgan": {"model": _MODEL, "srgan": {"epochs": 2, "batch_size": 2, "generator": _GENERATOR, "device": "cpu"}},
     "contact": {"contact": {"trees": 3}},
 }
-
-
-# --- losses -----------------------------------------------------------------------------------------------------
 
 
 def loss_cases() -> Cases:
@@ -105,9 +103,6 @@ def _contrast_slope(dtype: str, far: float) -> Any:
     return fake.grad.double().abs().sum()
 
 
-# --- metrics ----------------------------------------------------------------------------------------------------
-
-
 def metric_cases() -> Cases:
     """Errors, skills and intervals."""
     labels = 2500.0 + 100.0 * np.random.default_rng(0).normal(size=(6, TOUCH_SIZE))
@@ -130,11 +125,8 @@ def metric_cases() -> Cases:
     ):
         yield f"metrics: {name}", partial(_scores, predicted, actual, reference), expected
     for low, high in ((math.nan, 5.0), (0.0, 5e-324), (-1e308, 1e308)):
-        yield (
-            f"metrics: a range of {low:g} to {high:g}",
-            partial(_ranges, low, high),
-            "low < high|finite|is not between",
-        )
+        reason = "low < high|finite|is not between"
+        yield f"metrics: a range of {low:g} to {high:g}", partial(_in_range, low, high), reason
 
 
 def _scores(predicted: Any, actual: Any, reference: Any) -> dict[str, list[float]]:
@@ -142,12 +134,8 @@ def _scores(predicted: Any, actual: Any, reference: Any) -> dict[str, list[float
     return {name: [one.rmse, one.nrmse, one.skill] for name, one in found.items()}
 
 
-def _ranges(low: float, high: float) -> list[Any]:
-    ranges = TactileRanges(pdc_th=(low, high))
-    return [ranges.scale(np.full(TOUCH_SIZE, 2500.0))]
-
-
-# --- preparation ------------------------------------------------------------------------------------------------
+def _in_range(low: float, high: float) -> list[Any]:
+    return [TactileRanges(pdc_th=(low, high)).scale(np.full(TOUCH_SIZE, 2500.0))]
 
 
 def preparation_cases() -> Cases:
@@ -167,10 +155,7 @@ def preparation_cases() -> Cases:
     for name, points, changes in (
         ("32 points as 750", many[:32], {}),
         ("normals of a line", line, {"channels": "xyz+normals"}),
-        *(
-            (f"{one} sampling of two places", many[[0, 1] * 400], {"sampler": one})
-            for one in ("random", "voxel", "farthest")
-        ),
+        *((f"{one} sampling", many[[0, 1] * 400], {"sampler": one}) for one in ("random", "voxel", "farthest")),
     ):
         yield f"preparation: {name}", partial(_prepared, points, **changes), lambda found: len(found) == 750
 
@@ -185,9 +170,6 @@ def _in_unit_sphere(points: Any) -> bool:
 
 def _prepared(points: Any, **changes: Any) -> Any:
     return prepare_cloud(Cloud(points.astype(np.float32)), ModelConfig(n_points=750, **changes)).points
-
-
-# --- calibration ------------------------------------------------------------------------------------------------
 
 
 def calibration_cases() -> Cases:
@@ -221,9 +203,6 @@ def _calibrated(predicted: Any, labels: Any, objects: str) -> list[Any]:
     held_out = HeldOutPredictions(predicted, labels, names, names)
     made, _ = make_calibration(np.full(TOUCH_SIZE, 2500.0), {"known": held_out, "new": held_out})
     return list(Calibration.from_tensors(made.to_tensors()).to_tensors().values())
-
-
-# --- training ---------------------------------------------------------------------------------------------------
 
 
 def made_samples(objects: int = 3, each: int = 4, *, constant: float | None = None) -> list[GraspSample]:
@@ -315,7 +294,7 @@ def run_cases() -> Cases:
         yield f"training: {method}, one object", partial(_run, method, made_samples(1, 12))
         reason = "is the same in all samples" if method == "contact" else None
         yield f"training: {method}, constant labels", partial(_run, method, same), reason
-    for loss, scaling in (("rmse", "standardised"), ("rmse", "ranges"), ("mse", "standardised"), ("mse", "ranges")):
+    for loss, scaling in itertools.product(("rmse", "mse"), ("standardised", "ranges")):
         run = partial(_run, "supervised", same, target_scaling=scaling, loss=loss)
         yield f"training: {loss} of {scaling} constant labels", run
     for value in (1.0, 4095.0):

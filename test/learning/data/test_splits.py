@@ -44,17 +44,7 @@ def test_every_labelled_sample_is_tested_once_by_the_folds(book: dict[str, list[
         assert all(set(part.train) | set(part.test) == labelled for part in book[kind])
 
 
-def test_no_object_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
-    for part in book["object"]:
-        assert not {i.split("/")[0] for i in part.train} & {i.split("/")[0] for i in part.test}
-
-
-def test_blocks_of_time_are_consecutive(book: dict[str, list[SplitPart]]) -> None:
-    for k, part in enumerate(book["time"]):
-        assert sorted(i for i in part.test if i.startswith("o2/")) == [f"o2/{n:06d}" for n in range(4 * k, 4 * k + 4)]
-
-
-def test__label_ratios_share_their_test_and_are_nested(book: dict[str, list[SplitPart]]) -> None:
+def test_label_ratios_share_their_test_and_are_nested(book: dict[str, list[SplitPart]]) -> None:
     parts = book["labels"]
     assert [part.name for part in parts] == [f"T{ratio}" for ratio in RATIOS]
     never = {sample.id for sample in facts() if not sample.labelled}
