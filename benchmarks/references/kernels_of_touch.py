@@ -1,31 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """References of the tactile conversions and of the simulator: contact, grip, fingertip, rays."""
 
-import math
-
 import mpmath
 import numpy as np
-from scipy.integrate import quad
-from scipy.special import j0
 
-from benchmarks.references.reference import (
-    EPS,
-    Exact,
-    exact,
-    exp,
-    gap,
-    kernel,
-    norm,
-    real,
-    relative_gap,
-    rotation,
-    solve,
-    span,
-)
-from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig
-from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit, solve_winkler
+from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel, norm, real, relative_gap, solve, span
+from foretouch.simulation.contact import ContactProblem, Layer, PadConfig
+from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit
 from foretouch.simulation.contact.grip import weigh
-from foretouch.simulation.contact.layer import _layer_transfer, _love_influence, _smooth_part
 from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
 from foretouch.simulation.fingertip import (
     BOTTOMING_M,
@@ -34,10 +16,8 @@ from foretouch.simulation.fingertip import (
     _electrode_weights,
     _skin_approach,
 )
-from foretouch.simulation.solids import Body
 from foretouch.tactile import electrode_normals, electrode_positions
 
-SKIN = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
 GEL = Layer(modulus_pa=1e6, poisson=0.3)
 
 
@@ -81,89 +61,6 @@ def _hertz_displacement(t: float, rng: np.random.Generator) -> tuple[float, floa
     wanted = 1 - r**2 / 2 if rho <= 1.0 else ((2 - r**2) * mpmath.asin(1 / r) + mpmath.sqrt(r**2 - 1)) / mpmath.pi
     kappa = 1.0 if rho > 1e4 else max(1.0, rho**2)
     return kappa, relative_gap(_displacement(np.array([[rho]]), 1.0), wanted)
-
-
-def _bowl(n: int, side: float, radius: float = 0.01) -> ContactProblem:
-    offset = (np.arange(n) - (n - 1) / 2.0) * side / n
-    x, y = np.meshgrid(offset, offset)
-    field = (x**2 + 0.7 * y**2) / (2.0 * radius)
-    return ContactProblem(field - field.min(), side / n, (SKIN,))
-
-
-@kernel("Winkler: depth and pressure")
-def _winkler(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Forces of 10 N to 1e-20 N."""
-    problem = _bowl(7, 0.004 * rng.uniform(0.5, 1.0))
-    force = span(t, 10.0, 1e-20)
-    found = solve_winkler(problem, Command(force_n=force))
-    nu = exact(SKIN.poisson)
-    k = exact(SKIN.modulus_pa) * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / exact(SKIN.thickness_m)
-    total = exact(force) / (k * exact(problem.step_m) ** 2)
-    gaps = np.sort(exact(problem.gap).ravel())
-    depths = [(total + gaps[: n + 1].sum()) / (n + 1) for n in range(len(gaps))]
-    n = next(n for n, depth in enumerate(depths) if n + 1 == len(gaps) or depth <= gaps[n + 1])
-    depth = depths[n]
-    pressure = k * np.maximum(depth - exact(problem.gap), mpmath.mpf(0))
-    kappa = float((depth * (n + 1) + gaps[: n + 1].sum()) / (depth * (n + 1) - gaps[: n + 1].sum()))
-    return kappa, max(relative_gap(found.depth_m, depth), gap(found.pressure, pressure) / float(pressure.max()))
-
-
-@kernel("layer: transfer function")
-def _transfer(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Waves of 1e-9 to 300 thicknesses, up to ν = 0.5."""
-    at, nu = span(t, 1e-9, 300.0), float(rng.choice([0.0, 0.3, 0.5]))
-    q, n = mpmath.mpf(at), mpmath.mpf(nu)
-    top = (3 - 4 * n) * mpmath.sinh(2 * q) - 2 * q
-    below = (3 - 4 * n) * mpmath.cosh(2 * q) + 2 * q**2 + 5 - 12 * n + 8 * n**2
-    return 1.0, gap(_layer_transfer(at, nu), top / below)
-
-
-@kernel("layer: Love's rectangle")
-def _love(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """From the cell itself to 1000 cells away."""
-    step, cells = 10.0 ** rng.uniform(-9.0, 0.0), np.floor(span(t, 1.0, 1000.0) * rng.uniform(0.5, 1.0, 2))
-    x, y = np.array([cells[0] * step]), np.array([cells[1] * step])
-    s, a, b = exact(step) / 2, exact(x)[0], exact(y)[0]
-
-    def corner(u: Exact, v: Exact) -> Exact:
-        return u * mpmath.asinh(v / abs(u)) + v * mpmath.asinh(u / abs(v))
-
-    wanted = corner(a + s, b + s) + corner(a - s, b - s) - corner(a + s, b - s) - corner(a - s, b + s)
-    kappa = 1.0 + float((cells**2).sum())
-    return kappa, relative_gap(_love_influence(x, y, step, 1e6)[0], wanted / (mpmath.pi * 1000000))
-
-
-@kernel("layer: smooth part")
-def _smooth(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Distances of 0 to 20 thicknesses; the adaptive quadrature is exact to 1e-13."""
-    rho, n = 20.0 * t * rng.uniform(0.97, 1.0), float(rng.choice([0.0, 0.316, 0.5]))
-
-    def less(q: float) -> float:  # M - 1, with all powers of exp(-2q) written out
-        d = math.exp(-2.0 * q)
-        below = (3.0 - 4.0 * n) * (1.0 + d * d) + 2.0 * d * (2.0 * q**2 + 5.0 - 12.0 * n + 8.0 * n**2)
-        return -2.0 * d * (2.0 * q + (3.0 - 4.0 * n) * d + 2.0 * q**2 + 5.0 - 12.0 * n + 8.0 * n**2) / below
-
-    wanted, middle = (
-        quad(lambda q, at=at: less(q) * j0(q * at), 0.0, 30.0, epsabs=1e-13, epsrel=1e-13, limit=400)[0]
-        for at in (rho, 0.0)
-    )
-    return 1.0 + 5e-3**2 / EPS, abs(float(_smooth_part(np.array([rho]), n)[0]) - wanted) / abs(middle)
-
-
-@kernel("pad: place of a direction")
-def _pad_frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Directions nearer and nearer to the tip."""
-    config = PadConfig()
-    direction = pad_direction(np.pi / 2.0 - span(t, 1.5, 1e-7), rng.uniform(-1.0, 1.0)) * rng.uniform(0.1, 10.0)
-    found = contact_frame(config, direction)
-    n = exact(direction) / norm(exact(direction))
-    axes = exact(config.skin_axes)
-    origin = axes**2 * n / norm(axes * n)
-    x = exact([1.0, 0.0, 0.0]) - n[0] * n
-    length = norm(x)
-    x = x / length
-    wanted = np.column_stack([x, np.cross(n, x), n])
-    return 1.0 / float(length), max(gap(found.origin, origin) / 0.01, gap(found.rotation, wanted))
 
 
 @kernel("pad: depth of the skin")
@@ -245,21 +142,3 @@ def _approach(t: float, rng: np.random.Generator) -> tuple[float, float]:
     wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(BULGE_AREA_M2)
     kappa = float((weights @ u.ravel())[0] + bulge) / abs(float(wanted))
     return kappa, relative_gap(_skin_approach(weights, u, volume)[0], wanted)
-
-
-@kernel("ray meets a mesh")
-def _ray_mesh(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The flat top of a box, from 0.2 m to 1 km and at ever flatter angles."""
-    size, turn = np.array([0.2, 0.2, 0.1]), rotation(rng)
-    body = Body("box", 0, size, rng.normal(size=3), turn)
-    cosine = span(t, 1.0, 0.05)
-    local = np.array([np.sqrt(1.0 - cosine**2), 0.0, -cosine])
-    target = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), 0.05])
-    direction = turn @ local
-    origin = body.position + turn @ target - span(t, 0.2, 1e3) * direction
-    found = body.cast(origin, direction[None]).t[0]
-    start = (exact(origin) - exact(body.position)) @ exact(turn)
-    along = exact(direction) @ exact(turn)
-    wanted = (exact(0.05) - start[2]) / along[2]
-    distance = float(norm(start))
-    return (distance + 0.2) / 0.1 / cosine, gap(found, wanted) / 0.2

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import print_rows
-from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import segment
 from foretouch.experiments.tradeoff_perception import overlaps
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
@@ -18,11 +18,6 @@ Labels = npt.NDArray[np.int32]
 N_OBJECTS = 3
 OBJECTS = range(FIRST_OBJECT, FIRST_OBJECT + N_OBJECTS)  # labels in the truth
 N_SCENES = 50
-
-
-def ours(cloud: Cloud) -> Labels:
-    """Labels by this package."""
-    return segment(cloud, SegmentationConfig()).labels
 
 
 def open3d_pipeline(cloud: Cloud) -> Labels:
@@ -69,7 +64,7 @@ def check_generated() -> None:
         for seed in range(N_SCENES):
             rng = np.random.default_rng(seed)
             image = random_scene(rng).render(rng, noise_m, flying)
-            labels = ours(image.cloud())
+            labels = segment(image.cloud()).labels
             wrong += int(labels.max()) != N_OBJECTS
             all_overlaps += overlaps(labels, image.labels, OBJECTS)
         least, mean = min(all_overlaps), float(np.mean(all_overlaps))
@@ -82,7 +77,7 @@ def main() -> None:
     ensure_libusb()
     rows = []
     for name, cloud, truth in scenes(848, 480) + scenes(1280, 720):
-        mine, theirs = ours(cloud), open3d_pipeline(cloud)
+        mine, theirs = segment(cloud).labels, open3d_pipeline(cloud)
         texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
         ours_, theirs_ = (
             {"objects": labels.max(), "IoU": text} for labels, text in zip((mine, theirs), texts, strict=True)

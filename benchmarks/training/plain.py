@@ -10,8 +10,6 @@ from torch import Tensor, nn
 from foretouch.models.network import pointnet
 from foretouch.models.network.pointnet import Layer
 
-__all__ = ["plain_composition"]
-
 
 def _layer(layer: Layer, x: Tensor) -> Tensor:
     y = layer.linear(x)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,14 +12,10 @@ import numpy as np
 import pytest
 from every_case import every_case
 from recording_builders import IDENTITY
-from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
 
-from foretouch.cli.main import main
-from foretouch.dataset.bag import Recording
 from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.recording import SampleRecord, verify_dataset
-from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, FileError
 from foretouch.types import Cloud
@@ -190,30 +184,3 @@ def test_topics_are_checked_and_fingers_chosen_by_their_indices(tmp_path: Path) 
     ):
         with pytest.raises(FileError, match=rule):
             import_samples(tmp_path / "bag", tmp_path / "other", topics=topics)
-
-
-def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    add_tactile_type(tmp_path, monkeypatch)
-    for command in (["record"], ["dataset", "import"]):
-        with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()) as text:
-            main([*command, "--help"])
-        assert MADE_UP_TYPE in text.getvalue()
-
-    write_topics(tmp_path / "bag")
-    store = Definitions().store
-    with Recording(tmp_path / "bag") as bag, BagWriter(tmp_path / "other") as writer:
-        for message in bag.messages():
-            data, kind = message.data, message.type
-            if message.topic == "/rh/tactile":
-                kind, content = "geometry_msgs/msg/PolygonStamped", bag.content(message)
-                th, mf = content.tactiles[4], content.tactiles[1]
-                values = np.r_[th.pdc, mf.pdc, th.electrodes, mf.electrodes, 0].reshape(17, 3)
-                points = [_point([float(v) for v in row]) for row in values]
-                polygon = SimpleNamespace(header=content.header, polygon=SimpleNamespace(points=points))
-                data = bytes(store.serialize_cdr(polygon, kind))
-            writer.write(message.topic, kind, message.bag_time_ns, data)
-    result = import_samples(tmp_path / "other", tmp_path / "ds")
-    assert (result.samples, result.labelled) == (2, 1)
-    touch = next(open_samples(tmp_path / "ds").records()).sample.touch
-    assert touch is not None
-    np.testing.assert_array_equal(touch.e_mf, np.arange(24) + 2900)

@@ -134,7 +134,7 @@ def test_touches_of_an_unseen_object(collection) -> None:
         touch_draws("cup", 7, 7, 4)
 
 
-def test_cross_type_keeps_types_apart(collection) -> None:
+def test_cross_type_keeps_types_apart(collection, tmp_path: Path) -> None:
     table = run_all("cross_type", collection, predictors=["training_mean", "object_mean"], references=["training_mean"])
     objects = {name: {row["object"] for row in select(table, table=name)} for name in {row["table"] for row in table}}
     assert objects["cylinders to boxes"] == {"all", "cheezit", "spam", "wood"}
@@ -149,6 +149,9 @@ def test_cross_type_keeps_types_apart(collection) -> None:
     assert all(row["skill_low"] is None for row in select(table, table="within boxes", object="all"))
     text = find_experiment("cross_type").summarise(table)[2].rows[-1]
     assert text[2] == "164 (0.081)"
+    for name in ("cross_type", "cross_validation"):  # which draws the skills of any table
+        (figure,) = find_experiment(name).draw(table, tmp_path)
+        assert figure.stat().st_size > 5000
 
 
 def test_settings_that_cannot_be_are_refused(collection) -> None:

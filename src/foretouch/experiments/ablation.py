@@ -76,7 +76,6 @@ _TITLES: Final = {
 }
 _COMPARED: Final = 3  # touches after which the variants are compared
 
-
 FULL: Final = "full"
 """The complete model, as released."""
 

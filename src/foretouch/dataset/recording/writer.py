@@ -211,12 +211,11 @@ class RecordingWriter:
             if late or self._pending_bytes >= _CHUNK_BYTES:
                 self.flush()
 
-    def append(self, record: SampleRecord, log_time_ns: int | None = None) -> str:
+    def append(self, record: SampleRecord) -> str:
         """Write a sample in a chunk of its own, after all messages before it.
 
         Args:
             record: An empty id becomes `<object>/<number>`, the number one above the dataset's highest.
-            log_time_ns: When it was complete [ns]; by default now.
 
         Returns:
             The id. The sample is now as safe as `RecordingConfig` specifies.
@@ -229,9 +228,8 @@ class RecordingWriter:
             self._require_open()
             record = self._with_id(record)
             data = encode_sample(record, self.identity)
-            now = time.time_ns() if log_time_ns is None else log_time_ns
             sample = record.sample
-            message = self.output.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
+            message = self.output.message(SAMPLE_TOPIC, data, time.time_ns(), sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
             self._write_pending()
             self._pending = [(SAMPLE_TOPIC, message)]

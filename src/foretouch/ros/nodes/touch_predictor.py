@@ -107,7 +107,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         closing.callback(self._predictor.close)
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
-        self._predictor.warm_up()
         if config.latency_budget_ms > 0.0:
             self._predictor.keep_to(config.latency_budget_ms, config, self.get_logger().info)
         self._adapt(self._predictor)

@@ -68,10 +68,7 @@ class Predictor:
                 self.model, self.flags = load_model(fallback), ("fallback_model",)
             except ForetouchError as err:
                 self.fault = f"{self.fault}; fallback_model: {err}"
-
-    def warm_up(self) -> None:
-        """Predict once, so that the first real cloud does not wait for torch."""
-        if self.model is not None:
+        if self.model is not None:  # predict once, so that the first real cloud does not wait for torch
             pipeline = Pipeline()
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
