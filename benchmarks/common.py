@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What several benchmarks need: tables as CSV, Markdown and text, and scenes. Run them from the root: `python -m benchmarks.guard.bench`."""
 
-from __future__ import annotations
-
 import csv
 import os
 import time
@@ -14,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.simulation.scene import SceneConfig, load_scene
+from foretouch.timing import MachineLoad
 
 ROOT: Final = Path(__file__).parents[1]
 BEGIN: Final = "<!-- written by the benchmark -->\n"
@@ -73,6 +72,23 @@ def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> floa
         job()
         times.append((time.process_time() - start) * 1e3)
     return float((np.min if least else np.median)(times[1:]))
+
+
+class OthersLoad:
+    """Cores that other processes use from now on, without the children that this one has ended meanwhile."""
+
+    def __init__(self) -> None:
+        self._machine, self._children, self._began = MachineLoad(), _ended_children_s(), time.monotonic()
+
+    def cores(self) -> float:
+        """Mean number so far."""
+        own = (_ended_children_s() - self._children) / (time.monotonic() - self._began)
+        return round(max(0.0, float(self._machine.row()["other_cores"]) - own), 3)
+
+
+def _ended_children_s() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def scene(name: str, **changes: Any) -> SceneConfig:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What benchmarks of the ROS graph need: a client in a ROS domain of its own, and nodes in child processes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -16,6 +16,11 @@ class Answer:
     out: str
     err: str
 
+    def check_refused(self, text: str) -> None:
+        """Exit status 1, and one line on stderr that contains a text."""
+        assert (self.status, self.err.count("\n")) == (1, 1), self.err
+        assert text in self.err
+
     @property
     def records(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.out.splitlines()]

@@ -49,16 +49,11 @@ def read(files: Path, scratch: Path) -> dict[str, Any]:
     for kind in ("recording", "store"):
         found[f"{kind}: info"] = printed("dataset", "info", folder / kind)
         found[f"{kind}: verify"] = printed("dataset", "verify", folder / kind)
-        found[f"{kind}: export"] = printed(
-            "dataset", "export", folder / kind, "-o", folder / f"{kind}-npz", "--format", "npz"
-        )
-        found[f"{kind}: values"] = {
-            path.name: _values(path) for path in sorted((folder / f"{kind}-npz").rglob("*.npz"))
-        }
-        found[f"{kind}: build"] = printed(
-            "dataset", "build", folder / kind, "-o", folder / f"{kind}-built", "--seed", 3
-        )
-        found[f"{kind}: splits"] = json.loads((folder / f"{kind}-built" / "splits.json").read_text(encoding="utf-8"))
+        npz, built = folder / f"{kind}-npz", folder / f"{kind}-built"
+        found[f"{kind}: export"] = printed("dataset", "export", folder / kind, "-o", npz, "--format", "npz")
+        found[f"{kind}: values"] = {path.name: _values(path) for path in sorted(npz.rglob("*.npz"))}
+        found[f"{kind}: build"] = printed("dataset", "build", folder / kind, "-o", built, "--seed", 3)
+        found[f"{kind}: splits"] = json.loads((built / "splits.json").read_text(encoding="utf-8"))
     for card in sorted((folder / "model").glob("*.json")):
         found[f"model: {card.stem}"] = printed("models", card)
     found["edits"] = [

@@ -32,6 +32,16 @@ def every_case(cases: Mapping[str, Any] | Iterable[Any], check: Callable[..., ob
         raise AssertionError(message) from next(iter(failures.values()))
 
 
+def every_refusal(error: type[Exception], cases: Iterable[tuple[Any, ...]], call: Callable[..., object]) -> None:
+    """Run `call(*arguments)` for each case (pattern, *arguments); each must raise the error, its message matching."""
+
+    def check(pattern: str, *arguments: Any) -> None:
+        with pytest.raises(error, match=pattern):
+            call(*arguments)
+
+    every_case(cases, check)
+
+
 def _name(case: Any) -> str:
     if isinstance(case, tuple):
         case = next((item for item in case if isinstance(item, str)), case)

@@ -23,8 +23,8 @@ from foretouch.dataset.recording import (
     SampleRecord,
     TouchSeries,
 )
+from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import Source
-from foretouch.dataset.vision2tactile import read_sample, sample_folders
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
@@ -113,8 +113,8 @@ def write_grasps(path: Path) -> None:
 
 
 def read_folder(path: Path) -> list[GraspSample]:
-    """All samples in folders of vision2tactile."""
-    return [read_sample(folder) for folder in sample_folders(path)]
+    """All samples of a dataset, such as folders of vision2tactile."""
+    return [record.sample for record in open_samples(path).records()]
 
 
 def readable(
@@ -129,7 +129,7 @@ def readable(
             if item is None:
                 return
             name = item.name
-            value = item.value
+            value = item.sample or item.cloud
         except ForetouchError as err:
             refuse(name, err)
             continue

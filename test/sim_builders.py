@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small scenes and single states, shared by the tests of the simulator."""
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,10 @@ def scene(*objects: dict[str, Any], **groups: Any) -> SceneConfig:
 
 def run(config: SceneConfig, *outputs: str, slot: int = 0, seed: int | None = None) -> SampleState:
     """One sample with all its effects, as far as the outputs need them."""
-    key = SampleKey(config.seed if seed is None else seed, slot)
-    return Engine(config, EFFECTS, outputs or ("touch",)).run(key)
+    return _engine(config, outputs or ("touch",)).run(SampleKey(config.seed if seed is None else seed, slot))
+
+
+_engine = lru_cache(maxsize=8)(lambda config, outputs: Engine(config, EFFECTS, outputs))
 
 
 def unit(vector: Any) -> Any:

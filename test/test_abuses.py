@@ -86,8 +86,6 @@ MISTAKES = {
         Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file"),
         Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters"),
         Abuse("parameter of a wrong type", "record -o %/set --params @/many.yaml", {1}, "queue_mb"),
-        Abuse("absent model", f"{RUN} --model nope", {1}, "nope: is no run folder"),
-        Abuse("absent recording", "replay @/none", {1}, "none: does not exist"),
         Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not"),
         Abuse("unwritable dataset", "record -o /proc/none/set --seconds 1", {1}, "/proc/none/set: No such"),
         Abuse("unwritable picture", f"{RUN} --picture /proc/none/a.png", {1}, "a.png: cannot be written"),
@@ -95,9 +93,7 @@ MISTAKES = {
         Abuse("closed pipe, live", f"{RUN} --count 20", {0}, head=True),
     ],
     "files": [
-        Abuse(
-            "unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "a.npy: cannot be written"
-        ),
+        Abuse("unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "cannot be written"),
         Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
         Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "Format 'xyz' is not supported"),
         Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),
@@ -115,7 +111,7 @@ MISTAKES = {
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     write_scenes(folder / "recording", 40)
     cloud = scene_cloud(3, objects=2, width=424)
@@ -130,7 +126,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def start(files: Path) -> Callable[[Abuse, Path], subprocess.Popen[bytes]]:
+def start(files) -> Callable[[Abuse, Path], subprocess.Popen[bytes]]:
     """Starts a command as the leader of a session of its own, as a terminal does, in a DDS domain of these tests."""
     environment = {
         **os.environ,
@@ -212,9 +208,7 @@ def check_end(abuse: Abuse, process: subprocess.Popen[bytes], out: bytes, err: s
 
 @pytest.mark.ros
 @pytest.mark.parametrize("commands", SIGNALS)
-def test_a_signal_at_any_moment_ends_it_in_order(
-    commands: str, start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+def test_a_signal_at_any_moment_ends_it_in_order(commands, start, tmp_path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
     def check(abuse: Abuse) -> None:
@@ -243,9 +237,7 @@ def test_a_signal_at_any_moment_ends_it_in_order(
 
 @pytest.mark.ros
 @pytest.mark.parametrize("kind", MISTAKES)
-def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
-    kind: str, start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+def test_a_mistake_or_a_fault_outside_is_told_in_one_line(kind, start, tmp_path) -> None:
     if kind == "ros":
         pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -268,9 +260,7 @@ def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
 
 
 @pytest.mark.ros
-def test_a_second_graph_in_the_namespace_is_named(
-    start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+def test_a_second_graph_in_the_namespace_is_named(start, tmp_path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     abuse = Abuse("two graphs", "replay @/recording --no-wait --rate 8 --json", {0})
     ends = [process.communicate(timeout=PATIENCE_S) for process in [start(abuse, tmp_path) for _ in range(2)]]

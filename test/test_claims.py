@@ -20,7 +20,7 @@ from foretouch.tactile import MODALITIES
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
 WITHOUT, WITH = "network, no eval(), as in the public code", "network, eval()"
-PUBLISHED, MEAN = "P1, published", "mean of the training labels"
+PUBLISHED, MEAN = "P1 (published)", "mean of the training labels"
 
 pytestmark = pytest.mark.committed_numbers
 
@@ -78,8 +78,8 @@ def p1(modalities: Sequence[str], *ways: str, to: str = PUBLISHED, tables: str =
 def no_model_is_better_than_the_mean() -> bool:
     verdicts = [
         row["vs_training_mean_verdict"]
-        for folder, name in (("unseen_object_v2", "contact"), ("unseen_object", "touchnet_v1"))
-        for row in rows(f"{folder}/results.csv", touches=0, predictor=name)
+        for name in ("contact", "touchnet_v1")
+        for row in rows("unseen_object/results.csv", touches=0, predictor=name)
     ]
     return set(verdicts) == {"tie"}
 
@@ -94,14 +94,14 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
         ("without a touch, no model differs significantly from the mean of the labels", no_model_is_better_than_the_mean),
         (
             "a clock alone has {} {} {} {} there",
-            lambda: skills("unseen_object_v2/results.csv", touches=0, predictor="clock"),
+            lambda: skills("unseen_object/results.csv", touches=0, predictor="clock"),
         ),
         (
             "the electrodes of the first three grasps on an object have skills of {} and {}, and {} and {} before its first touch",
             lambda: [
                 skill
                 for label in ("first 3", "none")
-                for skill in skills("prequential/results.csv", ("E_TH", "E_MF"), sight="contact", method="tracker", bin=label)
+                for skill in skills("prequential/results.csv", ("E_TH", "E_MF"), vision="contact", method="tracker", bin=label)
             ],
         ),
     ],
@@ -124,7 +124,7 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
 
 
 @pytest.mark.parametrize("page", CLAIMS)
-def test_a_statement_is_that_of_the_tables(page: str) -> None:
+def test_a_statement_is_that_of_the_tables(page) -> None:
     text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
 
     def check(phrase: str, holds: Callable[[], Sequence[str] | bool]) -> None:

@@ -56,31 +56,22 @@ def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
 def test_other_format_versions_are_refused_by_name(files: Path, tmp_path: Path) -> None:
     recording, store = (Path(shutil.copytree(files / name, tmp_path / name)) for name in ("recording", "store"))
 
-    def change(path: Path, text: str) -> str:
-        kept = path.read_text()
-        path.write_text(text)
-        return kept
-
     def check(path: Path, version: object, *readers: Any) -> None:
-        content = json.loads(path.read_text().partition("\n")[0] if path.suffix == ".jsonl" else path.read_text())
+        kept = path.read_text()
+        content = json.loads(kept.partition("\n")[0] if path.suffix == ".jsonl" else kept)
         content["schema_version"] = version
-        kept = change(path, sealed(content, SEAL) if path.parent == store else json.dumps(content) + "\n")
-        try:
-            for reader in readers:
-                with pytest.raises(FileError, match=rf"{path.name}: .*schema_version: .* is not 1"):
-                    reader()
-        finally:
-            change(path, kept)
+        path.write_text(sealed(content, SEAL) if path.parent == store else json.dumps(content) + "\n")
+        for reader in readers:
+            with pytest.raises(FileError, match=rf"{path.name}: .*schema_version: .* is not 1"):
+                reader()
+        path.write_text(kept)
 
     identity = RecordedDataset(recording)[0].identity
     openers = [lambda: RecordedDataset(recording), lambda: open_samples(recording), lambda: verify_dataset(recording)]
-    for version in (0, 2, "1", None):
-        every_case(
-            [
-                (recording / "manifest.json", version, *openers, lambda: RecordingWriter(recording, identity)),
-                (recording / "edits.jsonl", version, lambda: read_edits(recording), *openers),
-                (store / "manifest.json", version, lambda: Store(store), lambda: open_samples(store)),
-                (store / "splits.json", version, lambda: read_splits(store)),
-            ],
-            check,
-        )
+    files_and_readers = [
+        (recording / "manifest.json", *openers, lambda: RecordingWriter(recording, identity)),
+        (recording / "edits.jsonl", lambda: read_edits(recording), *openers),
+        (store / "manifest.json", lambda: Store(store), lambda: open_samples(store)),
+        (store / "splits.json", lambda: read_splits(store)),
+    ]
+    every_case([(path, v, *readers) for v in (0, 2, "1", None) for path, *readers in files_and_readers], check)

@@ -3,10 +3,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 
 from foretouch.config import Settings, load_yaml, parse_overrides, setting, setting_infos
 from foretouch.errors import ConfigError
@@ -35,10 +34,6 @@ def test_plain_data_with_nested_or_dotted_keys_reads_back() -> None:
 
 
 def test_refusals_name_field_value_and_rule() -> None:
-    def check(message: str, mapping: dict[str, Any]) -> None:
-        with pytest.raises(ConfigError, match=message):
-            Outer.from_mapping(mapping, "f.yaml")
-
     cases = [
         (r"f\.yaml: inner\.rnage_m: unknown setting; known: range_m, mode", {"inner": {"rnage_m": 3}}),
         (r"range_m: 17.0 is above 16.0 m", {"inner.range_m": 17}),
@@ -56,7 +51,7 @@ def test_refusals_name_field_value_and_rule() -> None:
         ("inner is a value and a group at once", {"inner": 5, "inner.range_m": 1}),
         ("inner is a value and a group at once", {"inner": 5} | {"inner.mode": {"a": 1}}),
     ]
-    every_case(cases, check)
+    every_refusal(ConfigError, cases, lambda mapping: Outer.from_mapping(mapping, "f.yaml"))
 
 
 def test_infos_carry_what_ros_parameters_need() -> None:
@@ -82,17 +77,13 @@ def test_lists_of_groups_and_absent_groups() -> None:
     assert Scene.from_mapping({"light": {}}).light == Inner()
     assert setting_infos(Scene) == []
 
-    def check(message: str, mapping: dict[str, Any]) -> None:
-        with pytest.raises(ConfigError, match=message):
-            Scene.from_mapping(mapping)
-
     cases = [
         ("items: .* is not a list", {"items": {"range_m": 1}}),
         (r"items\[1\]: 3 is not a group", {"items": [{"range_m": 1}, 3]}),
         (r"items\[0\]\.rnage: unknown setting", {"items": [{"rnage": 1}]}),
         ("99.0 is above", {"light": {"range_m": 99}}),
     ]
-    every_case(cases, check)
+    every_refusal(ConfigError, cases, Scene.from_mapping)
 
 
 def test_a_field_without_setting_is_our_own_mistake() -> None:

@@ -24,8 +24,7 @@ DOCS = ROOT / "docs"
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?P<target>[^)\s#]*)(?:#(?P<anchor>[^)\s]*))?\)")
 MARKDOWN = [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("benchmarks/**/*.md"), *ROOT.glob("examples/*.md")]
-KEY = re.compile(r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|(\.|def )tell\(""")  # quoted names, *titles*, `file.tell()`
-CSV_VALUES = {("ablation/results.py", "leaned"), ("lookalikes/__init__.py", "told")}  # written in committed results
+KEY = re.compile(r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\btell[(=]""")  # quoted names, *titles*, `file.tell()`
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +48,7 @@ def anchors(page: Path, reference: ModuleType) -> set[str]:
     return found
 
 
-def test_links_lead_to_files_and_headings(reference: ModuleType) -> None:
+def test_links_lead_to_files_and_headings(reference) -> None:
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
 
     def check(page: Path) -> None:
@@ -87,14 +86,11 @@ def test_no_retired_word_is_used() -> None:
         for path in (*pages, *sources)
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
         for match in pattern.finditer(KEY.sub('""', line))
-        if ("/".join(path.parts[-2:]), match[1]) not in CSV_VALUES
     ]
     assert found == [], "\n".join(found)
-    assert pattern.search(KEY.sub('""', "# tells the operator"))
-    assert not pattern.search(KEY.sub('""', 'record["tells"] = 1')), "keys are not searched"
 
 
-def test_every_field_of_every_interface_is_listed_with_its_comment(reference: ModuleType) -> None:
+def test_every_field_of_every_interface_is_listed_with_its_comment(reference) -> None:
     text = reference.messages()
 
     def check(path: Path) -> None:
@@ -116,7 +112,7 @@ def test_every_field_of_every_interface_is_listed_with_its_comment(reference: Mo
         assert [f.name for f in one.parts[0] if not f.value] == list(fields)
 
 
-def test_every_parameter_of_every_node_is_listed(reference: ModuleType) -> None:
+def test_every_parameter_of_every_node_is_listed(reference) -> None:
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
     from foretouch.ros.executables import NODES
     from foretouch.ros.runtime.lifecycle_node import NodeConfig
@@ -139,7 +135,7 @@ def test_every_parameter_of_every_node_is_listed(reference: ModuleType) -> None:
 
 
 @pytest.mark.ros
-def test_topics_are_those_of_the_design(reference: ModuleType) -> None:
+def test_topics_are_those_of_the_design(reference) -> None:
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
     code = "import reference_pages; print(reference_pages.topics())"  # it needs a context without discovery
     done = subprocess.run(
@@ -161,7 +157,7 @@ def test_topics_are_those_of_the_design(reference: ModuleType) -> None:
     assert "transition" not in " ".join(rows)
 
 
-def test_every_option_of_every_command_is_listed(reference: ModuleType) -> None:
+def test_every_option_of_every_command_is_listed(reference) -> None:
     text, names = reference.commands(), reference.command_names()
     assert {*COMMANDS, "dataset build"} <= set(names)
 
@@ -177,7 +173,7 @@ def test_every_option_of_every_command_is_listed(reference: ModuleType) -> None:
     every_case(names, check)
 
 
-def test_lists_of_groups_and_optional_groups_are_listed(reference: ModuleType) -> None:
+def test_lists_of_groups_and_optional_groups_are_listed(reference) -> None:
     scenes, recipes = reference.scenes(), reference.recipes()
     for name in ("objects[].shape", "camera.noise", "campaign.drift", "fingers.", "seed"):
         assert f"| `{name}" in scenes, name
@@ -188,9 +184,7 @@ def test_lists_of_groups_and_optional_groups_are_listed(reference: ModuleType) -
     assert reference.cell("a | b\n<c> *d*") == "a \\| b &lt;c> \\*d\\*", "a cell is one line and breaks no table"
 
 
-def test_the_examples_of_the_python_pages_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> None:
     from recording_builders import write_dataset
 
     from foretouch.cloud import write_cloud
@@ -222,7 +216,7 @@ def test_the_examples_of_the_python_pages_run(
 @pytest.mark.ros
 @pytest.mark.timeout(600)
 @pytest.mark.xdist_group("site")
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+def test_the_site_builds_without_a_warning(tmp_path) -> None:
     for module in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(module, reason="the extra docs is not installed")
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 
 
 def _is_small(number: int, limit: int = 3) -> None:
@@ -32,3 +32,9 @@ def test_no_case_and_a_skipped_case_fail() -> None:
         every_case([], _is_small)
     with pytest.raises(AssertionError, match="1 of 2 cases failed:\n  1 x: Skipped: not here"):
         every_case([1, ("x",)], lambda case: pytest.skip("not here") if case == "x" else None)
+
+
+def test_a_refusal_that_does_not_come_or_reads_otherwise_fails() -> None:
+    every_refusal(ValueError, [("invalid literal", "x"), ("'1.5'", "1.5")], int)
+    with pytest.raises(AssertionError, match=r"2 of 3 cases failed:\n  1 none: .*DID NOT RAISE"):
+        every_refusal(ValueError, [("invalid", "x"), ("none", "1"), ("other", "x")], int)

@@ -7,8 +7,7 @@ import re
 import time
 import tracemalloc
 import warnings
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ def warnings_are_errors() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module", params=sorted(available_models()))
-def model(request: pytest.FixtureRequest) -> TouchModel:
+def model(request) -> TouchModel:
     return load_model(request.param)
 
 
@@ -77,7 +76,7 @@ def test_plan() -> None:
     every_case(OBJECTS, check)
 
 
-def test_touch(model: TouchModel) -> None:
+def test_touch(model) -> None:
     def check(case: ObjectCase) -> None:
         try:
             predictions = model.predict(case.cloud, [case.grasp])
@@ -91,7 +90,7 @@ def test_touch(model: TouchModel) -> None:
     every_case(OBJECTS, check)
 
 
-def test_pipeline_of_an_object(pipeline: Pipeline) -> None:
+def test_pipeline_of_an_object(pipeline) -> None:
     def check(case: ObjectCase) -> None:
         try:
             result = pipeline.run(case.cloud, case.plane)
@@ -122,7 +121,7 @@ def test_segment() -> None:
     every_case(SCENES, check)
 
 
-def test_pipeline_of_a_scene(pipeline: Pipeline) -> None:
+def test_pipeline_of_a_scene(pipeline) -> None:
     def check(case: SceneCase) -> None:
         result = pipeline.run(case.cloud)
         if case.segmented != "ok":
@@ -154,11 +153,11 @@ def test_pipeline_of_a_scene(pipeline: Pipeline) -> None:
         pytest.param(simulation.effect_cases, marks=pytest.mark.slow),
     ],
 )
-def test_outcomes(cases: Callable[[], Iterator[Any]]) -> None:
+def test_outcomes(cases) -> None:
     every_case(cases(), check_outcome)
 
 
-def test_a_million_points_take_bounded_time_and_memory(model: TouchModel) -> None:
+def test_a_million_points_take_bounded_time_and_memory(model) -> None:
     cloud = OBJECTS["a million points"].cloud
     assert cloud.size == MANY
     tracemalloc.start()
@@ -171,7 +170,7 @@ def test_a_million_points_take_bounded_time_and_memory(model: TouchModel) -> Non
     assert peak < 20 * cloud.xyz.nbytes
 
 
-def test_grasps_and_planes_that_cannot_be(pipeline: Pipeline) -> None:
+def test_grasps_and_planes_that_cannot_be(pipeline) -> None:
     with pytest.raises(GraspError, match="both contacts are at"):
         Grasp(np.ones(3), np.ones(3), np.eye(3))
     for coefficients in ((0, 0, 0, 1), (0, 0, 5e-324, 1), (np.nan, 0, 1, 1), (0, 0, 1, np.inf)):
@@ -183,7 +182,7 @@ def test_grasps_and_planes_that_cannot_be(pipeline: Pipeline) -> None:
         pipeline.grasp_between(target, far.g1, far.g2)
 
 
-def test_an_answer_does_not_depend_on_other_grasps_of_the_call(model: TouchModel) -> None:
+def test_an_answer_does_not_depend_on_other_grasps_of_the_call(model) -> None:
     cloud, fine, thin = OBJECTS["bar"].cloud, across(), across(0.04)
     alone = {name: model.predict(cloud, [grasp])[0] for name, grasp in (("fine", fine), ("thin", thin))}
     together = model.predict(Cloud(cloud.xyz), [thin, across(1.0), fine, thin])

@@ -11,6 +11,7 @@ import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -93,22 +94,15 @@ GOOD_NPY = npy("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3)}", POIN
 HUGE = "{'descr': '<f4', 'fortran_order': False, 'shape': (%s, 3)}"
 CLOUDS: dict[str, tuple[str, bytes]] = {
     "pcd width of 4400 digits": (".pcd", PCD.replace("WIDTH 2", f"WIDTH {DIGITS}").encode() + POINTS),
-    "pcd points of 4400 digits": (".pcd", PCD.replace("POINTS 2", f"POINTS {DIGITS}").encode() + POINTS),
-    "pcd size of 4400 digits": (".pcd", PCD.replace("SIZE 4", f"SIZE {DIGITS}").encode() + POINTS),
-    "pcd count 1e10": (".pcd", PCD.replace("FIELDS x y z", "FIELDS x y z a").replace("SIZE", "SIZE 4").replace("TYPE", "TYPE F").replace("COUNT 1 1 1", "COUNT 1 1 1 10000000000").encode() + POINTS),
     "pcd count 2e9": (".pcd", PCD.replace("FIELDS x y z", "FIELDS x y z a").replace("SIZE", "SIZE 4").replace("TYPE", "TYPE F").replace("COUNT 1 1 1", "COUNT 1 1 1 2000000000").encode() + POINTS),
-    "pcd count of 4400 digits": (".pcd", PCD.replace("COUNT 1", f"COUNT {DIGITS}").encode() + POINTS),
     "pcd width 4e9, height 4e9": (".pcd", PCD.replace("WIDTH 2", "WIDTH 4000000000").replace("HEIGHT 1", "HEIGHT 4000000000").replace("POINTS 2\n", "").encode() + POINTS),
     "pcd width 0, height 1e10": (".pcd", PCD.replace("WIDTH 2", "WIDTH 0").replace("HEIGHT 1", "HEIGHT 10000000000").replace("POINTS 2\n", "").encode()),
-    "pcd width 0, height 1e30": (".pcd", PCD.replace("WIDTH 2", "WIDTH 0").replace("HEIGHT 1", "HEIGHT 1" + 30 * "0").replace("POINTS 2\n", "").encode()),
     "pcd superscript width": (".pcd", PCD.replace("WIDTH 2", "WIDTH ²").encode() + POINTS),
     "pcd ascii word of 1e6 digits": (".pcd", PCD.replace("binary", "ascii").encode() + b"1 2 3 4 5 " + b"7" * 1_000_000 + b"x\n"),
     "pcd ascii declares 1e10": (".pcd", PCD.replace("WIDTH 2", "WIDTH 10000000000").replace("POINTS 2\n", "").replace("binary", "ascii").encode() + b"1 2 3\n"),
-    "pcd field name of 60000": (".pcd", PCD.replace("FIELDS x", "FIELDS " + "x" * 60000).encode() + POINTS),
     "pcd 20000 fields": (".pcd", ("FIELDS " + "a " * 20000 + "\nSIZE 4\nTYPE F\nWIDTH 1\nHEIGHT 1\nDATA ascii\n").encode()),
     "pcd compressed declares 4 GB": (".pcd", PCD.replace("binary", "binary_compressed").replace("WIDTH 2", "WIDTH 357913941").replace("POINTS 2\n", "").encode() + struct.pack("<II", 8, 4294967292) + bytes(8)),
     "ply vertices of 4400 digits": (".ply", PLY.replace("vertex 2", f"vertex {DIGITS}").encode() + POINTS),
-    "ply columns of 4400 digits": (".ply", PLY.replace("element", f"obj_info num_cols {DIGITS}\nelement").encode() + POINTS),
     "ply columns 0, rows 1e30": (".ply", PLY.replace("element vertex 2", "obj_info num_cols 0\nobj_info num_rows 1" + 30 * "0" + "\nelement vertex 0").encode()),
     "ply superscript vertices": (".ply", PLY.replace("vertex 2", "vertex ²").encode() + POINTS),
     "ply 1e10 vertices": (".ply", PLY.replace("vertex 2", "vertex 10000000000").encode() + POINTS),
@@ -117,19 +111,14 @@ CLOUDS: dict[str, tuple[str, bytes]] = {
     "npy declares 1 GB": (".npy", npy(HUGE % 100_000_000, bytes(1_000_000))),
     "npy declares 1e30": (".npy", npy(HUGE % ("1" + 30 * "0"), bytes(100))),
     "npy shape of 4400 digits": (".npy", npy(HUGE % DIGITS, bytes(100))),
-    "npy negative shape": (".npy", npy(HUGE % "-1", bytes(100))),
     "npy zero times huge": (".npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 9999999999999999999999, 3)}")),
     "npy shape of True": (".npy", npy(HUGE % "True", bytes(100))),
     "npy no mapping": (".npy", npy("[1, 2]")),
-    "npy unclosed": (".npy", npy("{'descr': ")),
     "npy NUL": (".npy", npy("{'descr': '<f4\0'}")),
-    "npy deep brackets": (".npy", npy("(" * 9000)),
     "npy deep brackets, version 2": (".npy", npy("(" * 200000, version=(2, 0))),
     "npy minus signs": (".npy", npy("-" * 9000 + "1")),
-    "npy header of 4 GB": (".npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1) + b"{}")
-    ,
+    "npy header of 4 GB": (".npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1) + b"{}"),
     "npy descr of objects": (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (2, 3)}", bytes(100))),
-    "npy descr of tuples": (".npy", npy("{'descr': [('a', ('b', 'c'))], 'fortran_order': False, 'shape': (2, 3)}", bytes(100))),
     "npy descr of a huge item": (".npy", npy("{'descr': '|V2000000000', 'fortran_order': False, 'shape': (0, 3)}")),
     "npy descr of a number": (".npy", npy("{'descr': 7, 'fortran_order': False, 'shape': (2, 3)}", POINTS)),
     "npy version 9": (".npy", npy(HUGE % 2, POINTS, (9, 0))),
@@ -142,7 +131,6 @@ CLOUDS: dict[str, tuple[str, bytes]] = {
     "npz method 99": (".npz", npz(GOOD_NPY, compression=zipfile.ZIP_STORED).replace(b"PK\x03\x04\x14\x00\x00\x00\x00\x00", b"PK\x03\x04\x14\x00\x00\x00\x63\x00").replace(b"PK\x01\x02\x14\x03\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x03\x14\x00\x00\x00\x63\x00")),
     "npz bad npy": (".npz", npz(npy("{'descr': "))),
     "npz no npy": (".npz", npz(b"hello")),
-    "npz not npy by name": (".npz", npz(b"hello", "xyz")),
     "npz zeros of 300 MB": (".npz", npz(npy(HUGE % 25_000_000, bytes(300_000_000)))),
     "npz bzip2": (".npz", npz(npy(HUGE % 25_000_000, bytes(100_000)), compression=zipfile.ZIP_BZIP2)),
     "npz declares 1 GB": (".npz", npz(npy(HUGE % 100_000_000, bytes(100_000)))),
@@ -162,7 +150,7 @@ def refused(call: Callable[[], Any], name: str, *, seconds: float = 1.0) -> str:
     return message
 
 
-def test_hostile_clouds_are_refused_in_a_second_and_little_memory(tmp_path: Path) -> None:
+def test_hostile_clouds_are_refused_in_a_second_and_little_memory_and_cost_one_item_of_a_folder(tmp_path: Path) -> None:
     def check(suffix: str, content: bytes) -> None:
         path = tmp_path / f"cloud{suffix}"
         path.write_bytes(content)
@@ -175,10 +163,7 @@ def test_hostile_clouds_are_refused_in_a_second_and_little_memory(tmp_path: Path
         assert peak < 10 * len(content) + 2_000_000
 
     every_case(CLOUDS, check)
-
-
-def test_one_hostile_file_costs_one_item_of_a_folder(tmp_path: Path) -> None:
-    for k, (suffix, content) in enumerate(CLOUDS.values()):
+    for k, (suffix, content) in enumerate(CLOUDS.values()):  # each costs one item of a folder
         if len(content) < 100_000:
             (tmp_path / f"{k}{suffix}").write_bytes(content)
     os.mkfifo(tmp_path / "fifo.pcd")
@@ -214,33 +199,23 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
 
 YAML = {
     "alias bomb": "a: &a [x, x, x, x, x, x, x, x, x]\n"
-    + "".join(f"{y}: &{y} [{', '.join([f'*{x}'] * 9)}]\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)),
+    + "".join(f"{y}: &{y} [{', '.join([f'*{x}'] * 9)}]\n" for x, y in pairwise("abcdefghijk")),
     "merge bomb": "a: &a {x: 1}\n"
-    + "".join(
-        f"{y}: &{y} {{<<: [{', '.join([f'*{x}'] * 9)}]}}\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)
-    ),
+    + "".join(f"{y}: &{y} {{<<: [{', '.join([f'*{x}'] * 9)}]}}\n" for x, y in pairwise("abcdefghijk")),
     "self-alias": "a: &a [*a]\n",
-    "self-alias in a mapping": "a: &a\n  b: *a\n",
     "deep brackets": "a: " + "[" * 10_000,
-    "deep closed brackets": "a: " + "[" * 2000 + "]" * 2000,
-    "deep braces": "a: " + "{x: " * 10_000,
     "deep indents": "".join(" " * k + "a:\n" for k in range(500)),
-    "deep dashes": "a:\n" + "- " * 5000,
     "odd date": "a: 2026-13-45\n",
-    "odd time": "a: 2026-01-01 99:99:99\n",
     "zone of 99 hours": "a: 2026-01-01 00:00:00 +99:99\n",
     "NUL": "a: \0\n",
     "number of 5000 digits": f"a: {'9' * 5000}\n",
-    "hexadecimal of 5000 digits": f"range_m: 0x{'f' * 5000}\n",
     "number of 400 digits": f"range_m: {'9' * 400}\n",
     "sexagesimal": "range_m: " + "1:" + ":".join(["59"] * 3000) + "\n",
     "list as key": "? [a, b]\n: 1\n",
     "list in the place of a date": "a: !!timestamp [1]\n",
     "word as number": "a: !!int x\n",
-    "empty number": "a: !!int ''\n",
     "word as truth": "a: !!bool maybe\n",
     "python object": "a: !!python/object/apply:os.system [ls]\n",
-    "tab": "a:\n\t- b\n",
     "two documents": "a: 1\n---\nb: 2\n",
     "2 MB": "a: 1\n" + "# x\n" * 500_000,
     "key of 5000 characters": "k" * 5000 + ": 1\n",
@@ -250,7 +225,7 @@ YAML = {
 }
 
 
-def test_hostile_yaml_is_refused_in_a_second(tmp_path: Path) -> None:
+def test_hostile_yaml_and_overrides_are_refused_in_a_second_and_aliases_of_usual_size_are_read(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
 
     def check(text: str) -> None:
@@ -258,15 +233,8 @@ def test_hostile_yaml_is_refused_in_a_second(tmp_path: Path) -> None:
         refused(lambda: PipelineConfig.from_mapping(load_yaml(path), str(path)), "settings.yaml")
 
     every_case(YAML, check)
-
-
-def test_aliases_and_merges_of_usual_size_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "settings.yaml"
     path.write_text("a: &a {x: 1, y: [2, 3]}\nb: {<<: *a, x: 4}\nc: *a\n")
     assert load_yaml(path) == {"a": {"x": 1, "y": [2, 3]}, "b": {"x": 4, "y": [2, 3]}, "c": {"x": 1, "y": [2, 3]}}
-
-
-def test_hostile_overrides_are_refused() -> None:
     for text in ("2026-13-45", "[" * 5000, "9" * 5000, "&a [*a]", "\0", "!!int x"):
         with pytest.raises(ConfigError, match=r"^key: .*YAML") as caught:
             parse_overrides([f"key={text}"])
@@ -283,7 +251,6 @@ JSON_TEXTS = {
     "surrogate": '{"format": "\\ud800"}',
     "empty": "",
     "a list": "[1]",
-    "a number": "1e999",
     "NUL": "\0",
     "70 MB": " " * 70_000_000,
 }

@@ -43,7 +43,7 @@ def test_one_bit_in_each_coordinate_moves_answers_far_less_than_the_tolerance(rn
     every_case(sorted(available_models()), check)
 
 
-def test_what_is_not_as_expected_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_what_is_not_as_expected_is_named(monkeypatch, tmp_path) -> None:
     counts = json.loads(selftest._EXPECTED.read_text())["contact-v2"]["counts"]
     expected = {"contact-v2": {"sha256": "0" * 64, "counts": counts}, "gone": {}}
     (tmp_path / "expected.json").write_text(json.dumps(expected))
@@ -64,7 +64,7 @@ def test_what_is_not_as_expected_is_named(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert row.cause == "impedance [relative]: the error 1e-06 is not within 1e-12"
 
 
-def test_a_process_that_crashes_or_hangs_is_a_failed_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_process_that_crashes_or_hangs_is_a_failed_row(monkeypatch, tmp_path) -> None:
     interpreter = tmp_path / "python"
     monkeypatch.setattr(selftest, "_PATIENCE_S", 0.5)
     monkeypatch.setattr(sys, "executable", str(interpreter))
@@ -85,14 +85,14 @@ def test_a_process_that_crashes_or_hangs_is_a_failed_row(monkeypatch: pytest.Mon
     )
 
 
-def test_ros_is_skipped_by_name_where_it_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ros_is_skipped_by_name_where_it_is_not_installed(monkeypatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setitem(sys.modules, "foretouch_msgs", None)
     row = selftest.ROWS["ROS"]()
     assert (row.state, row.found[:14]) == ("skipped", "not installed:")
 
 
-def test_rows_are_shown_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_are_shown_as_a_table(capsys) -> None:
     assert main(["doctor", "--self-test", "timings"]) == 0
     out = capsys.readouterr().out
     assert "segment 848x480" in out.replace("\n", " ")
@@ -103,7 +103,7 @@ def test_rows_are_shown_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.ros
-def test_a_damaged_model_in_an_installation(tmp_path: Path) -> None:
+def test_a_damaged_model_in_an_installation(tmp_path) -> None:
     pytest.importorskip("rclpy")
     pytest.importorskip("foretouch_msgs.msg")
     shutil.copytree(PACKAGE, tmp_path / "foretouch", ignore=shutil.ignore_patterns("__pycache__"))

@@ -15,22 +15,18 @@ def outputs(**missing: int) -> dict[str, set[int]]:
     return {topic: ALL - {missing.get(name, 0) for name in topics[: topics.index(topic) + 1]} for topic in topics}
 
 
-def test_a_cloud_without_a_reason_is_unexplained_where_it_was_lost() -> None:
-    fates, unexplained = accounting.account(CLOUDS, outputs(grasps=3), [], [])
-    assert fates == {"answered": 4, "unexplained at grasp": 1}
-    assert unexplained == [(3, "grasp")]
+def test_each_cloud_is_explained_by_an_outage_or_a_drop_of_the_node_that_lost_it() -> None:
+    def account(clouds, topics, outages=(), drops=()):
+        fates, unexplained = accounting.account(clouds, topics, outages, drops)
+        return dict(fates), unexplained
 
-
-def test_an_outage_explains_the_clouds_of_its_time_and_node() -> None:
+    assert account(CLOUDS, outputs(grasps=3)) == ({"answered": 4, "unexplained at grasp": 1}, [(3, "grasp")])
     outage = accounting.Outage("grasp", "killed", 29.0, 35.0)
-    assert accounting.account(CLOUDS, outputs(grasps=3), [outage], [])[0]["dropped by grasp: killed"] == 1
-    assert accounting.account(CLOUDS, outputs(grasps=4), [outage], [])[1] == [(4, "grasp")]
-    assert accounting.account(CLOUDS, outputs(touch=3), [outage], [])[1] == [(3, "touch_predictor")]
-
-
-def test_each_counted_drop_explains_one_cloud() -> None:
-    drop = accounting.Drop("segmentation", "superseded", 1, 20.0, 21.0)
-    fates, unexplained = accounting.account({1: 20.1, 2: 20.2}, {topic: set() for topic in outputs()}, [], [drop])
+    assert account(CLOUDS, outputs(grasps=3), [outage])[0] == {"answered": 4, "dropped by grasp: killed": 1}
+    assert account(CLOUDS, outputs(grasps=4), [outage])[1] == [(4, "grasp")]
+    assert account(CLOUDS, outputs(touch=3), [outage])[1] == [(3, "touch_predictor")]
+    drop = accounting.Drop("segmentation", "superseded", 1, 20.0, 21.0)  # each counted drop explains one cloud
+    fates, unexplained = account({1: 20.1, 2: 20.2}, {topic: set() for topic in outputs()}, [], [drop])
     assert fates == {"dropped by segmentation: superseded": 1, "unexplained at segmentation": 1}
     assert unexplained == [(2, "segmentation")]
 

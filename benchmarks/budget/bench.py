@@ -7,8 +7,6 @@ the flags of the published message. The load is busy processes, twice as many as
 the last rows are measured with real-time priority of the node under this load.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import gc
@@ -36,13 +34,13 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 
-from benchmarks.common import markdown, read_csv, replace_marked, write_csv  # noqa: E402
+from benchmarks.common import OthersLoad, markdown, read_csv, replace_marked, write_csv  # noqa: E402
 from foretouch.models.budget import Answer, profile_scene  # noqa: E402
 from foretouch.pipeline import FoundObject  # noqa: E402
 from foretouch.ros.executables import make_nodes, spin  # noqa: E402
 from foretouch.ros.messages.clouds import objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg  # noqa: E402
-from foretouch.timing import MachineLoad, cpu_name  # noqa: E402
+from foretouch.timing import cpu_name  # noqa: E402
 from foretouch.types import ASSUMED_TABLE  # noqa: E402
 from foretouch_msgs.msg import GraspArray  # noqa: E402
 
@@ -248,12 +246,6 @@ def summarise(budget_ms: float, seen: list[Seen], sent: int, load_name: str) -> 
     }
 
 
-def children_s() -> float:
-    """Processor time of the processes that this one has ended [s]."""
-    times = os.times()
-    return times.children_user + times.children_system
-
-
 def write(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """All rows so far; in the committed folder also the table of the README."""
     write_csv(path, rows)
@@ -278,27 +270,21 @@ def main() -> None:
     parser.add_argument("--resume", action="store_true", help="keep the rows that are there, and measure the others")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results.csv")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:  # the profile is measured once, as the machine is now
-        os.environ["XDG_CACHE_HOME"] = folder
-        run(arguments)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Measure all rows that are asked for and not there."""
     rows: list[dict[str, Any]] = list(read_csv(arguments.out)) if arguments.resume else []
     kept = {(float(row["budget_ms"]), row["load"]) for row in rows}
+    folder = tempfile.TemporaryDirectory()
+    os.environ["XDG_CACHE_HOME"] = folder.name  # the profile is measured once, as the machine is now
     for load_name, budget_ms in itertools.product(arguments.loads, arguments.budgets):
         if (budget_ms, load_name) in kept:
             continue
         gc.collect()  # the participants of the last row would stay until then, and answer to announcements
-        machine, children, began = MachineLoad(), children_s(), time.monotonic()
+        others = OthersLoad()
         seen, profile = measure(budget_ms, arguments.count, arguments.rate_hz, load_name)
-        own = (children_s() - children) / (time.monotonic() - began)
         row = summarise(budget_ms, seen, arguments.count, load_name) | {
             "number": arguments.count,
             "rate_hz": arguments.rate_hz,
             "profile": profile,
-            "other_cores": round(max(0.0, float(machine.row()["other_cores"]) - own), 2),
+            "other_cores": others.cores(),
             "cpu": cpu_name(),
             "cores": len(os.sched_getaffinity(0)),
         }

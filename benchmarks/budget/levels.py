@@ -21,12 +21,8 @@ TARGET = ROOT / "src/foretouch/models/levels.json"
 
 def entry(row: dict, base: dict) -> dict:
     """Skill and widening of a level."""
-    widen = [
-        round(
-            max(1.0, *(row[f"{split}_rmse_{name}"] / base[f"{split}_rmse_{name}"] for split in ("time", "object"))), 4
-        )
-        for name in MODALITIES
-    ]
+    keys = [[f"{split}_rmse_{name}" for split in ("time", "object")] for name in MODALITIES]
+    widen = [round(max(1.0, *(row[key] / base[key] for key in both)), 4) for both in keys]
     return {"skill": row["time"], "low": row["time_low"], "high": row["time_high"], "widen": widen}
 
 

@@ -1,35 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Well-formed but absurd messages: values of the declared types that no sensor, planner or operator sends."""
 
-from __future__ import annotations
-
 import array
 import re
 from typing import Any
 
 import numpy as np
 
+from benchmarks.fuzz.files import mutated
+
 DOUBLES = (
     0.0, -0.0, 1.0, -1.0, float("nan"), float("inf"), float("-inf"), 5e-324, 1e-310, 1e-30, 1e20, 1e38, 1e160, 1.7e308,
     -1.7e308,
 )  # fmt: skip
 _FLOAT_LIMIT = float(np.finfo(np.float32).max)
-STRINGS = (
-    "",
-    "a" * 5000,
-    "\n",
-    "../..",
-    "\u00e9\U0001f4a5",
-    "nan",
-    "0",
-    "-1",
-    "{}",
-    "%s%n",
-    "7",
-    "a b",
-    " ",
-    "1" * 400,
-)
+STRINGS = ("", "a" * 5000, "\n", "../..", "é\U0001f4a5", "nan", "0", "-1", "{}", "%s%n", "7", "a b", " ", "1" * 400)
 _LIST = re.compile(r"^(?:sequence<(?P<item>[^,>]+)(?:, (?P<limit>\d+))?>|(?P<fixed>.+)\[(?P<size>\d+)\])$")
 _SHARE_OF_FLOATS = 0.7  # of the changes of a byte array that put a number into it
 
@@ -128,7 +113,7 @@ def _changed_list(values: Any, item: str, limit: int, rng: np.random.Generator) 
 
 
 def _changed_bytes(data: Any, rng: np.random.Generator) -> Any:
-    """Other bytes: an absurd float at a multiple of four, or a slice that is removed, doubled or random."""
+    """Other bytes: an absurd float at a multiple of four, or changes as of a file."""
     content = bytearray(data.tobytes())
     size = len(content)
     if size and rng.random() < _SHARE_OF_FLOATS:
@@ -137,16 +122,7 @@ def _changed_bytes(data: Any, rng: np.random.Generator) -> Any:
             value = np.float32(np.clip(pick(DOUBLES, rng), -_FLOAT_LIMIT, _FLOAT_LIMIT))
             content[at : at + 4] = value.tobytes()[: max(size - at, 0)]
     else:
-        at, length = int(rng.integers(0, size + 1)), int(rng.integers(1, 100))
-        way = int(rng.integers(0, 4))
-        if way == 0:
-            del content[at : at + length]
-        elif way == 1:
-            del content[at:]
-        elif way == 2:
-            content[at:at] = content[at : at + length]
-        else:
-            content[at : at + length] = rng.bytes(length)
+        content = bytearray(mutated(bytes(content), rng))
     result = array.array("B")
     result.frombytes(bytes(content))
     return result

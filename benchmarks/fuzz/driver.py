@@ -5,8 +5,6 @@ A child reads many cases one after the other and says by a shared number which o
 a hang is told from the others, named by its kind, seed and number, and followed by the next child.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import importlib

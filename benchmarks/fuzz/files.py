@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structured fuzzing of every reader of files: each case is one small valid file with a few changes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

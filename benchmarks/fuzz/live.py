@@ -5,8 +5,6 @@ After each batch a good cloud must be answered bit-equal to before, the process 
 that is not finite, no node may count an internal error, and the recording must go on.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

@@ -5,8 +5,6 @@ Every case is a valid message with one to four absurd values, or whose serialise
 converts it as the nodes do; `live.py` sends such messages to the live graph.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A straightforward GeoGrasp with SciPy's tree only: normals at all points."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

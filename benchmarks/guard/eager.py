@@ -29,7 +29,7 @@ def channels_first(net: TouchNet) -> Callable[[Tensor, Tensor], Tensor]:
     def counts(points: Tensor, grasp: Tensor) -> Tensor:
         matrix = transform.matrix(transform.cloud(shared(points.transpose(1, 2)).amax(dim=2))).view(-1, 3, 3)
         turned = torch.cat([points[..., :3] @ matrix, points[..., 3:]], dim=-1).transpose(1, 2)
-        return net.to_counts(net.regress(trunk(turned).amax(dim=2), grasp))
+        return net.regress(trunk(turned).amax(dim=2), grasp) * net.target_scale + net.target_mean
 
     return counts
 

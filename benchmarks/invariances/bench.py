@@ -2,19 +2,16 @@
 """What does each step make of a changed cloud? A table of step x change: exact, bounded, or jumps. See README.md."""
 
 import argparse
-import os
-import subprocess
-import sys
-import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from benchmarks.common import ROOT, add_data, markdown, read_csv, replace_marked, write_csv
+from benchmarks.common import add_data, markdown, read_csv, replace_marked, write_csv
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.segment import segment
@@ -25,7 +22,6 @@ from foretouch.models import DEFAULT_MODEL, load_model
 from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
-from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
@@ -44,7 +40,6 @@ STEPS = {
     **{f"{name}: prediction": ("counts", 50.0) for name in MODELS},
     "novelty flag": ("other flags", 0.5),
     "calibration after 3 touches": ("counts", 50.0),
-    "contact simulator: force per cell": ("% of the largest", 10.0),
 }
 """What is compared, in which unit, and from where on a difference counts as a jump."""
 
@@ -103,7 +98,7 @@ def changes() -> Iterator[Change]:
 
 
 LIST_ONLY = ("order of points", "points twice")
-OTHERS = ("1 grasp or 100", "threads 1 or 2", "offline or live")
+OTHERS = ("1 grasp or 100", "offline or live")
 
 
 def _half_image(xyz: Float64, rng: np.random.Generator) -> Float64:
@@ -130,6 +125,8 @@ def _flying(xyz: Float64, rng: np.random.Generator) -> Float64:
     return xyz
 
 
+Ask = Callable[[Float32, Grasp, Plane], Float64]
+Difference = Callable[[Float64, Float64], float]
 Found = dict[tuple[str, str], list[float]]  # differences by step and change; NaN where the changed cloud is refused
 
 
@@ -139,11 +136,7 @@ def main() -> None:
     add_data(parser)
     parser.add_argument("--every", type=int, default=40, help="use each k-th recorded cloud")
     parser.add_argument("--table", action="store_true", help="only write the table again")
-    parser.add_argument("--answers", type=Path, help="only write the answers to unchanged clouds to this file")
     arguments = parser.parse_args()
-    if arguments.answers:
-        np.savez(arguments.answers, **answers())
-        return
     if not arguments.table:
         write_csv(RESULTS, rows(measure(arguments.data, arguments.every)))
     found = {(row["step"], row["change"]): row for row in read_csv(RESULTS)}
@@ -190,8 +183,6 @@ def measure(data: Path | None, every: int) -> Found:
             scene_steps(found, image.reshape(-1, 3), change, np.random.default_rng(seed))
             if change.name not in LIST_ONLY:
                 scene_steps(found, image, change, np.random.default_rng(seed))
-    simulator(found)
-    threads(found)
     live(found)
     return found
 
@@ -243,6 +234,10 @@ def feature_spread(clouds: list[Float32]) -> Float64:
     return np.where(spread > 0.0, spread, np.inf)
 
 
+def _largest(before: Float64, after: Float64) -> float:
+    return float(np.abs(after - before).max())
+
+
 def object_steps(
     found: Found, xyz: Float32, change: Change, models: dict[str, TouchModel], spread: Float64, rng: np.random.Generator
 ) -> None:
@@ -250,34 +245,16 @@ def object_steps(
     other = change.points(xyz, rng)
     grasp, axis = given_grasp(xyz)
     g1, g2 = change.carry(grasp.g1), change.carry(grasp.g2)
-    carried = grasp
-    if not np.array_equal(change.linear, np.eye(3)):
-        carried = Grasp(g1, g2, hand_rotation(g1, g2, change.linear @ axis))
-    elif change.shift.any():
-        carried = Grasp(g1, g2, grasp.rotation)
+    turned = not np.array_equal(change.linear, np.eye(3))
+    carried = Grasp(g1, g2, hand_rotation(g1, g2, change.linear @ axis) if turned else grasp.rotation)
+    table = change.plane(ASSUMED_TABLE)
 
-    def compare(
-        step: str, ask: Callable[[Float32, Grasp], Float64], difference: Callable[[Float64, Float64], float]
-    ) -> None:
-        before = ask(xyz, grasp)
+    def compare(step: str, ask: Ask, difference: Difference = _largest) -> None:
+        before = ask(xyz, grasp, ASSUMED_TABLE)
         try:
-            after = ask(other, carried)
+            found[step, change.name].append(difference(before, ask(other, carried, table)))
         except ForetouchError:
             found[step, change.name].append(np.nan)
-            return
-        found[step, change.name].append(difference(before, after))
-
-    def best(method: str) -> Callable[[Float32, Grasp], Float64]:
-        config = GeoGraspConfig.from_mapping({"method": method})
-
-        def ask(points: Float32, _: Grasp) -> Float64:
-            table = ASSUMED_TABLE if points is xyz else change.plane(ASSUMED_TABLE)
-            plan = plan_grasps(Cloud(points), table, config)
-            if not plan.grasps:
-                raise ForetouchError(plan.reason)
-            return np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-
-        return ask
 
     def moved(before: Float64, after: Float64) -> float:
         # A hand is not mirrored: on a mirrored object thumb and middle finger change sides.
@@ -285,40 +262,33 @@ def object_steps(
         return min(float(np.linalg.norm(change.carry(before) - one, axis=1).max() * 1e3) for one in ends)
 
     for method in ("original", "stable"):
-        compare(f"GeoGrasp {method}: best grasp", best(method), moved)
-    compare("reach and limits", _verdict, _largest)
+        compare(f"GeoGrasp {method}: best grasp", partial(_best, method), moved)
+    compare("reach and limits", _verdict)
     compare(
         "contact features",
-        lambda points, one: HandFrameFeatures(points).describe([one])[0],
-        lambda before, after: float(np.sqrt(np.mean(((after - before) / spread) ** 2)) * 100.0),
+        lambda points, one, _: HandFrameFeatures(points).describe([one])[0] / spread,
+        lambda before, after: float(np.sqrt(np.mean((after - before) ** 2)) * 100.0),
     )
     for name, model in models.items():
-
-        def ask(points: Float32, one: Grasp, model: TouchModel = model) -> Float64:
-            return _vector(_answer(model, points, one))
-
-        compare(f"{name}: prediction", ask, _largest)
+        compare(
+            f"{name}: prediction", lambda points, one, _, model=model: _vector(model.predict(Cloud(points), [one])[0])
+        )
     contact = models[MODELS[0]]
-    compare(
-        "novelty flag",
-        lambda points, one: np.array([float("unfamiliar" in _answer(contact, points, one).flags)]),
-        _largest,
-    )
 
-    def touched(points: Float32, one: Grasp) -> Float64:
+    def flagged(points: Float32, one: Grasp, _: Plane) -> Float64:
+        return np.array([float("unfamiliar" in contact.predict(Cloud(points), [one])[0].flags)])
+
+    def touched(points: Float32, one: Grasp, _: Plane) -> Float64:
         history = HandHistory(contact)
         for _ in range(3):
             history.add_touch(1, Cloud(points), one, _READING)
         return _vector(contact.predict(Cloud(points), [one], history=history.snapshot(1, same_object=True))[0])
 
-    compare("calibration after 3 touches", touched, _largest)
+    compare("novelty flag", flagged)
+    compare("calibration after 3 touches", touched)
 
 
 _READING = Touch.from_vector(np.concatenate([[2850.0, 1850.0], np.full(24, 3000.0), np.full(24, 3400.0)]))
-
-
-def _answer(model: TouchModel, points: Float32, grasp: Grasp) -> TouchPrediction:
-    return model.predict(Cloud(points), [grasp])[0]
 
 
 def _vector(prediction: TouchPrediction) -> Float64:
@@ -327,17 +297,20 @@ def _vector(prediction: TouchPrediction) -> Float64:
     return prediction.value.vector()
 
 
-def _verdict(points: Float32, grasp: Grasp) -> Float64:
+def _best(method: str, points: Float32, _: Grasp, table: Plane) -> Float64:
+    plan = plan_grasps(Cloud(points), table, GeoGraspConfig(method=method))
+    if not plan.grasps:
+        raise ForetouchError(plan.reason)
+    return np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+
+
+def _verdict(points: Float32, grasp: Grasp, _: Plane) -> Float64:
     try:
         check_object(points)
         check_reach(grasp, points, DEFAULT_REACH.max_width_m, DEFAULT_REACH.max_distance_m)
     except ForetouchError:
         return np.array([1.0])
     return np.array([0.0])
-
-
-def _largest(before: Float64, after: Float64) -> float:
-    return float(np.abs(after - before).max())
 
 
 def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Generator) -> None:
@@ -384,74 +357,6 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
             found["novelty flag", OTHERS[0]].append(float(alone.flags != among.flags))
 
 
-def simulator(found: Found) -> None:
-    """Pressure of the elastic layer under changes of the gap field that leave or carry the contact."""
-    step = "contact simulator: force per cell"
-    layer = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.003)
-    axis = (np.arange(32) - 15.5) * 5e-4
-
-    def force(gap: Float64, scale: float = 1.0) -> Float64:
-        gap = scale * (gap - gap.min())
-        layers = (Layer(modulus_pa=layer.modulus_pa, poisson=layer.poisson, thickness_m=scale * layer.thickness_m),)
-        problem = ContactProblem(gap, scale * 5e-4, layers)
-        return solve_layer(problem, Command(force_n=2.0 * scale**2)).pressure * problem.cell_m2
-
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        x, y = np.meshgrid(axis + rng.normal(0.0, 3e-4), axis + rng.normal(0.0, 3e-4))
-        gap = 0.5 * (x**2 / rng.uniform(0.01, 0.05) + y**2 / rng.uniform(0.01, 0.05))
-        before = force(gap)
-
-        def differ(name: str, after: Float64, carried: Float64, largest: float = float(before.max())) -> None:
-            found[step, name].append(float(np.abs(after - carried).max() / largest * 100.0))
-
-        differ("mirror", force(gap[:, ::-1]), before[:, ::-1])
-        differ("turn 90°", force(np.rot90(gap)), np.rot90(before))
-        differ("scale 1.25", force(gap, 1.25) / 1.25**2, before)
-        for name, sigma in (("jitter 1 µm", 1e-6), ("jitter 0.1 mm", 1e-4)):
-            differ(name, force(gap + np.abs(rng.normal(0.0, sigma, gap.shape))), before)
-
-
-def answers() -> dict[str, npt.NDArray[np.floating]]:
-    """The answers of all steps to made clouds, by step and number."""
-    result: dict[str, npt.NDArray[np.floating]] = {}
-    models = {name: load_model(name) for name in MODELS}
-    for number, xyz in enumerate(made_objects()):
-        grasp, _ = given_grasp(xyz)
-        for method in ("original", "stable"):
-            plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig.from_mapping({"method": method}))
-            result[f"GeoGrasp {method}: best grasp|{number}"] = 1e3 * np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-        result[f"contact features|{number}"] = HandFrameFeatures(xyz).describe([grasp])[0]
-        for name, model in models.items():
-            result[f"{name}: prediction|{number}"] = _vector(_answer(model, xyz, grasp))
-    for seed in range(3):
-        seen = segment(scene_image(seed))
-        assert seen.plane is not None
-        result[f"segmentation: labels|{seed}"] = (seen.labels > 0).astype(np.float64)
-        result[f"segmentation: table plane|{seed}"] = 1e3 * seen.plane.coefficients
-        result[f"segmentation: clusters|{seed}"] = np.array([float(len(seen.objects))])
-    x, y = np.meshgrid((np.arange(32) - 15.5) * 5e-4, (np.arange(32) - 15.2) * 5e-4)
-    gap = 20.0 * x**2 + 30.0 * y**2
-    layer = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.003)
-    pressure = solve_layer(ContactProblem(gap - gap.min(), 5e-4, (layer,)), Command(force_n=2.0)).pressure
-    result["contact simulator: force per cell|0"] = 100.0 * pressure / pressure.max()
-    return result
-
-
-def threads(found: Found) -> None:
-    """The same answers from processes with one and with two threads."""
-    with tempfile.TemporaryDirectory() as folder:
-        files = [Path(folder) / f"{count}.npz" for count in (1, 2)]
-        for count, file in enumerate(files, 1):
-            names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-            environment = {**os.environ, **dict.fromkeys(names, str(count))}
-            command = [sys.executable, "-m", "benchmarks.invariances.bench", "--answers", str(file)]
-            subprocess.run(command, check=True, env=environment, cwd=ROOT)
-        one, two = (np.load(file) for file in files)
-        for key in one.files:
-            found[key.split("|")[0], OTHERS[1]].append(_largest(one[key], two[key]))
-
-
 def live(found: Found) -> None:
     """The pipeline on a scene, and the same through the messages and functions of the live nodes."""
     try:
@@ -465,35 +370,25 @@ def live(found: Found) -> None:
     from foretouch.dataset.messages import decode_grasp
     from foretouch.pipeline import Pipeline, PipelineConfig
 
-    for seed in range(3):
-        cloud = scene_image(seed)
-        for method in ("original", "stable"):
-            pipeline = Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
-            offline = pipeline.run(cloud)
-            message = cloud_to_msg(cloud)
-            scene = pipeline.segment(read_cloud(message))
-            table = plane_from_msg(plane_to_msg(scene.targets[0].plane))
-            assert table is not None
-            targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table, ObjectLimits())
-            planned = plan_targets(pipeline, targets, message.header)
-            grasp = offline.targets[0].plan.grasps[0]
-            sent = decode_grasp(planned.grasps[0])
-            difference = max(_largest(grasp.g1, sent.g1), _largest(grasp.g2, sent.g2)) * 1e3
-            found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(difference)
-            expected = offline.targets[0].predictions[0]
-            predicted = pipeline.predict(targets[0], [sent])[0]
-            found[f"{DEFAULT_MODEL}: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
-            found["novelty flag", OTHERS[2]].append(float(expected.flags != predicted.flags))
-        assert offline.scene is not None
-        assert offline.scene.segmentation.plane is not None
-        assert scene.segmentation.plane is not None
-        labels = [one.segmentation.labels for one in (offline.scene, scene)]
-        found["segmentation: labels", OTHERS[2]].append(100.0 * float((labels[0] != labels[1]).mean()))
-        planes = [one.segmentation.plane.coefficients for one in (offline.scene, scene)]  # type: ignore[union-attr]
-        found["segmentation: table plane", OTHERS[2]].append(1e3 * _largest(*planes))
-        found["segmentation: clusters", OTHERS[2]].append(
-            float(abs(len(offline.scene.segmentation.objects) - len(scene.segmentation.objects)))
-        )
+    def add(step: str, difference: float) -> None:
+        found[step, OTHERS[1]].append(difference)
+
+    for seed, method in product(range(3), ("original", "stable")):
+        cloud, pipeline = scene_image(seed), Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
+        message, offline = cloud_to_msg(cloud), pipeline.run(cloud)
+        scene = pipeline.segment(read_cloud(message))
+        table = plane_from_msg(plane_to_msg(scene.targets[0].plane))
+        targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table, ObjectLimits())
+        grasp, expected = offline.targets[0].plan.grasps[0], offline.targets[0].predictions[0]
+        sent = decode_grasp(plan_targets(pipeline, targets, message.header).grasps[0])
+        predicted = pipeline.predict(targets[0], [sent])[0]
+        add(f"GeoGrasp {method}: best grasp", 1e3 * max(_largest(grasp.g1, sent.g1), _largest(grasp.g2, sent.g2)))
+        add(f"{DEFAULT_MODEL}: prediction", _largest(_vector(expected), _vector(predicted)))
+        add("novelty flag", float(expected.flags != predicted.flags))
+        one, other = offline.scene.segmentation, scene.segmentation
+        add("segmentation: labels", 100.0 * float((one.labels != other.labels).mean()))
+        add("segmentation: table plane", 1e3 * _largest(one.plane.coefficients, other.plane.coefficients))
+        add("segmentation: clusters", float(abs(len(one.objects) - len(other.objects))))
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ verified: every acknowledged id must be in it, with the content that belongs to 
     python benchmarks/recorder/kill.py [--rounds 100] [--seed 0] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -68,12 +66,25 @@ def made_sample(number: int, points: int = POINTS) -> GraspSample:
     return GraspSample("", "ball", Cloud(xyz, rgb, "camera", number), grasp, touch, None, number)
 
 
+def contents(folder: Path) -> dict[str, int]:
+    """Id and number of every sample; -1 if its content differs from that of its number."""
+    if not (folder / "manifest.json").exists():
+        return {}
+    result = {}
+    for stored in RecordedDataset(folder):
+        sample = stored.record.sample
+        number = int(sample.grasp.score)
+        same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
+        result[sample.id] = number if same else -1
+    return result
+
+
 def record_forever(folder: Path, fsync_samples: int) -> None:
     """Record until killed; runs in the child process."""
     rng = np.random.default_rng()
     message = b"\0\1\0\0" + bytes(300)
     config = RecordingConfig(fsync_samples=fsync_samples, chunk_s=0.01, accounts_s=0.1)
-    number = _highest(folder)
+    number = max(contents(folder).values(), default=0)
     os.write(1, b"ready\n")
     while True:
         with RecordingWriter(folder, IDENTITY, config) as writer:
@@ -92,7 +103,7 @@ def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> 
 
     Every second kill waits for the first sample, so that the kill hits appending, not only starting, on a busy machine too.
     """
-    known = set(_contents(folder))
+    known = set(contents(folder))
     command = [sys.executable, __file__, "--child", str(folder), "--fsync-samples", str(fsync_samples)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
@@ -107,7 +118,7 @@ def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> 
     repairs = repair_dataset(folder) if folder.exists() and (folder / "manifest.json").exists() else []
     cut = sum(r.original.stat().st_size - r.path.stat().st_size for r in repairs if r.original)
     clean = all(report.clean for report in verify_dataset(folder)) if repairs else not acknowledged
-    there = _contents(folder)
+    there = contents(folder)
     return Round(
         number=number,
         killed_after_ms=1e3 * delay_s,
@@ -125,29 +136,15 @@ def campaign(rounds: int, seed: int, fsync_samples: int, show: bool) -> list[Rou
     """Run many kills; several consecutive ones hit one dataset, which each recorder resumes."""
     rng = np.random.default_rng(seed)
     results = []
-    root = Path(tempfile.mkdtemp(prefix="foretouch-kill-"))
-    try:
+    with tempfile.TemporaryDirectory(prefix="foretouch-kill-") as root:
         for number in range(rounds):
-            folder = root / f"dataset-{number // ROUNDS_A_DATASET}"
+            folder = Path(root) / "dataset"
             if number % ROUNDS_A_DATASET == 0:
-                shutil.rmtree(root / f"dataset-{number // ROUNDS_A_DATASET - 1}", ignore_errors=True)
+                shutil.rmtree(folder, ignore_errors=True)
             results.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S)), fsync_samples))
             if show:
-                print_round(results[-1])
-    finally:
-        shutil.rmtree(root, ignore_errors=True)
+                print(", ".join(f"{name} {value}" for name, value in asdict(results[-1]).items()), flush=True)
     return results
-
-
-def print_round(result: Round) -> None:
-    if result.number % 25 == 0:
-        print("round  killed after  acknowledged  found  lost  wrong  verify")
-    state = "clean" if result.clean else "FAULTS"
-    print(
-        f"{result.number:5d}  {result.killed_after_ms:9.1f} ms  {result.acknowledged:12d}  {result.found:5d}"
-        f"  {result.lost:4d}  {result.wrong:5d}  {state}",
-        flush=True,
-    )
 
 
 def main() -> int:
@@ -173,24 +170,6 @@ def main() -> int:
     else:
         print(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in total.items()))
     return int(total["lost"] + total["wrong"] + total["not_clean"] > 0)
-
-
-def _highest(folder: Path) -> int:
-    return max(_contents(folder).values(), default=0)
-
-
-def _contents(folder: Path) -> dict[str, int]:
-    """Id and number of every sample; -1 if its content differs from that of its number."""
-    if not (folder / "manifest.json").exists():
-        return {}
-    result = {}
-    dataset = RecordedDataset(folder)
-    for stored in dataset:
-        sample = stored.record.sample
-        number = int(sample.grasp.score)
-        same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
-        result[sample.id] = number if same else -1
-    return result
 
 
 if __name__ == "__main__":

@@ -35,7 +35,6 @@ from foretouch.grasp.axis import ObjectAxis, find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.hold import _measure
 from foretouch.models.hand_history import ObjectSignature
-from foretouch.simulation.view import CameraView
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
 
@@ -198,16 +197,6 @@ def _axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return (1.0 + far / np.sqrt(high)) * high / (high - middle), gap_up_to_sign(found.direction, vectors[:, 2])
 
 
-@kernel("voxel mean")
-def _voxel_mean(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """More and more points in one cell, at 1 m: up to 2^29 numbers of single precision add up exactly in double."""
-    count = int(span(t, 2.0, 1000.0))
-    points = float32_cloud(rng.uniform(0.01, 0.99, (count, 3)) * 0.0125 + 80 * 0.0125)
-    grid = voxel_grid(points, 0.0125)
-    wanted = exact(points).sum(axis=0) / count
-    return 1.0, relative_gap(grid.mean(points)[0], wanted) if len(grid.counts) == 1 else np.inf
-
-
 @kernel("voxel cell")
 def _voxel_cell(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points on both sides of a face, nearer and nearer to it and at up to 10 km."""
@@ -266,20 +255,3 @@ def _unit_sphere(t: float, rng: np.random.Generator) -> tuple[float, float]:
     radius = max(norm(exact(points) - mean))
     kappa = float(np.abs(points).max()) / float(radius)
     return kappa, gap(frame.apply_points(points), (exact(points) - mean) / radius)
-
-
-@kernel("projection and back")
-def _projection(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Points on the rays of pixels, by a camera that is farther and farther from the origin of the world."""
-    view = CameraView.towards_table(64, 48, 1.0, 0.6)
-    eye = view.eye + span(t, 0.01, 1e5) * np.array([1.0, -1.0, 0.2])
-    view = CameraView(64, 48, view.matrix, eye, rotation(rng))
-    depth = rng.uniform(0.3, 2.0)
-    points = eye + depth * view.directions().reshape(-1, 3)[:: 64 * 7 + 5]
-    pixels, _ = view.project(points)
-    local = (exact(points) - exact(eye)) @ exact(view.R_world_camera)
-    reference = (local @ exact(view.matrix).T)[:, :2] / local[:, 2:]
-    # Pixels return to where they started, and agree with the projection of the rounded points.
-    start = np.stack(np.meshgrid(np.arange(64), np.arange(48)), axis=-1).reshape(-1, 2)[:: 64 * 7 + 5]
-    kappa = (np.linalg.norm(points, axis=1).max() + np.linalg.norm(eye)) / depth
-    return float(kappa), max(gap(pixels, reference), gap(pixels, exact(start))) / view.matrix[0, 0]

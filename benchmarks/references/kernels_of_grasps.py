@@ -23,8 +23,7 @@ from benchmarks.references.reference import (
     span,
     spread_points,
 )
-from foretouch.dataset.messages import rotation_from_quaternion
-from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 from foretouch.grasp.ranking import GraspPlane, SurfacePoints, _plane_distance, _ScaledSide, _two_rankings
 from foretouch.grasp.stable import (
@@ -198,7 +197,7 @@ def _candidates(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 15), np.ones(15), 0)
     found = stable_side(points, place, frame, 0.3, CONFIG)
     offset = exact(xyz) - exact(place)
-    radius, voxel = exact(CONFIG.contact_radius_m), exact(CONFIG.voxel_m)
+    radius, voxel = exact(SEARCH_VOXELS * CONFIG.voxel_m), exact(CONFIG.voxel_m)
     weight = exact(points.inlier) * (1 - smoothstep(norm(offset), radius * exact(0.9), radius * exact(1.1)))
     basis = np.stack([exact(frame.axis), exact(frame.across), np.cross(exact(frame.axis), exact(frame.across))])
     scaled = offset @ basis.T / voxel
@@ -211,7 +210,7 @@ def _candidates(t: float, rng: np.random.Generator) -> tuple[float, float]:
     wanted = [(sum(tent for tent, _ in one), one) for _, one in sorted(nodes.items())]
     centres = [sum(tent * p for tent, p in one) / mass for mass, one in wanted if mass > 0.5]
     apart = np.array([min(gap(one, centre) for one in found.xyz[1:]) for centre in centres])
-    kappa = (np.abs(xyz).max() + CONFIG.contact_radius_m) / CONFIG.voxel_m / 0.5
+    kappa = (np.abs(xyz).max() + SEARCH_VOXELS * CONFIG.voxel_m) / CONFIG.voxel_m / 0.5
     return float(kappa), float(apart.max()) / CONFIG.voxel_m
 
 
@@ -320,11 +319,3 @@ def _matrix(q: Exact) -> Exact:
         ],
         object,
     )
-
-
-@kernel("quaternion to rotation")
-def _from_quaternion(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Lengths within 1e-3 of 1."""
-    q = rng.normal(size=4)
-    q *= (1.0 + 9e-4 * (2.0 * t - 1.0)) / np.linalg.norm(q)
-    return 1.0, gap(rotation_from_quaternion(q), _matrix(exact(q) / mpmath.sqrt((exact(q) ** 2).sum())))

@@ -1,103 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """References of the tactile conversions and of the simulator: contact, grip, fingertip, rays."""
 
-import math
-
 import mpmath
 import numpy as np
-from scipy.integrate import quad
-from scipy.special import j0
 
-from benchmarks.references.reference import (
-    EPS,
-    Exact,
-    Float64,
-    exact,
-    exp,
-    gap,
-    kernel,
-    norm,
-    real,
-    relative_gap,
-    rotation,
-    solve,
-    span,
-)
-from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, solve_grip
-from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit, bed_stiffness, solve_winkler
+from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel, norm, real, relative_gap, solve, span
+from foretouch.simulation.contact import ContactProblem, Layer, PadConfig
+from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit
 from foretouch.simulation.contact.grip import weigh
-from foretouch.simulation.contact.layer import (
-    _convolve,
-    _influence_spectrum,
-    _layer_influence,
-    _layer_transfer,
-    _love_influence,
-    _smooth_part,
-    solve_layer,
-)
 from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.disturbances import creep
-from foretouch.simulation.effects.approach import _slope
 from foretouch.simulation.fingertip import (
     BOTTOMING_M,
     BULGE_AREA_M2,
-    PDC_SPAN,
-    SATURATION_M3,
-    THINNING_M,
     _displaced_volume,
-    _electrode_counts,
     _electrode_weights,
-    _pdc_counts,
     _skin_approach,
 )
-from foretouch.simulation.solids import Body, Sphere
-from foretouch.tactile import P2_RANGES, electrode_normals, electrode_positions, offsets, restore, to_kohm
-from foretouch.tactile.contact_detector import contact_scores
-from foretouch.types import Touch
+from foretouch.tactile import electrode_normals, electrode_positions
 
-SKIN = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
 GEL = Layer(modulus_pa=1e6, poisson=0.3)
-
-
-@kernel("impedance [kOhm]")
-def _kohm(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Counts nearer and nearer to full scale."""
-    counts = 4095.0 - span(t, 4000.0, 1e-6) * rng.uniform(0.5, 1.0)
-    return 4095.0 / (4095.0 - counts), relative_gap(to_kohm(counts), (4095 / exact(counts) - 1) * 10)
-
-
-@kernel("offsets and restore")
-def _offsets(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Readings that are small against the tare."""
-    touch, tare = rng.uniform(0.5, 1.0, 50) * span(t, 4000.0, 1e-6), rng.uniform(1000.0, 4095.0, 50)
-    rest = Touch.from_vector(tare)
-    offset = offsets(Touch.from_vector(touch), rest)
-    error = max(gap(offset, exact(touch) - exact(tare)), gap(restore(offset, rest).vector(), touch)) / touch.min()
-    return float((touch.min() + tare.max()) / touch.min()), error
-
-
-@kernel("scaling by the ranges")
-def _ranges(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Counts of up to 1e9."""
-    counts = rng.uniform(-1.0, 1.0, 50) * span(t, 100.0, 1e9)
-    low, width = exact(P2_RANGES.low), exact(P2_RANGES.high) - exact(P2_RANGES.low)
-    scaled = P2_RANGES.scale(counts)
-    kappa = 1.0 + float(np.max(np.abs(counts) + P2_RANGES.high) / 700.0)
-    return kappa, gap(scaled, (exact(counts) - low) / width)
-
-
-@kernel("contact score")
-def _contact_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Changes of 1000 down to 1e-6 counts."""
-    rest = rng.integers(1000, 3000, (1, 50)) + np.zeros((5, 1))
-    counts = rest[:1] + span(t, 1000.0, 1e-6) * rng.normal(size=(1, 50))
-    change = exact(counts[0]) - exact(rest[0])
-    found = contact_scores(counts, rest)[0]
-    wanted = []
-    for pdc, first in ((0, 2), (1, 26)):
-        electrodes = change[first : first + 24] / exact(4.4)
-        wanted.append(max(mpmath.sqrt((electrodes**2).sum() / 24) / 3, abs(change[pdc]) / exact(0.4) / 12))
-    return 1.0, relative_gap(found, np.array(wanted, object))
 
 
 @kernel("Hertz: ellipse")
@@ -142,154 +63,6 @@ def _hertz_displacement(t: float, rng: np.random.Generator) -> tuple[float, floa
     return kappa, relative_gap(_displacement(np.array([[rho]]), 1.0), wanted)
 
 
-def _bowl(n: int, side: float, radius: float = 0.01) -> ContactProblem:
-    offset = (np.arange(n) - (n - 1) / 2.0) * side / n
-    x, y = np.meshgrid(offset, offset)
-    field = (x**2 + 0.7 * y**2) / (2.0 * radius)
-    return ContactProblem(field - field.min(), side / n, (SKIN,))
-
-
-@kernel("Winkler: depth and pressure")
-def _winkler(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Forces of 10 N to 1e-20 N."""
-    problem = _bowl(7, 0.004 * rng.uniform(0.5, 1.0))
-    force = span(t, 10.0, 1e-20)
-    found = solve_winkler(problem, Command(force_n=force))
-    nu = exact(SKIN.poisson)
-    k = exact(SKIN.modulus_pa) * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / exact(SKIN.thickness_m)
-    total = exact(force) / (k * exact(problem.step_m) ** 2)
-    gaps = np.sort(exact(problem.gap).ravel())
-    depths = [(total + gaps[: n + 1].sum()) / (n + 1) for n in range(len(gaps))]
-    n = next(n for n, depth in enumerate(depths) if n + 1 == len(gaps) or depth <= gaps[n + 1])
-    depth = depths[n]
-    pressure = k * np.maximum(depth - exact(problem.gap), mpmath.mpf(0))
-    kappa = float((depth * (n + 1) + gaps[: n + 1].sum()) / (depth * (n + 1) - gaps[: n + 1].sum()))
-    return kappa, max(relative_gap(found.depth_m, depth), gap(found.pressure, pressure) / float(pressure.max()))
-
-
-@kernel("bed stiffness")
-def _bed(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Poisson's ratio up to its cap of 0.45."""
-    nu = span(t, 0.01, 0.45)
-    layer = Layer(modulus_pa=rng.uniform(1e4, 1e9), poisson=nu, thickness_m=rng.uniform(1e-5, 1.0))
-    n = exact(nu)
-    wanted = exact(layer.modulus_pa) * (1 - n) / ((1 + n) * (1 - 2 * n)) / exact(layer.thickness_m)
-    return 1.0 / (1.0 - 2.0 * nu), relative_gap(bed_stiffness(layer), wanted)
-
-
-@kernel("layer: transfer function")
-def _transfer(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Waves of 1e-9 to 300 thicknesses, up to ν = 0.5."""
-    at, nu = span(t, 1e-9, 300.0), float(rng.choice([0.0, 0.3, 0.5]))
-    q, n = mpmath.mpf(at), mpmath.mpf(nu)
-    top = (3 - 4 * n) * mpmath.sinh(2 * q) - 2 * q
-    below = (3 - 4 * n) * mpmath.cosh(2 * q) + 2 * q**2 + 5 - 12 * n + 8 * n**2
-    return 1.0, gap(_layer_transfer(at, nu), top / below)
-
-
-@kernel("layer: Love's rectangle")
-def _love(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """From the cell itself to 1000 cells away."""
-    step, cells = 10.0 ** rng.uniform(-9.0, 0.0), np.floor(span(t, 1.0, 1000.0) * rng.uniform(0.5, 1.0, 2))
-    x, y = np.array([cells[0] * step]), np.array([cells[1] * step])
-    s, a, b = exact(step) / 2, exact(x)[0], exact(y)[0]
-
-    def corner(u: Exact, v: Exact) -> Exact:
-        return u * mpmath.asinh(v / abs(u)) + v * mpmath.asinh(u / abs(v))
-
-    wanted = corner(a + s, b + s) + corner(a - s, b - s) - corner(a + s, b - s) - corner(a - s, b + s)
-    kappa = 1.0 + float((cells**2).sum())
-    return kappa, relative_gap(_love_influence(x, y, step, 1e6)[0], wanted / (mpmath.pi * 1000000))
-
-
-@kernel("layer: smooth part")
-def _smooth(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Distances of 0 to 20 thicknesses; the adaptive quadrature is exact to 1e-13."""
-    rho, n = 20.0 * t * rng.uniform(0.97, 1.0), float(rng.choice([0.0, 0.316, 0.5]))
-
-    def less(q: float) -> float:  # M - 1, with all powers of exp(-2q) written out
-        d = math.exp(-2.0 * q)
-        below = (3.0 - 4.0 * n) * (1.0 + d * d) + 2.0 * d * (2.0 * q**2 + 5.0 - 12.0 * n + 8.0 * n**2)
-        return -2.0 * d * (2.0 * q + (3.0 - 4.0 * n) * d + 2.0 * q**2 + 5.0 - 12.0 * n + 8.0 * n**2) / below
-
-    wanted, middle = (
-        quad(lambda q, at=at: less(q) * j0(q * at), 0.0, 30.0, epsabs=1e-13, epsrel=1e-13, limit=400)[0]
-        for at in (rho, 0.0)
-    )
-    return 1.0 + 5e-3**2 / EPS, abs(float(_smooth_part(np.array([rho]), n)[0]) - wanted) / abs(middle)
-
-
-@kernel("layer: convolution")
-def _convolution(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Windows of 4 to 8 cells, pressures that differ by up to 1e12."""
-    n = int(span(t, 4.0, 8.9))
-    pressure = 10.0 ** rng.uniform(0.0, 12.0 * t, (n, n))
-    quarter = _layer_influence(SKIN, n, 5e-4)
-    i, j = np.indices((n, n)).reshape(2, -1)
-    matrix = quarter[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
-    wanted = exact(matrix) @ exact(pressure.ravel())
-    found = _convolve(pressure, _influence_spectrum(SKIN, n, 5e-4))
-    return 2.0 * np.log2(2.0 * n), gap(found.ravel(), wanted) / float(max(wanted))
-
-
-def _pressed(problem: ContactProblem, force: float) -> Float64:
-    """Pressure of the linear complementarity problem by an active set, solved densely in float64."""
-    n = problem.gap.shape[0]
-    quarter = sum(_layer_influence(layer, n, problem.step_m) for layer in problem.layers)
-    i, j = np.indices((n, n)).reshape(2, -1)
-    influence = np.asarray(quarter)[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
-    gap_, wet = problem.gap.ravel(), problem.gap.ravel() <= np.quantile(problem.gap, 0.5)
-    for _ in range(100):
-        k = np.flatnonzero(wet)
-        system = np.block([[influence[np.ix_(k, k)], -np.ones((len(k), 1))], [np.ones((1, len(k))), np.zeros((1, 1))]])
-        scale = influence[0, 0]
-        system[:-1, :-1] /= scale
-        answer = np.linalg.solve(system, np.append(-gap_[k] / scale, force / problem.cell_m2))
-        pressure, depth = np.zeros(n * n), answer[-1] * scale
-        pressure[k] = answer[:-1]
-        overlap = (influence @ pressure + gap_ < depth - 1e-15) & ~wet
-        if not (pressure < 0.0).any() and not overlap.any():
-            return pressure.reshape(n, n)
-        wet = (wet & (pressure >= 0.0)) | (overlap if not (pressure < 0.0).any() else False)
-    raise AssertionError
-
-
-def _solved(t: float, rng: np.random.Generator, layer: Layer) -> tuple[float, float]:
-    n, tolerance = 14, span(t, 1e-2, 1e-11)
-    problem = _bowl(n, 0.004, rng.uniform(0.004, 0.03))
-    problem = ContactProblem(problem.gap, problem.step_m, (layer,))
-    force = 10.0 ** rng.uniform(-1.0, 0.0)
-    found = solve_layer(problem, Command(force_n=force), tolerance=tolerance, max_iterations=3000).pressure
-    wanted = _pressed(problem, force)
-    return tolerance / EPS, float(np.abs(found - wanted).sum() / wanted.sum())
-
-
-@kernel("layer: pressure, thin skin")
-def _layer_skin(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    return _solved(t, rng, SKIN)
-
-
-@kernel("layer: pressure, half-space")
-def _layer_half_space(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    return _solved(t, rng, GEL)
-
-
-@kernel("pad: place of a direction")
-def _pad_frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Directions nearer and nearer to the tip."""
-    config = PadConfig()
-    direction = pad_direction(np.pi / 2.0 - span(t, 1.5, 1e-7), rng.uniform(-1.0, 1.0)) * rng.uniform(0.1, 10.0)
-    found = contact_frame(config, direction)
-    n = exact(direction) / norm(exact(direction))
-    axes = exact(config.skin_axes)
-    origin = axes**2 * n / norm(axes * n)
-    x = exact([1.0, 0.0, 0.0]) - n[0] * n
-    length = norm(x)
-    x = x / length
-    wanted = np.column_stack([x, np.cross(n, x), n])
-    return 1.0 / float(length), max(gap(found.origin, origin) / 0.01, gap(found.rotation, wanted))
-
-
 @kernel("pad: depth of the skin")
 def _pad_depth(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Cells nearer and nearer to the place of touch, and to the rim of the pad."""
@@ -319,15 +92,6 @@ def _pad_depth(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, relative_gap(found, np.array([near, rim], object))
 
 
-@kernel("slope at first touch")
-def _touch_slope(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Cosines of nearly 0 to nearly 1."""
-    slope = span(t, 1e4, 1e-6) * rng.uniform(0.5, 1.0)
-    cosine = float(1.0 / np.sqrt(1.0 + slope**2))
-    wanted = mpmath.sqrt(1 / mpmath.mpf(cosine) ** 2 - 1)
-    return 1.0 / float(wanted) + float(wanted), gap(_slope(cosine), wanted)
-
-
 @kernel("grip: shares of the weight")
 def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Contacts that approach each other, far from the origin."""
@@ -347,29 +111,6 @@ def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
         gap(found.tangential_n, np.stack([(-across - couple) / 2, (-across + couple) / 2])),
     )
     return 1.0 + float((norm(a) + norm(b) + norm(c)) / length), error / size
-
-
-@kernel("grip: equilibrium at a closing")
-def _grip(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """A sharp and a blunt finger on one object; ε is the solver's tolerance of the closing."""
-    problems = [_bowl(12, 0.012, 0.004), _bowl(12, 0.012, rng.uniform(0.01, 0.03))]
-    closing = span(t, 6e-4, 1e-7)
-    found = solve_grip(problems, [Command(depth_m=closing / 2)] * 2, balanced=True, level="winkler")
-    low, high = 1e-12, 1e3
-    for _ in range(100):
-        force = (low * high) ** 0.5
-        depth = sum(_bed_depth(problem, force) for problem in problems)
-        low, high = (force, high) if depth < closing else (low, force)
-    return 2.0, abs(found[0].force_n - low) / low
-
-
-def _bed_depth(problem: ContactProblem, force: float) -> float:
-    """Depth of a bed of springs under a force."""
-    k = bed_stiffness(problem.layers[0]) * problem.cell_m2
-    gaps = np.sort(problem.gap, axis=None)
-    depths = (force / k + np.cumsum(gaps)) / np.arange(1, gaps.size + 1)
-    reached = np.flatnonzero(np.append(depths[:-1] <= gaps[1:], True))
-    return float(depths[reached[0]])
 
 
 @kernel("electrodes: weights")
@@ -401,83 +142,3 @@ def _approach(t: float, rng: np.random.Generator) -> tuple[float, float]:
     wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(BULGE_AREA_M2)
     kappa = float((weights @ u.ravel())[0] + bulge) / abs(float(wanted))
     return kappa, relative_gap(_skin_approach(weights, u, volume)[0], wanted)
-
-
-@kernel("electrodes: counts")
-def _counts_of_electrodes(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Rests near full scale, and approaches up to where the exponent is clipped."""
-    rest = 4095.0 - span(t, 3000.0, 0.1)
-    exponent = span(t, 1e-3, 49.0) * float(rng.choice([-1.0, 1.0]))
-    approach = exponent * THINNING_M
-    impedance = (4095 / exact(rest) - 1) * 10 * mpmath.exp(exact(approach) / exact(THINNING_M))
-    found = _electrode_counts(np.array([approach]), np.array([rest]))
-    kappa = 1.0 + abs(exponent) + 4095.0 / (4095.0 - rest)
-    return kappa, relative_gap(found[0], 4095 / (1 + impedance / 10))
-
-
-@kernel("pressure of the liquid")
-def _pdc(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Volumes of 1e-20 to 1e-6 m³."""
-    pad = PadConfig()
-    frame = contact_frame(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
-    volume = span(t, 1e-20, 1e-6)
-    rise = exact(PDC_SPAN) * (-exact(frame.rotation[2, 2])) ** 2
-    wanted = 1676 + rise * mpmath.tanh(exact(volume) / exact(SATURATION_M3))
-    return 1.0, relative_gap(_pdc_counts(frame, volume, 1676.0), wanted)
-
-
-@kernel("creep of the skin")
-def _creep(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Up to 1000 rows, and time constants of up to 1e6 s."""
-    rows, time_s, share_late = int(span(t, 2.0, 1000.0)), span(t, 0.1, 1e6), 0.08
-    series = rng.uniform(1000.0, 4000.0, (rows, 1))
-    pull = 1 - mpmath.exp(-1 / (100 * exact(time_s)))
-    late, wanted, share = exact(series[0, 0]), [], exact(share_late)
-    for value in exact(series[:, 0]):
-        late = late + pull * (value - late)
-        wanted.append((1 - share) * value + share * late)
-    return rows, gap(creep(series, 100.0, share=share_late, time_s=time_s)[:, 0], np.array(wanted, object)) / 4000.0
-
-
-@kernel("ray meets a ball")
-def _ray_ball(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Rays that graze more and more, from farther and farther."""
-    radius, far = 0.05, span(t, 0.2, 100.0)
-    turn = rotation(rng)
-    sine = span(t, 0.9, 1e-3)
-    lateral = radius * np.sqrt(1.0 - sine**2)
-    origin = turn @ [lateral, 0.0, -far]
-    direction = turn[:, 2] * rng.uniform(0.5, 2.0)
-    found = Sphere(position=np.zeros(3), radius=radius).cast(origin, direction[None])[0]
-    o, d = exact(origin), exact(direction)
-    a, b, c = d @ d, d @ o, o @ o - exact(radius) ** 2
-    wanted = (-b - mpmath.sqrt(b * b - a * c)) / a
-    return 1.0 + float(origin @ origin) / (radius**2 * sine), relative_gap(found, wanted)
-
-
-@kernel("oriented box: corners")
-def _corners(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Boxes of 5 cm at up to 10 km."""
-    size, place, turn = rng.uniform(0.01, 0.05, 3), rng.normal(size=3) * span(t, 0.1, 1e4), rotation(rng)
-    found = Body("box", 0, size, place, turn).corners()
-    signs = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)])
-    wanted = exact(place) + (exact(signs) * exact(size)) @ exact(turn).T
-    return float(np.abs(found).max() / size.max()), gap(found, wanted) / size.max()
-
-
-@kernel("ray meets a mesh")
-def _ray_mesh(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The flat top of a box, from 0.2 m to 1 km and at ever flatter angles."""
-    size, turn = np.array([0.2, 0.2, 0.1]), rotation(rng)
-    body = Body("box", 0, size, rng.normal(size=3), turn)
-    cosine = span(t, 1.0, 0.05)
-    local = np.array([np.sqrt(1.0 - cosine**2), 0.0, -cosine])
-    target = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), 0.05])
-    direction = turn @ local
-    origin = body.position + turn @ target - span(t, 0.2, 1e3) * direction
-    found = body.cast(origin, direction[None]).t[0]
-    start = (exact(origin) - exact(body.position)) @ exact(turn)
-    along = exact(direction) @ exact(turn)
-    wanted = (exact(0.05) - start[2]) / along[2]
-    distance = float(norm(start))
-    return (distance + 0.2) / 0.1 / cosine, gap(found, wanted) / 0.2

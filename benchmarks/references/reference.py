@@ -20,8 +20,6 @@ Family = Callable[[float, np.random.Generator], tuple[float, float]]
 
 EPS = float(np.finfo(np.float64).eps)
 EPS32 = float(np.finfo(np.float32).eps)
-
-
 _EPSILONS = {"double": EPS, "single": EPS32}
 
 TABLE_FILE = Path(__file__).parent / "kernels.csv"

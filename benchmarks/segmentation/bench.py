@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long does segmentation take, and does it find all objects? See README.md."""
+"""Does segmentation find all objects, and how exactly, beside a pipeline of Open3D? See README.md."""
 
-from __future__ import annotations
-
-import argparse
 import os
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.common import cpu_ms, print_rows
-from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from benchmarks.common import print_rows
+from foretouch.cloud.segmentation.segment import segment
 from foretouch.experiments.tradeoff_perception import overlaps
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
@@ -21,11 +18,6 @@ Labels = npt.NDArray[np.int32]
 N_OBJECTS = 3
 OBJECTS = range(FIRST_OBJECT, FIRST_OBJECT + N_OBJECTS)  # labels in the truth
 N_SCENES = 50
-
-
-def ours(cloud: Cloud) -> Labels:
-    """Labels by this package."""
-    return segment(cloud, SegmentationConfig()).labels
 
 
 def open3d_pipeline(cloud: Cloud) -> Labels:
@@ -72,7 +64,7 @@ def check_generated() -> None:
         for seed in range(N_SCENES):
             rng = np.random.default_rng(seed)
             image = random_scene(rng).render(rng, noise_m, flying)
-            labels = ours(image.cloud())
+            labels = segment(image.cloud()).labels
             wrong += int(labels.max()) != N_OBJECTS
             all_overlaps += overlaps(labels, image.labels, OBJECTS)
         least, mean = min(all_overlaps), float(np.mean(all_overlaps))
@@ -82,38 +74,17 @@ def check_generated() -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=51)
-    parser.add_argument("--peer-repeats", type=int, default=3, help="of Open3D; 0 leaves it out")
-    options = parser.parse_args()
     ensure_libusb()
-    all_scenes = scenes(848, 480) + scenes(1280, 720)
     rows = []
-    for name, cloud, truth in all_scenes:
-        mine, theirs = ours(cloud), open3d_pipeline(cloud)
+    for name, cloud, truth in scenes(848, 480) + scenes(1280, 720):
+        mine, theirs = segment(cloud).labels, open3d_pipeline(cloud)
         texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
-        rows.append(
-            {
-                "scene": name,
-                "objects": mine.max(),
-                "IoU ours": texts[0],
-                "Open3D objects": theirs.max(),
-                "IoU Open3D": texts[1],
-            }
+        ours_, theirs_ = (
+            {"objects": labels.max(), "IoU": text} for labels, text in zip((mine, theirs), texts, strict=True)
         )
+        rows.append({"scene": name, **ours_, **{f"Open3D {key}": value for key, value in theirs_.items()}})
     print_rows(rows)
     check_generated()
-    print()
-    rows = []
-    for name, cloud, _ in all_scenes:
-        flat = cloud.xyz.reshape(-1, 3)
-        listed = Cloud(flat[np.isfinite(flat[:, 2])])
-        times = [cpu_ms(lambda one=one: ours(Cloud(one.xyz.copy())), options.repeats) for one in (cloud, listed)]
-        peer = (
-            cpu_ms(lambda cloud=cloud: open3d_pipeline(cloud), options.peer_repeats) if options.peer_repeats else None
-        )
-        rows.append({"CPU ms, median": name, "ours": times[0], "no order": times[1], "Open3D": peer})
-    print_rows(rows)
 
 
 if __name__ == "__main__":

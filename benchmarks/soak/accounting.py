@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What became of every cloud: answered, dropped with a named reason, or unexplained. Pure functions, no ROS."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

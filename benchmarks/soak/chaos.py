@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the graph in separate processes, breaks one thing after the other, and accounts for every cloud (see README.md)."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil
@@ -389,9 +387,9 @@ def undisturbed(seen: Observer, done: Sequence[Disturbance]) -> dict[str, float]
     ]
     if not gaps or not latency:
         return {}
-    names = [f"latency {name}, undisturbed [s]" for name in ("p50", "p95", "max")]
-    figures = dict(zip(names, np.percentile(latency, (50, 95, 100)).round(3).tolist(), strict=True))
-    return {"longest gap between answers, undisturbed [s]": round(max(gaps), 2), **figures}
+    latencies = {q: round(float(np.percentile(latency, q)), 3) for q in (50, 95, 100)}
+    return {"longest gap between answers, undisturbed [s]": round(max(gaps), 2),
+            **{f"latency p{q}, undisturbed [s]": value for q, value in latencies.items()}}  # fmt: skip
 
 
 def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Mapping[str, str]) -> dict[str, Any]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Watches the graph from outside: stamps of every cloud on every topic, answers, diagnostics, state of the recorder."""
 
-from __future__ import annotations
-
 import math
 import struct
 import time

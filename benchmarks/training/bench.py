@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples a second of supervised training and seconds a step of the SR-GAN, against the plain composition."""
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plain composition that the quick way is compared with: linear map, torch's batch norm, ReLU, maximum."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -11,8 +9,6 @@ from torch import Tensor, nn
 
 from foretouch.models.network import pointnet
 from foretouch.models.network.pointnet import Layer
-
-__all__ = ["plain_composition"]
 
 
 def _layer(layer: Layer, x: Tensor) -> Tensor:

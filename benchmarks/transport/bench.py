@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamp of a cloud to received touch: stages, processor time and losses (see README.md)."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -19,14 +17,13 @@ from matplotlib import pyplot as plt
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
-from benchmarks.common import ROOT, markdown, print_rows, read_csv, replace_marked, write_csv
+from benchmarks.common import ROOT, OthersLoad, markdown, print_rows, read_csv, replace_marked, write_csv
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from foretouch.errors import ConfigError
 from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.simulation.depth_scene import random_scene
-from foretouch.timing import MachineLoad
 from foretouch.types import Cloud
 from foretouch_msgs.msg import TouchPredictionArray
 
@@ -219,7 +216,7 @@ def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int])
 def measure(options: argparse.Namespace, kind: str, rate: float, clouds: Sequence[Cloud]) -> dict[str, Any]:
     """One run: a row of the results."""
     messages = [cloud_to_msg(cloud) for cloud in clouds]
-    machine, ended, started = MachineLoad(), _ended_children_s(), time.monotonic()
+    others = OthersLoad()
     with Processes(options, kind) as graph:
         bench = Bench()
         bench.ready()
@@ -236,23 +233,16 @@ def measure(options: argparse.Namespace, kind: str, rate: float, clouds: Sequenc
         times, totals, computation = stages(graph.trace(), bench, stamps)
         print(bench.accounts(), flush=True)
         bench.leave()
-    others = machine.row()["other_cores"] - (_ended_children_s() - ended) / (time.monotonic() - started)
     answered = sum(len(bench.answers[stamp][1]) > 0 for stamp in stamps if stamp in bench.answers)
     middle = np.median(times, axis=0)
     p50, p95, p99 = np.percentile(totals, (50, 95, 99))
     print(f"  medians of the stages sum to {middle.sum() / p50:.3f} of the median total", flush=True)
     row = {"seconds": options.seconds, "sent": len(stamps), "lost": len(stamps) - answered, "p50_ms": p50,
            "p95_ms": p95, "p99_ms": p99, "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": computation,
-           "rest_percent": 100.0 * rest, "memory_mb": memory, "other_cores": max(0.0, others),
+           "rest_percent": 100.0 * rest, "memory_mb": memory, "other_cores": others.cores(),
            **dict(zip(COLOURS, middle, strict=True))}  # fmt: skip
     texts = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in row.items()}
     return {"label": options.label, "processes": kind, "rate_hz": f"{rate:g}", **texts}
-
-
-def _ended_children_s() -> float:
-    """Processor time of the processes that this one has ended [s]."""
-    times = os.times()
-    return times.children_user + times.children_system
 
 
 def write_table(rows: Sequence[dict[str, Any]]) -> None:

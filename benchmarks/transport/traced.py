@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs nodes as their executable does, and writes when each cloud passed them: `traced OUT NODE... --ros-args ...`."""
 
-from __future__ import annotations
-
 import atexit
 import json
 import sys

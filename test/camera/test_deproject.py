@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 
 from foretouch.camera import Deprojector, pinhole_matrix
 from foretouch.camera.device import realsense
@@ -57,12 +57,12 @@ def test_a_model_without_an_inverse_is_named(rs: Any) -> None:
 
 
 def test_a_distortion_that_the_iteration_does_not_undo_is_refused() -> None:
-    def check(model: str, coefficients: list[float]) -> None:
-        with pytest.raises(CameraError, match=r"distortion \[.*\]: is not undone by 10 iterations"):
-            Deprojector.of_lens(pinhole_matrix(64, 48), 64, 48, model, coefficients)
-
     strong = ([-0.3, -0.3, 0.0, 0.0, -0.3], [-2.0, 0.0, 0.0, 0.0, 0.0], [1e300] * 5)
-    every_case(product(("brown_conrady", "inverse_brown_conrady"), strong), check)
+    cases = product(
+        [r"distortion \[.*\]: is not undone by 10 iterations"], strong, ("brown_conrady", "inverse_brown_conrady")
+    )
+    lens = pinhole_matrix(64, 48), 64, 48
+    every_refusal(CameraError, cases, lambda coefficients, model: Deprojector.of_lens(*lens, model, coefficients))
 
 
 def test_a_pixel_by_hand() -> None:

@@ -15,7 +15,6 @@ from foretouch.camera.config import DecimationConfig, HoleFillingConfig, Spatial
 from foretouch.camera.device import realsense
 from foretouch.camera.stream import FilterChain
 from foretouch.config import setting_infos
-from foretouch.simulation import DepthImage
 from foretouch.types import Cloud
 
 
@@ -41,47 +40,36 @@ def _clouds(frames: list[Any], config: RealSenseConfig, filters: dict[str, Any])
     return clouds
 
 
-def test_without_filters_the_chain_is_empty_and_the_depth_untouched(
-    images: list[DepthImage], config: RealSenseConfig
-) -> None:
+def test_without_filters_the_depth_is_untouched_and_decimation_halves_the_image(images, config):
     assert FilterChain(FilterConfig())._blocks == []
     for cloud, image in zip(_clouds(list(images), config, {}), images, strict=True):
         assert np.array_equal(cloud.xyz, image.cloud().xyz, equal_nan=True)
-
-
-def test_decimation_halves_the_image_and_keeps_the_scene(images: list[DepthImage], config: RealSenseConfig) -> None:
     (cloud,) = _clouds([images[0]], config, {"decimation": DecimationConfig(enabled=True, magnitude=2)})
     assert cloud.xyz.shape == (120, 212, 3)
-    plane, K = images[0].plane, images[0].K
-    on_table = images[0].labels == 1
-    heights = np.abs(cloud.xyz.astype(np.float64) @ plane[:3] + plane[3])[on_table[::2, ::2]]
+    plane, on_table = images[0].plane, (images[0].labels == 1)[::2, ::2]
+    heights = np.abs(cloud.xyz.astype(np.float64) @ plane[:3] + plane[3])[on_table]
     # Merged blocks stay on the table, for the lens was scaled with the image: up to the middle of a block, a pixel away.
-    pixel_m = np.nanmax(cloud.xyz[..., 2][on_table[::2, ::2]]) / K[0, 0]
+    pixel_m = np.nanmax(cloud.xyz[..., 2][on_table]) / images[0].K[0, 0]
     assert np.nanquantile(heights, 0.9) < 2.0 * pixel_m
 
 
-def test_spatial_and_temporal_smoothing_lower_the_noise(
-    images: list[DepthImage], config: RealSenseConfig, rng: np.random.Generator
-) -> None:
+def test_spatial_and_temporal_smoothing_lower_the_noise(images, config, rng):
     exact = np.full((240, 424), 1000, np.uint16)
     noise = [np.rint(exact + rng.normal(0.0, 4.0, exact.shape)).astype(np.uint16) for _ in range(6)]
     frames = [_Frame(z, images[0].rgb, images[0].K) for z in noise]
-    spread = {
-        name: float(np.nanstd(_clouds(frames, config, on)[-1].xyz[20:-20, 20:-20, 2]))
-        for name, on in {
-            "off": {},
-            "spatial": {"spatial": SpatialConfig(enabled=True)},
-            "temporal": {"temporal": TemporalConfig(enabled=True)},
-        }.items()
+    filters = {
+        "off": {},
+        "spatial": {"spatial": SpatialConfig(enabled=True)},
+        "temporal": {"temporal": TemporalConfig(enabled=True)},
     }
+    depths = {name: _clouds(frames, config, on)[-1].xyz[20:-20, 20:-20, 2] for name, on in filters.items()}
+    spread = {name: float(np.nanstd(depth)) for name, depth in depths.items()}
     assert spread["off"] == pytest.approx(0.004, rel=0.1)
     assert spread["spatial"] < 0.6 * spread["off"]
     assert spread["temporal"] < 0.7 * spread["off"]
 
 
-def test_a_hole_is_filled_from_the_left_the_farthest_or_the_nearest(
-    images: list[DepthImage], config: RealSenseConfig
-) -> None:
+def test_a_hole_is_filled_from_the_left_the_farthest_or_the_nearest(images, config):
     depth = np.full((240, 424), 1000, np.uint16)
     depth[:, :199] = 900
     depth[100, 199] = 0
@@ -125,10 +113,8 @@ def test_every_setting_reaches_the_library() -> None:
         )
     )
     kinds = [type(block).__name__ for block in chain._blocks]
-    order = (
-        "decimation_filter disparity_transform spatial_filter temporal_filter disparity_transform hole_filling_filter"
-    )
-    assert kinds == order.split()
+    smoothing = ["disparity_transform", "spatial_filter", "temporal_filter", "disparity_transform"]
+    assert kinds == ["decimation_filter", *smoothing, "hole_filling_filter"]
     decimation, _, spatial, temporal, _, holes = chain._blocks
     option = realsense().option
     amounts = (option.filter_magnitude, option.filter_smooth_alpha, option.filter_smooth_delta)

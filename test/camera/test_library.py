@@ -21,20 +21,19 @@ print(rs.software_device() is not None)
 """
 
 
-@pytest.mark.parametrize("first", ["", "import rclpy"])
-def test_rclpy_is_imported_before_pyrealsense2_and_the_process_ends_cleanly(first: str) -> None:
+def _printed(script: str) -> str:
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_rclpy_is_imported_before_pyrealsense2_and_the_process_ends_cleanly() -> None:
     pytest.importorskip("rclpy")
     pytest.importorskip("foretouch.camera.device").realsense()
-    done = subprocess.run(
-        [sys.executable, "-c", _SCRIPT.format(first=first)], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr
+    assert [_printed(_SCRIPT.format(first=first)) for first in ("", "import rclpy")] == ["True", "True"]
 
 
 def test_the_package_imports_neither_ros_nor_the_library() -> None:
-    script = (
-        "import sys, foretouch.camera, foretouch.simulation\n"
-        "print([m for m in ('rclpy', 'pyrealsense2', 'scipy', 'open3d') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.strip() == "[]"
+    names = "('rclpy', 'pyrealsense2', 'scipy', 'open3d')"
+    script = f"import sys, foretouch.camera, foretouch.simulation; print([m for m in {names} if m in sys.modules])"
+    assert _printed(script) == "[]"

@@ -32,9 +32,7 @@ def _playing(path: Path, config: RealSenseConfig, **changes: object) -> RealSens
 
 
 @pytest.mark.parametrize("align", ["none", "colour_to_depth"])
-def test_a_recording_plays_back_bit_for_bit(
-    align: str, tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_a_recording_plays_back_bit_for_bit_and_repeats_when_asked_to(align, tmp_path, source, config):
     path = tmp_path / "seen.db3"
     config = config.replace(align=align)
     recorded = _record(path, source, config, 5)
@@ -54,30 +52,14 @@ def test_a_recording_plays_back_bit_for_bit(
         assert np.array_equal(twin.xyz, cloud.xyz, equal_nan=True)
         assert cloud.rgb is None or (twin.rgb is not None and np.array_equal(twin.rgb, cloud.rgb))
         assert twin.frame_id == cloud.frame_id
+    with RealSenseCamera(_playing(path, config, repeat=True)) as camera:
+        stamps = [cloud.stamp_ns for cloud, _ in zip(camera, range(6), strict=False)]
+    assert stamps == [*played, recorded[0].stamp_ns]
 
 
-def test_in_real_time_the_pace_is_that_of_the_recording(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_in_real_time_the_pace_is_that_of_the_recording_and_a_gap_is_told(tmp_path, source, config):
     path = tmp_path / "seen.db3"
-    with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
-        camera.read(0.0)
-        for _ in range(4):
-            source.feed()
-            camera.read(1.0)
-            time.sleep(0.2)
-    with RealSenseCamera(_playing(path, config).replace(real_time=True)) as camera:
-        arrived = [time.monotonic() for _ in camera]
-    # The library may hand out the first frame late while it starts; from then on it keeps the pace.
-    assert 3 <= len(arrived) <= 4
-    assert arrived[-1] - arrived[-3] == pytest.approx(0.4, abs=0.15)
-
-
-def test_a_gap_in_a_recording_is_told_and_waited_for(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
-    path = tmp_path / "seen.db3"
-    recorded = []
+    recorded, told, arrived = [], [], []
     patient = config.timeouts.replace(reopen_s=30.0, start_s=30.0)
     with RealSenseCamera(config.replace(record_to=str(path), timeouts=patient), source) as camera:
         camera.read(0.0)
@@ -87,27 +69,20 @@ def test_a_gap_in_a_recording_is_told_and_waited_for(
             cloud = camera.read(1.0)
             assert cloud is not None
             recorded.append(cloud.stamp_ns)
-    told: list[str] = []
     playing = _playing(path, config).replace(real_time=True)
     with RealSenseCamera(playing, on_change=lambda status: told.append(status.state)) as camera:
-        played = [cloud.stamp_ns for cloud in camera]
+        played = []
+        for cloud in camera:
+            played.append(cloud.stamp_ns)
+            arrived.append(time.monotonic())
+    # The library may hand out the first frame late while it starts; from then on it keeps the pace.
     assert played[-3:] == recorded[-3:]
-    assert told == ["streaming", "stalled", "streaming", "ended"]
+    assert arrived[-1] - arrived[-3] == pytest.approx((recorded[-1] - recorded[-3]) / 1e9, abs=0.25)
+    assert list(dict.fromkeys(told)) == ["streaming", "stalled", "ended"]
     assert camera.status.opened == 1
 
 
-def test_a_recording_repeats_when_asked_to(tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig) -> None:
-    path = tmp_path / "seen.db3"
-    recorded = _record(path, source, config, 3)
-    with RealSenseCamera(_playing(path, config, repeat=True)) as camera:
-        stamps = [cloud.stamp_ns for cloud, _ in zip(camera, range(7), strict=False)]
-    first = [cloud.stamp_ns for cloud in recorded]
-    assert stamps == [*first, *first, first[0]]
-
-
-def test_a_reconnected_camera_records_to_the_next_file(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_a_reconnected_camera_records_to_the_next_file(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
         for opening in range(2):
@@ -124,9 +99,7 @@ def test_a_reconnected_camera_records_to_the_next_file(
             assert len(list(camera)) == 1
 
 
-def test_files_that_cannot_be_played_or_overwritten_are_named(
-    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_files_that_cannot_be_played_or_overwritten_are_named(tmp_path, source, config):
     precious = tmp_path / "precious.db3"
     precious.write_bytes(b"precious")
     with pytest.raises(FileError, match=r"precious\.db3: exists"):

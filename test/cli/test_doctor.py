@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import metadata
-from typing import Any
 
 import pytest
 from packaging.specifiers import SpecifierSet
 
 from foretouch.cli import doctor
 
-Call = Callable[..., Any]
-
 
 @pytest.mark.slow
-def test_this_environment_has_no_problem(call: Call) -> None:
+def test_this_environment_has_no_problem(call) -> None:
     answer = call("doctor", "--json")
     problems = [
         one for one in answer.records if one["state"] not in {"ok", "optional"} and one["name"] != "shared memory"
@@ -26,7 +22,7 @@ def test_this_environment_has_no_problem(call: Call) -> None:
     }
 
 
-def test_another_version_is_a_mismatch_with_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_is_a_mismatch_with_its_fix(monkeypatch) -> None:
     monkeypatch.setattr(metadata, "version", lambda _: "0.1")
     found = doctor._requirement("numpy", SpecifierSet(">=1.26"), None)
     assert (found.state, found.found, found.fix) == ("mismatch", "0.1 is not >=1.26", "pip install 'numpy>=1.26'")

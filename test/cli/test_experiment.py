@@ -9,7 +9,7 @@ OWN = "own_experiments.counting"
 
 
 @pytest.fixture
-def numbers(tmp_path: Path) -> Path:
+def numbers(tmp_path) -> Path:
     path = tmp_path / "numbers.txt"
     path.write_text("1 2.5\n")
     return path
@@ -25,9 +25,7 @@ def test_a_program_gets_a_line_a_cell_and_the_summary(call, tmp_path, numbers) -
     ]
     assert summary["status"] == "done"
     assert (summary["cells"], summary["reused"], summary["rows"], summary["failed"]) == (3, 0, 6, {})
-    refused = call(*words)
-    assert refused.status == 1
-    assert "--resume continues" in refused.err
+    call(*words).check_refused("--resume continues")
     (again,) = call(*words, "--resume").records
     assert again["reused"] == 3
 
@@ -69,8 +67,7 @@ def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch)
     assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
     assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
     answer = call("experiment", "noise_ceiling", *out, "--data", tmp_path)
-    assert (answer.status, answer.err.count("\n")) == (1, 1)  # and no bar beside it
-    assert "is neither a scene (.yaml) nor a store" in answer.err
+    answer.check_refused("is neither a scene (.yaml) nor a store")  # and no bar beside it
     assert not (tmp_path / "out").exists()
     for words in (["--bogus"], ["--workers", "0"], ["--workers", "-3"]):
         with pytest.raises(SystemExit) as wrong:
@@ -81,13 +78,12 @@ def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch)
 def test_a_folder_of_another_experiment_is_not_redrawn(call, tmp_path, numbers) -> None:
     out = tmp_path / "out"
     call("experiment", OWN, "-o", out, "--data", numbers, "cells=1", "--workers", "1")
-    answer = call("experiment", "coverage", "-o", out, "--redraw")
-    assert answer.status == 1
-    assert answer.err.endswith("manifest.json: experiment: 'counting' is not 'coverage'\n")
+    words = ("-o", out, "--redraw")
+    call("experiment", "coverage", *words).check_refused("manifest.json: experiment: 'counting' is not 'coverage'\n")
     (out / "results.csv").write_text("")
-    assert "contains no row" in call("experiment", OWN, "-o", out, "--redraw").err
+    call("experiment", OWN, *words).check_refused("contains no row")
     (out / "results.csv").unlink()
-    assert call("experiment", OWN, "-o", out, "--redraw").err.endswith("results.csv: No such file or directory\n")
+    call("experiment", OWN, *words).check_refused("results.csv: No such file or directory\n")
 
 
 def test_list_names_all(call) -> None:

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from calibrated_models import save_calibrated_contact, save_calibrated_network
@@ -14,10 +12,8 @@ from every_case import every_case
 from foretouch.models import available_models
 from foretouch.models.registry import find_card
 
-Call = Callable[..., Any]
 
-
-def test_every_model_of_the_package_has_skill_files_and_intervals(call: Call) -> None:
+def test_every_model_of_the_package_has_skill_files_and_intervals(call) -> None:
     answer = call("models", "--json")
     assert answer.status == 0
     assert [record["name"] for record in answer.records] == available_models()
@@ -37,7 +33,7 @@ def test_every_model_of_the_package_has_skill_files_and_intervals(call: Call) ->
     assert any(names == "all models" for names, _, _ in remarks)
 
 
-def test_coverage_and_guarantee_are_those_of_the_card(call: Call, tmp_path: Path) -> None:
+def test_coverage_and_guarantee_are_those_of_the_card(call, tmp_path) -> None:
     (record,) = call("models", save_calibrated_contact(tmp_path), "--json").records
     result = record["calibration"]
     assert (record["kind"], result["level"], result["objects"], result["promise"]) == ("contact", 0.9, 4, 0.8)
@@ -47,7 +43,7 @@ def test_coverage_and_guarantee_are_those_of_the_card(call: Call, tmp_path: Path
     assert "the guaranteed coverage of one more object is at most 80%" in table
 
 
-def test_a_flipped_byte_or_an_absent_file_is_found(call: Call, tmp_path: Path) -> None:
+def test_a_flipped_byte_or_an_absent_file_is_found(call, tmp_path) -> None:
     card = save_calibrated_network(tmp_path)
 
     def check(name: str) -> None:

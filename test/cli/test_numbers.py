@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
-from command_answer import Answer
 from every_case import every_case
 
 from foretouch.cli.main import COMMANDS, _parser
@@ -50,16 +48,12 @@ def test_a_number_that_cannot_be_used_is_refused_by_the_parser() -> None:
     every_case([(name, text) for name in options if name not in CHECKED_LATER for text in texts], check)
 
 
-def test_the_command_names_option_and_rule_in_one_line(
-    call: Callable[..., Answer], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_names_option_and_rule_in_one_line(call, capsys) -> None:
     def check(words: str, message: str) -> None:
         with pytest.raises(SystemExit, match="2"):
             call(*words.split())
-        assert (
-            capsys.readouterr().err.splitlines()[-1]
-            == f"foretouch {words.split(maxsplit=1)[0]}: error: argument {message}"
-        )
+        command, line = words.split(maxsplit=1)[0], capsys.readouterr().err.splitlines()[-1]
+        assert line == f"foretouch {command}: error: argument {message}"
 
     every_case(
         [
@@ -78,13 +72,10 @@ def test_the_command_names_option_and_rule_in_one_line(
     )
 
 
-def test_a_setting_is_refused_in_one_line(call: Callable[..., Answer], files: Path) -> None:
+def test_a_setting_is_refused_in_one_line(call, files) -> None:
     def check(name: str, text: str) -> None:
         command, option = name.split()
-        answer = call(command, files / "object.pcd", option, text)
-        (line,) = answer.err.splitlines()
-        assert answer.status == 1
-        assert CHECKED_LATER[name] in line
+        call(command, files / "object.pcd", option, text).check_refused(CHECKED_LATER[name])
 
     cases = {"grasp --tip-mm": ("nan", "-5", "0"), "grasp --count": ("-5", "0"), "grasp --slide-m": ("nan", "inf")}
     every_case([(name, text) for name, texts in cases.items() for text in texts], check)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,26 +24,57 @@ from foretouch.errors import FileError
 from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.touch_model import TouchModel
 from foretouch.types import GraspSample, Touch, TouchPrediction
-
-Call = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> str:
+def model(tmp_path_factory) -> str:
     return save_calibrated_network(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five grasps of one object, each with touch and tare; the sensors drift."""
-    path = tmp_path_factory.mktemp("session") / "ball"
+def tracked(tmp_path_factory) -> str:
+    """A model whose calibration has a tracker."""
+    return save_calibrated_network(tmp_path_factory.mktemp("tracked"), make_tracked_calibration())
+
+
+def write_touches(path: Path, levels: Sequence[float], drift: float | None, **label: Any) -> Path:
+    """Grasps of one object, with touches of some levels beside rest, and tares that drift [counts]."""
     with RecordingWriter(path, IDENTITY, QUICK) as writer:
-        for number in range(5):
-            one = record(number, points=300)
-            tare, touch = (Touch.from_vector(REST + shift + 3.0 * number) for shift in (0.0, -50.0))
-            writer.append(replace(one, sample=replace(one.sample, touch=touch, tare=tare)))
+        for number, level in enumerate(levels):
+            one = record(label.get("first", 0) + number, points=300)
+            tare = None if drift is None else Touch.from_vector(REST + drift * number)
+            stamp_ns = one.sample.stamp_ns - label.get("before_ns", 0)
+            changes = {"object": label.get("object", one.sample.object), "stamp_ns": stamp_ns}
+            sample = replace(one.sample, touch=Touch.from_vector(REST + level), tare=tare, **changes)
+            writer.append(replace(one, sample=sample))
     return path
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Path:
+    """Five grasps of one object, each with touch and tare; the sensors drift."""
+    return write_touches(tmp_path_factory.mktemp("session") / "ball", [3.0 * k - 50.0 for k in range(5)], 3.0)
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory) -> Path:
+    """Three grasps of another object an hour before those of the session."""
+    path = tmp_path_factory.mktemp("earlier") / "box"
+    return write_touches(path, [-80.0, -79.0, -78.0], None, object="box", before_ns=3600 * 10**9)
+
+
+def samples_of(path: Path) -> list[GraspSample]:
+    return sorted((one.sample for one in open_samples(path).records()), key=lambda sample: sample.stamp_ns)
+
+
+def hand_after(model: TouchModel, path: Path) -> HandHistory:
+    """The history of a hand that has touched the object of a dataset."""
+    hand = HandHistory(model)
+    for number, one in enumerate(samples_of(path)):
+        hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
+    return hand
 
 
 def reading(number: int) -> dict[str, Any]:
@@ -61,21 +92,20 @@ def assert_reported(one: dict[str, Any], wanted: TouchPrediction) -> None:
     assert one["reference"] == wanted.reference
 
 
-def test_a_tare_shifts_the_prediction_as_the_model_does(call: Call, model: str, session: Path, tmp_path: Path) -> None:
+def test_a_tare_shifts_the_prediction_as_the_model_does(call, model, session, tmp_path) -> None:
     (tmp_path / "t.json").write_text(json.dumps([reading(k) for k in (30, 10, 20)]))
     answer = call("predict", session, "--model", model, "--tare", tmp_path / "t.json", "--json")
     core, tare = load_model(model), Touch.from_vector(REST + 20)
-    samples = open_samples(session)
-    for result, found in zip(answer.records, samples.records(), strict=True):
-        (wanted,) = core.predict(found.sample.cloud, [found.sample.grasp], tare=tare)
+    for result, sample in zip(answer.records, samples_of(session), strict=True):
+        (wanted,) = core.predict(sample.cloud, [sample.grasp], tare=tare)
         assert_reported(result["predictions"][0], wanted)
         assert (wanted.reference, result["touched"]) == ("tare", 0)
 
 
-def test_touches_and_own_tares_adapt_it_in_order_of_time(call: Call, model: str, session: Path) -> None:
+def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -> None:
     answer = call("predict", session, "--model", model, "--tare", "sample", "--touched", session, "--json")
     core = load_model(model)
-    samples = sorted(samples_of(session), key=lambda one: one.stamp_ns)
+    samples = samples_of(session)
     results = {result["sample"]: result for result in answer.records}
     for sample in samples:
         hand, others = HandHistory(core), [one for one in samples if one.id != sample.id]  # never its own reading
@@ -90,7 +120,7 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call: Call, model: str,
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
 
 
-def test_a_sample_s_own_reading_moves_nothing(call: Call, model: str, session: Path, tmp_path: Path) -> None:
+def test_a_sample_s_own_reading_moves_nothing(call, model, session, tmp_path) -> None:
     found = open_samples(session)
     first, *_ = found.records()
     with RecordingWriter(tmp_path / "one", IDENTITY, QUICK) as writer:
@@ -101,7 +131,7 @@ def test_a_sample_s_own_reading_moves_nothing(call: Call, model: str, session: P
     assert (adapted["touched"], adapted["predictions"][0]["reference"]) == (0, "none")
 
 
-def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str, session: Path) -> None:
+def test_touches_narrow_the_interval_and_a_person_sees_it(call, model, session) -> None:
     words = ("predict", session, "--model", model)
     before, after = (call(*words, *more, "--json").records[0] for more in ((), ("--touched", session)))
 
@@ -115,7 +145,7 @@ def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str
     assert "touches 4" in table
 
 
-def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path) -> None:
+def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:
     path, good = tmp_path / "t.json", reading(0)
 
     def check(content: Any, rule: str) -> None:
@@ -141,9 +171,7 @@ def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path) -> None:
     )
 
 
-def test_what_cannot_be_adapted_to_is_refused_in_one_line(
-    call: Call, model: str, session: Path, files: Path, tmp_path: Path
-) -> None:
+def test_what_cannot_be_adapted_to_is_refused_in_one_line(call, model, session, files, tmp_path) -> None:
     other = write_dataset(tmp_path / "cup", 2, name="cup", points=300)
     sample, scene, cloud = ("--tare", "sample"), files / "scene.npz", files / "object.pcd"
 
@@ -169,7 +197,7 @@ def test_what_cannot_be_adapted_to_is_refused_in_one_line(
     assert result["predictions"][0]["reference"] == "touches"
 
 
-def test_the_contact_model_needs_no_torch(files: Path, session: Path, tmp_path: Path) -> None:
+def test_the_contact_model_needs_no_torch(files, session, tmp_path) -> None:
     card = save_calibrated_contact(tmp_path)
     words = ["predict", str(files / "object.pcd"), "--model", card, "--touched", str(session), "--json"]
     code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * ('torch' in sys.modules))"
@@ -179,7 +207,7 @@ def test_the_contact_model_needs_no_torch(files: Path, session: Path, tmp_path: 
 
 
 @pytest.mark.real_data
-def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call: Call, model: str, real_data: Path) -> None:
+def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call, model, real_data) -> None:
     folder = real_data / "vision2tactile" / "coffee"
     first, second, *_ = sorted(folder.iterdir())
     words = ("predict", first, "--model", model, "--tare", first / "tactile.tac", "--touched", second, "--json")
@@ -188,33 +216,10 @@ def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call: Call, model: s
     assert result["touched"] == 1
 
 
-@pytest.fixture(scope="module")
-def tracked(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A model whose calibration has a tracker."""
-    return save_calibrated_network(tmp_path_factory.mktemp("tracked"), make_tracked_calibration())
-
-
-@pytest.fixture(scope="module")
-def earlier(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three grasps of another object before those of the session."""
-    path = tmp_path_factory.mktemp("earlier") / "box"
-    with RecordingWriter(path, IDENTITY, QUICK) as writer:
-        for number in range(3):
-            one = record(number, points=300)
-            touch = Touch.from_vector(REST - 80.0 + number)
-            stamp = one.sample.stamp_ns - 3600 * 10**9
-            writer.append(
-                replace(one, sample=replace(one.sample, object="box", touch=touch, tare=None, stamp_ns=stamp))
-            )
-    return path
-
-
-def test_a_history_is_read_in_order_of_time(call: Call, tracked: str, session: Path, earlier: Path) -> None:
+def test_a_history_is_read_in_order_of_time(call, tracked, session, earlier) -> None:
     words = ("predict", session, "--model", tracked, "--history", earlier, "--json")
     one = load_model(tracked)
-    hand = HandHistory(one)
-    for number, sample in enumerate(samples_of(earlier)):
-        hand.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
+    hand = hand_after(one, earlier)
     for result, sample in zip(call(*words).records, samples_of(session), strict=True):
         (found,) = result["predictions"]
         (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.snapshot(sample.stamp_ns, same_object=False))
@@ -223,12 +228,7 @@ def test_a_history_is_read_in_order_of_time(call: Call, tracked: str, session: P
         assert found["evidence"]["reading_age_s"] > 3000.0
 
 
-def samples_of(path: Path) -> list[GraspSample]:
-    found = open_samples(path)
-    return [record.sample for record in found.records()]
-
-
-def test_no_reading_of_the_future_is_used_and_never_its_own(call: Call, tracked: str, session: Path) -> None:
+def test_no_reading_of_the_future_is_used_and_never_its_own(call, tracked, session) -> None:
     words = ("predict", session, "--model", tracked, "--json")
     alone, adapted = (call(*words, *more).records for more in ((), ("--history", session)))
     readings = [result["predictions"][0]["evidence"]["readings"] for result in adapted]
@@ -236,14 +236,9 @@ def test_no_reading_of_the_future_is_used_and_never_its_own(call: Call, tracked:
     assert flat(alone[0]["predictions"][0], "value") == flat(adapted[0]["predictions"][0], "value")
 
 
-def test_the_file_of_a_hand_is_a_history(
-    call: Call, tracked: str, session: Path, earlier: Path, tmp_path: Path
-) -> None:
-    hand = HandHistory(load_model(tracked))
-    for number, sample in enumerate(samples_of(earlier)):
-        hand.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
+def test_the_file_of_a_hand_is_a_history(call, tracked, session, earlier, tmp_path) -> None:
     file = HistoryFile(tmp_path / "right.safetensors", "right")
-    file.write(hand)
+    file.write(hand_after(load_model(tracked), earlier))
     file.close()
     words = ("predict", session, "--model", tracked, "--json", "--history")
     by_file, by_data = (call(*words, path).records for path in (file.path, earlier))
@@ -252,9 +247,7 @@ def test_the_file_of_a_hand_is_a_history(
     assert "right.safetensors: damaged" in call(*words, file.path).err
 
 
-def test_a_model_without_a_calibration_takes_no_readings(
-    call: Call, files: Path, session: Path, earlier: Path, tmp_path: Path
-) -> None:
+def test_a_model_without_a_calibration_takes_no_readings(call, files, session, earlier, tmp_path) -> None:
     card = save_calibrated_contact(tmp_path)
     document = json.loads(Path(card).read_text())
     Path(card).write_text(json.dumps({**document, "calibration": None}))
@@ -266,16 +259,12 @@ def test_a_model_without_a_calibration_takes_no_readings(
         assert "contact: cannot adapt to readings: its card holds no calibration" in told
 
 
-def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(
-    call: Call, model: str, session: Path
-) -> None:
+def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(call, model, session) -> None:
     answer = call("predict", session, "--model", model, "--prequential", "--json")
     assert answer.status == 0
     assert [one["touched"] for one in answer.records] == [0, 1, 2, 3, 4]
-    core = load_model(model)
-    samples = open_samples(session)
-    found = sorted((one.sample for one in samples.records()), key=lambda sample: sample.stamp_ns)
-    done = replay_model(core, found)
+    found = samples_of(session)
+    done = replay_model(load_model(model), found)
     for k, one in enumerate(answer.records):
         assert one["sample"] == found[k].id
         np.testing.assert_array_equal(flat(one["predictions"][0], "value"), done.played.counts[k])
@@ -287,18 +276,10 @@ def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(
     assert same.out == answer.out, "readings of the samples themselves are no history"
 
 
-def test_evaluate_in_order_of_time_reports_scores_by_touches(
-    call: Call, model: str, session: Path, tmp_path: Path
-) -> None:
-    with RecordingWriter(tmp_path / "other", IDENTITY, QUICK) as writer:
-        for number in range(4):
-            one = record(10 + number, points=300)
-            label = {"object": "box", "touch": Touch.from_vector(REST - 10.0 * number), "tare": None}
-            writer.append(replace(one, sample=replace(one.sample, **label)))
-    single = call("evaluate", model, session, "--prequential")
-    assert single.status == 1
-    assert "skills require another object" in single.err
-    answer = call("evaluate", model, session, "--prequential", "--history", tmp_path / "other", "--json")
+def test_evaluate_in_order_of_time_reports_scores_by_touches(call, model, session, tmp_path) -> None:
+    other = write_touches(tmp_path / "other", [-10.0 * k for k in range(4)], None, object="box", first=10)
+    call("evaluate", model, session, "--prequential").check_refused("skills require another object")
+    answer = call("evaluate", model, session, "--prequential", "--history", other, "--json")
     (found,) = answer.records
     assert (found["samples"], found["history"]) == (5, 4)
     assert found["touches"]["all"]["grasps"] == 5

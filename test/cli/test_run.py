@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`run` and `replay` as a person calls them: processes of their own, over real DDS."""
+"""`run`, `replay` and `record` as a person calls them: processes of their own, over real DDS."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_answer import Answer
 from every_case import every_case
 from scene_builders import scene_cloud, write_scenes
 from websocket_client import WebSocketClient
 
 from foretouch.cloud.io.files import write_cloud
+from foretouch.dataset.recording import verify_dataset
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
@@ -34,15 +34,14 @@ def run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str
 
 
 @contextmanager
-def started(environment: dict[str, str], *words: object) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "foretouch.cli.main", "run", *map(str, words), "--json"]
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+def started(environment: dict[str, str], *words: object, command: str = "run") -> Iterator[subprocess.Popen[str]]:
+    words = (sys.executable, "-m", "foretouch.cli.main", command, *words, "--json")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(list(map(str, words)), env=environment, **pipes) as process:
         yield process
 
 
-def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment) -> None:
     picture = tmp_path / "touch.png"
     status, lines, err = run(environment, "--source", write_scenes(tmp_path / "bag", 5), "--picture", picture)
     assert status == 0, err
@@ -54,17 +53,23 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, enviro
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_mistakes_are_one_line_before_anything_starts(call: Callable[..., Answer], tmp_path: Path) -> None:
-    write_cloud(tmp_path / "8.npz", scene_cloud(0))
+@pytest.mark.slow
+def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path, environment) -> None:
+    for k in range(3):
+        write_cloud(tmp_path / f"{k + 8}.npz", scene_cloud(k))
+    status, lines, err = run(environment, "--source", tmp_path)
+    assert status == 0, err
+    stamps = [line["stamp_ns"] for line in lines[:-1]]
+    assert (len(stamps), stamps) == (3, sorted(set(stamps)))
+
+
+def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
     none, waits = tmp_path / "none", "a camera does not wait; --wait-for needs a recording or files"
 
     def check(words: tuple[object, ...], line: str) -> None:
-        answer = call(*words)
-        assert (answer.status, answer.out) == (1, "")
-        assert answer.err.startswith(f"foretouch: {line}"), answer.err
-        assert answer.err.count("\n") == 1
+        call(*words).check_refused(f"foretouch: {line}")
 
     every_case(
         [
@@ -72,11 +77,8 @@ def test_mistakes_are_one_line_before_anything_starts(call: Callable[..., Answer
             (("replay", none), f"{none}: does not exist\n"),
             (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
             (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
-            (("run", "--source", tmp_path / "8.npz", "--model", "nope"), "nope: is no run folder, no card"),
-            (
-                ("run", "--source", tmp_path / "8.npz", "--model", tmp_path / "a.json"),
-                f"{tmp_path / 'a.json'}: no such",
-            ),
+            (("run", "--source", none, "--model", "nope"), "nope: is no run folder, no card"),
+            (("run", "--source", none, "--model", tmp_path / "a.json"), f"{tmp_path / 'a.json'}: no such"),
             (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),
         ],
         check,
@@ -84,18 +86,7 @@ def test_mistakes_are_one_line_before_anything_starts(call: Callable[..., Answer
 
 
 @pytest.mark.slow
-def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path: Path, environment: dict[str, str]) -> None:
-    for k in range(3):
-        write_cloud(tmp_path / f"{k + 8}.npz", scene_cloud(k))
-    status, lines, err = run(environment, "--source", tmp_path)
-    assert status == 0, err
-    stamps = [line["stamp_ns"] for line in lines[:-1]]
-    assert len(stamps) == 3
-    assert stamps == sorted(set(stamps))
-
-
-@pytest.mark.slow
-def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -> None:
     words = ("--source", write_scenes(tmp_path / "bag", 5), "--wait-for", "touch", "--wait-limit", 60)
     with started(environment, *words) as process:
         command = [sys.executable, str(LISTENER), "--count", "5"]
@@ -108,9 +99,7 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environm
 
 
 @pytest.mark.slow
-def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
-    tmp_path: Path, environment: dict[str, str]
-) -> None:
+def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(tmp_path, environment) -> None:
     scene, picture = tmp_path / "scene.yaml", tmp_path / "touch.png"
     scene.write_text("camera: {width: 424, height: 320}\ngrasps: {insertion_m: 0.01}\n", encoding="utf-8")
     status, lines, err = run(environment, "--source", scene, "--count", 10, "--picture", picture)
@@ -122,7 +111,7 @@ def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_ctrl_c_ends_it_cleanly(tmp_path, environment) -> None:
     with started(environment, "--source", write_scenes(tmp_path / "bag", 150)) as process:
         assert process.stdout is not None
         process.stdout.readline()  # the first answer: it is under way
@@ -135,7 +124,7 @@ def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> 
 
 
 @pytest.mark.slow
-def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_status(environment: dict[str, str]) -> None:
+def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_status(environment) -> None:
     with started(environment, "--source", "camera") as process:
         assert process.stderr is not None
         lines = []
@@ -152,7 +141,7 @@ def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_statu
 
 
 @pytest.mark.slow
-def test_serve_gives_the_answers_to_a_websocket_client(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_serve_gives_the_answers_to_a_websocket_client(tmp_path, environment) -> None:
     pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
     for k in range(40):
         write_cloud(tmp_path / f"{k + 10}.npz", scene_cloud(k % 2, objects=1))
@@ -165,3 +154,23 @@ def test_serve_gives_the_answers_to_a_websocket_client(tmp_path: Path, environme
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert "Traceback" not in err
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_recording_in_order(tmp_path, environment) -> None:
+    words = ("-o", tmp_path / "set", "--object", "can", "--hand")
+    with started(environment, *words, "shadow:1", command="record") as process:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["recording"]
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    last = json.loads(out.splitlines()[-1])
+    assert (last["recording"], last["reason"], last["samples"]) == (False, "", 0)
+    assert last["sensors"] == {"TH": "no data", "MF": "no data", "camera": "no data"}
+    (report,) = verify_dataset(tmp_path / "set")
+    assert (report.finished, report.faults) == (True, [])
+    with started(environment, *words, "shadow:2", "--seconds", 1, command="record") as process:
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "hand.serial: 1 there, 2 here" in err.splitlines()[-1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands print on terminals of 60 and of 80 columns: whole, and without remains of earlier frames."""
+"""Tables, live screens and progress bars: whole on terminals of any width, without remains of earlier frames."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ import struct
 import subprocess
 import sys
 import termios
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from contextlib import suppress
 
-import numpy as np
 import pytest
 from every_case import every_case
 from recording_builders import write_dataset
+from rich.console import Console
 from scene_builders import write_scenes
 
-from foretouch.cli.evaluate import show_scores
+from foretouch.cli.output import progress_bar
+from foretouch.cli.screen import FittedTable
+from foretouch.errors import ForetouchError
 
 HEIGHT = 24
+ERASE = "\x1b[2K"
+COLUMNS = ["finger", "value", "span of the electrodes", "why"]
+ROWS = [["thumb", "2931 ±158", "2737–3487 ±179", "adapted to three touches"], ["middle", "1858 ±99", "–", ""]]
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 ENTER, LEAVE = "\x1b[?1049h", "\x1b[?1049l"
 BACK = re.compile(r"\x1b\[\d*[AFH]")  # the cursor goes back over what stands in the scrollback
-
-Call = Callable[..., Any]
 
 
 def on_a_terminal(width: int, environment: dict[str, str], *words: object) -> str:
@@ -69,14 +70,13 @@ def whole(written: str, width: int) -> str:
     return text
 
 
-def test_tables_of_the_commands_are_whole(
-    call: Call, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tables_of_the_commands_are_whole(call, files, tmp_path, monkeypatch) -> None:
     dataset = tmp_path / "a-rather-long-name-of-a-dataset"
     write_dataset(dataset, 6, points=100)
     commands = (
         ("segment", files / "scene.npz"),
         ("grasp", files / "scene.npz"),
+        ("predict", files / "object.pcd"),
         ("models",),
         ("dataset", "info", dataset),
         ("dataset", "verify", dataset),
@@ -96,36 +96,9 @@ def test_tables_of_the_commands_are_whole(
     every_case([(width, words) for width in (60, 80) for words in commands], check)
 
 
-def test_numbers_of_predictions_and_scores_are_whole(
-    call: Call, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (record,) = call("predict", files / "object.pcd", "--json").records
-    score = {"rmse": 123.4, "nrmse": 0.0567, "skill": 0.123, "coverage90": 0.912}
-    names = ("model", "mean", "geometry_trees", "object_time_trees", "nearest_neighbour")
-    scores = {name: dict.fromkeys(("PDC_TH", "PDC_MF", "E_TH", "E_MF"), score) for name in names}
-
-    def check(width: int) -> None:
-        monkeypatch.setenv("COLUMNS", str(width))
-        words = set(call("predict", files / "object.pcd").out.replace("│", " ").split())
-        for one in record["predictions"]:
-            assert {f"{one[name]['value']:.0f}" for name in ("PDC_TH", "PDC_MF")} <= words
-            spans = [(min(one[name]["value"]), max(one[name]["value"])) for name in ("E_TH", "E_MF")]
-            assert {f"{low:.0f}–{high:.0f}" for low, high in spans} <= words
-            half = [np.mean(np.subtract(one[n]["upper"], one[n]["lower"])) / 2 for n in ("PDC_TH", "E_MF")]
-            assert {f"±{value:.0f}" for value in half} <= words
-            assert {f"{x:.3f}" for x in (*one["grasp"]["g1"], *one["grasp"]["g2"])} <= words
-        show_scores({"samples": 123, "unfamiliar": 4, "scores": scores}, "random")
-        out = capsys.readouterr().out
-        assert out.count("0.0567") == out.count("+0.123") == 20
-        assert out.count("object_time_trees") == 4
-        assert "…" not in out
-
-    every_case([60, 80], check)
-
-
 @pytest.mark.slow
 @pytest.mark.ros
-def test_the_live_screen_of_run_leaves_one_table_behind(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_live_screen_leaves_one_table_behind(tmp_path, environment) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     recording = write_scenes(tmp_path / "recording", 8)
 
@@ -145,22 +118,98 @@ def test_the_live_screen_of_run_leaves_one_table_behind(tmp_path: Path, environm
         assert "8 clouds played" in " ".join(left.replace("│", " ").split())
 
     every_case([60, 80], check)
-
-
-@pytest.mark.slow
-@pytest.mark.ros
-def test_the_live_screen_of_record_does_too(tmp_path: Path, environment: dict[str, str]) -> None:
-    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     written = on_a_terminal(60, environment, "record", "-o", tmp_path / "set", "--seconds", 1)
     before, _, rest = written.partition(ENTER)
     live, _, after = rest.partition(LEAVE)
     assert "starting the recorder" in before
     assert "sensors" in live
     assert not BACK.search(before + after)
-    left = ESCAPE.sub("", after)
-    assert left.count("╭") == left.count("╰") == 1
-    assert "writing what is left" in left
+    assert "writing what is left" in after
+    assert after.count("╭") == after.count("╰") == 1
 
 
-def test_a_table_on_a_terminal_is_folded_with_its_title(files: Path, environment: dict[str, str]) -> None:
+def test_a_table_on_a_terminal_is_folded_with_its_title(files, environment) -> None:
     assert "score (higher" in whole(on_a_terminal(60, environment, "grasp", files / "scene.npz"), 60)
+
+
+def drawn(table: FittedTable, width: int) -> str:
+    console = Console(width=width, color_system=None)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get()
+
+
+def test_nothing_is_cut_and_words_are_whole_as_long_as_they_fit() -> None:
+    words = {word for row in [COLUMNS, *ROWS] for cell in row for word in cell.split()}
+    digits = sum(character.isdigit() for row in ROWS for cell in row for character in cell)
+
+    def check(width: int, live: bool) -> None:
+        text = drawn(FittedTable(COLUMNS, ROWS, live=live), width)
+        assert max(map(len, text.splitlines())) <= width
+        assert "…" not in text
+        assert sum(character.isdigit() for character in text) == digits
+        shown = {word for line in text.splitlines() for word in line.replace("│", " ").replace("┃", " ").split()}
+        assert shown >= words or width < (50 if live else 24)
+
+    every_case([(width, live) for width in (8, 15, 24, 30, 40, 50, 60, 80, 120) for live in (False, True)], check)
+
+
+def test_frames_go_before_words_are_folded_and_columns_before_words_are() -> None:
+    table = FittedTable(COLUMNS, ROWS)
+    assert "┃" in drawn(table, 90)
+    beside = drawn(table, 70)
+    assert "┃" not in beside
+    assert len(beside.splitlines()) == 3
+    listed = drawn(table, 24).splitlines()
+    assert [line.split() for line in listed[:2]] == [["finger", "thumb"], ["value", "2931", "±158"]]
+    assert not all(line.strip() for line in listed), "rows stand apart"
+
+
+def test_numbers_end_at_the_right_and_rows_beyond_the_limit_are_counted() -> None:
+    lines = drawn(FittedTable(["a", "count", "of what"], [["x", "7", "3 touches"], ["y", "1234", "one"]]), 60)
+    cells = [line.split("│")[2:4] for line in lines.splitlines() if "│" in line]
+    assert cells == [["     7 ", " 3 touches "], ["  1234 ", " one       "]]
+    text = drawn(FittedTable(["k"], [[str(k)] for k in range(20)], limit=3, title="numbers"), 40)
+    assert "and 17 more" in text
+    assert text.startswith("numbers")
+    assert drawn(FittedTable(["k"], []), 40)
+
+
+@pytest.fixture
+def terminal(monkeypatch) -> None:
+    """Let rich treat stderr as a terminal."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+
+
+def test_nothing_is_shown_without_a_terminal(capsys) -> None:
+    with progress_bar("simulating", 3) as update:
+        update()
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.usefixtures("terminal")
+def test_updates_advance_or_set_the_bar_unless_it_is_hidden(capsys) -> None:
+    with progress_bar("reading the data") as update:
+        update(7, 9, "ablation seed=1")
+        update()
+    out, err = capsys.readouterr()
+    assert (out, "8/9" in err, "ablation seed=1" in err, err.endswith(ERASE)) == ("", True, True, False)
+    with progress_bar("simulating", 3, hidden=True) as update:
+        update()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("terminal")
+def test_the_bar_is_erased_if_transient_without_progress_or_after_an_error(capsys) -> None:
+    with progress_bar("importing", transient=True) as update:
+        update()
+    assert capsys.readouterr().err.endswith(ERASE)
+    with progress_bar("epoch"):
+        pass
+    assert capsys.readouterr().err.endswith(ERASE)
+    with suppress(ForetouchError), progress_bar("epoch", 3) as update:
+        update()
+        raise ForetouchError("disk full")
+    assert capsys.readouterr().err.endswith(ERASE)

@@ -3,22 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from foretouch.cli.main import main
 from foretouch.models import load_model
 
-Call = Callable[..., Any]
 CONFIG = Path(__file__).parents[2] / "config"
 SMALL = ("model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.tnet=false", "model.n_points=64")
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def simulated(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("simulated") / "store"
     words = ["simulate", str(CONFIG / "scenes/clean.yaml"), "-n", "24", "-o", str(out), "--workers", "1", "--no-sheet"]
     assert main([*words, "--json"]) == 0
@@ -26,7 +23,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(simulated, tmp_path_factory) -> Path:
     """A run of `foretouch train`, with all four modalities."""
     out = tmp_path_factory.mktemp("train") / "run"
     words = ["train", str(CONFIG / "train/touchnet-v1.yaml"), f"data={simulated}", *SMALL, "-o", str(out), "--json"]
@@ -35,7 +32,7 @@ def run(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_train_and_evaluate(call: Call, simulated: Path, tmp_path: Path) -> None:
+def test_train_and_evaluate(call, simulated, tmp_path) -> None:
     short = ("model.channels=xyz", "srgan.points=64", "srgan.epochs=2", "srgan.batch_size=2")
     recipe = CONFIG / "train/p2_srgan.yaml"
     words = ["train", recipe, f"data={simulated}", *SMALL, *short, "-o", tmp_path / "run", "--json"]
@@ -59,7 +56,7 @@ def test_train_and_evaluate(call: Call, simulated: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_people_get_a_table(call: Call, simulated: Path, tmp_path: Path) -> None:
+def test_people_get_a_table(call, simulated, tmp_path) -> None:
     short = ("model.channels=xyz", "train.epochs=1", "train.batch_size=4", "split=random/random 1")
     answer = call("train", CONFIG / "train/p2.yaml", f"data={simulated}", *SMALL, *short, "-o", tmp_path / "run")
     assert answer.status == 0, answer.err
@@ -70,7 +67,7 @@ def test_people_get_a_table(call: Call, simulated: Path, tmp_path: Path) -> None
     assert "E_MF" in scored.out
 
 
-def test_errors_are_one_line(call: Call, simulated: Path, tmp_path: Path) -> None:
+def test_errors_are_one_line(call, simulated, tmp_path) -> None:
     recipe, out = CONFIG / "train/p2.yaml", ("-o", tmp_path / "run")
     for words, line in (
         (("train", recipe, f"data={simulated}", "train.epoch=3", *out), "train.epoch: unknown setting; known: device"),
@@ -78,13 +75,11 @@ def test_errors_are_one_line(call: Call, simulated: Path, tmp_path: Path) -> Non
         (("evaluate", "default", tmp_path / "none"), "does not exist"),
         (("evaluate", tmp_path / "x.json", simulated), "no such model card"),
     ):
-        answer = call(*words)
-        assert (answer.status, answer.err.count("\n")) == (1, 1)
-        assert line in answer.err
+        call(*words).check_refused(line)
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_is_used_as_its_card(call: Call, run: Path, simulated: Path, files: Path) -> None:
+def test_a_run_is_used_as_its_card(call, run, simulated, files) -> None:
     (record,) = call("models", run, "--json").records
     assert (record["status"], record["name"], record["sha256"]) == ("ok", "tiny", load_model(run).sha256)
     assert "tiny.safetensors" in record["files"]
@@ -99,7 +94,7 @@ def test_a_run_is_used_as_its_card(call: Call, run: Path, simulated: Path, files
 
 
 @pytest.mark.ros
-def test_the_node_loads_the_model_of_a_run(run: Path) -> None:
+def test_the_node_loads_the_model_of_a_run(run) -> None:
     pytest.importorskip("rclpy")
     from foretouch.ros.touch.predictor import Predictor
 
@@ -109,22 +104,18 @@ def test_the_node_loads_the_model_of_a_run(run: Path) -> None:
     assert predictor.model.name == "tiny"
 
 
-def test_an_unfinished_run_is_refused_in_one_line(
-    call: Call, run: Path, simulated: Path, files: Path, tmp_path: Path
-) -> None:
+def test_an_unfinished_run_is_refused_in_one_line(call, run, simulated, files, tmp_path) -> None:
     for name in ("config.yaml", "log.jsonl", "state.safetensors"):
         (tmp_path / name).write_bytes((run / name).read_bytes())
     for words in (("predict", files / "object.pcd", "--model", tmp_path), ("evaluate", tmp_path, simulated)):
-        answer = call(*words)
-        assert (answer.status, answer.err.count("\n")) == (1, 1)
-        assert f"{tmp_path}: is an unfinished run without a model card" in answer.err
+        call(*words).check_refused(f"{tmp_path}: is an unfinished run without a model card")
     (record,) = call("models", tmp_path, "--json").records
     assert f"{tmp_path}: is an unfinished run" in record["reason"]
 
 
 @pytest.mark.slow
 @pytest.mark.real_data
-def test_the_released_model_recognises_its_training_data(call: Call, real_data: Path) -> None:
+def test_the_released_model_recognises_its_training_data(call, real_data) -> None:
     answer = call("evaluate", "default", real_data / "vision2tactile", "--json")
     assert answer.status == 0, answer.err
     assert answer.records[0]["same_data"] is True

@@ -68,12 +68,6 @@ def _sheet() -> np.ndarray:
     return np.stack([a.ravel(), np.zeros(a.size), b.ravel()], axis=1)
 
 
-def _ring() -> np.ndarray:
-    """A thin ring of 80 mm."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 800, endpoint=False)
-    return np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), np.zeros(800)], axis=1)
-
-
 def across(width_m: float = 0.05, middle: np.ndarray = _AWAY, axis: int = 1) -> Grasp:
     """A grasp along a coordinate axis, with the hand's Z along it."""
     half = np.eye(3)[axis] * width_m / 2.0
@@ -133,7 +127,7 @@ def _shapes() -> Iterator[ObjectCase]:
         ("ball", ball(), "ok"),
         ("cube", _cube(), "ok"),
         ("cylinder end-on", _lid(), "ok"),
-        ("ring", _ring(), "ok"),
+        ("ring", _lid() * 0.04 / np.linalg.norm(_lid(), axis=1, keepdims=True), "ok"),
         ("coplanar", _sheet()[:, [0, 2, 1]], "ok"),
         ("duplicated", np.repeat(bar(), 3, axis=0), "ok"),
         ("a million points", np.concatenate([ball(MANY // 2), 0.5 * ball(MANY // 2)]), "ok"),
@@ -242,9 +236,6 @@ def _changes() -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray], str, s
     yield "all x 1e20", damaged(1e20, 0, 1), "bad_cloud", "beside the rays|field of view|field_of_view"
     yield "10 km away", lambda xyz: xyz + np.float32(1e4), "empty_cloud", "no point between"
     yield "behind the camera", lambda xyz: -xyz, "unknown_frame", "not_optical: 100% of the points are at z <= 0"
-    yield "in the frame of the link", _to_link, "unknown_frame", "not_optical: .* in view along x"
-
-
-def _to_link(xyz: np.ndarray) -> np.ndarray:
-    """From x right, y down, z forward to x forward, y left, z up."""
-    return np.ascontiguousarray(np.stack([xyz[..., 2], -xyz[..., 0], -xyz[..., 1]], axis=-1))
+    # From x right, y down, z forward to x forward, y left, z up.
+    to_link = lambda xyz: np.ascontiguousarray(xyz[..., [2, 0, 1]] * np.float32([1, -1, -1]))  # noqa: E731
+    yield "in the frame of the link", to_link, "unknown_frame", "not_optical: .* in view along x"

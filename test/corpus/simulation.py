@@ -28,9 +28,6 @@ _CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"re
 _ANY = "?"  # answered, or refused by any name
 
 
-# --- contacts ---------------------------------------------------------------------------------------------------
-
-
 def contact_cases() -> Cases:
     """Contact of a pad with a surface, by all three solvers."""
     wide = "compressed by|window is wide"
@@ -71,9 +68,6 @@ def _pressed(level: Any, gap: Any, **command: float) -> float:
     return solution.force_n
 
 
-# --- meshes -----------------------------------------------------------------------------------------------------
-
-
 def mesh_cases() -> Cases:
     """Meshes that are no solids, and solids of absurd size."""
     corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
@@ -104,9 +98,6 @@ def _unit_mesh(vertices: Any, faces: Any) -> Any:
 
 def _in_unit_box(vertices: Any) -> bool:
     return bool(np.allclose(np.abs(vertices), 0.5))
-
-
-# --- scenes -----------------------------------------------------------------------------------------------------
 
 
 def sample_cases() -> Cases:

@@ -41,9 +41,7 @@ def foreign_message(store, xyz: np.ndarray, *, stamp_ns: int, seq: int | None = 
         for column in range(width):
             for axis, offset in ((2, 0), (1, 8), (0, 12)):
                 start = column * point_step + offset
-                rows[row, start : start + 4] = np.frombuffer(
-                    np.array([xyz[row, column, axis]], ">f4").tobytes(), np.uint8
-                )
+                rows[row, start : start + 4] = np.array([xyz[row, column, axis]], ">f4").view(np.uint8)
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
     header = {"stamp": stamp, "frame_id": "lidar"} | ({} if seq is None else {"seq": seq})
@@ -88,6 +86,9 @@ def test_what_is_written_is_read(tmp_path, rng):
         ("many chunks", make_clouds(rng, count=9, shape=(150, 200))),  # 480 kB each, chunks close at 1 MiB
     ]
     every_case(cases, check)
+    (tmp_path / "images" / "metadata.yaml").unlink()
+    for path in (tmp_path / "images", tmp_path / "images" / "images.mcap"):  # without metadata, and a bare file
+        assert_same(next(read_bag(path)), cases[0][1][0])
 
 
 def test_the_mcap_library_agrees_and_accepts_the_checksums(tmp_path, rng):
@@ -135,14 +136,6 @@ def test_ros1_bag(tmp_path, rng):
     assert content.header.frame_id == "lidar"
 
 
-def test_bare_file_and_directory_without_metadata(tmp_path, rng):
-    clouds = make_clouds(rng)
-    write_bag(tmp_path / "bag", clouds)
-    (tmp_path / "bag" / "metadata.yaml").unlink()
-    assert_same(next(read_bag(tmp_path / "bag")), clouds[0])
-    assert_same(next(read_bag(tmp_path / "bag" / "bag.mcap")), clouds[0])
-
-
 def test_messages_are_passed_on_as_recorded(tmp_path, rng):
     text = KILTED.types["std_msgs/msg/String"]
     said = [bytes(KILTED.serialize_cdr(text(f"say {n}"), "std_msgs/msg/String")) for n in range(3)]
@@ -160,42 +153,39 @@ def test_messages_are_passed_on_as_recorded(tmp_path, rng):
     assert [m.data for m in messages if m.topic == "/said"] == said
 
 
-def test_topics_are_listed_with_types_counts_and_fields(tmp_path, rng):
+def test_topics_are_listed_and_one_that_is_absent_empty_ambiguous_or_of_another_type_is_named(tmp_path, rng):
+    first, second = make_clouds(rng, count=2)
     with BagWriter(tmp_path / "bag") as writer:
         writer.definitions.register("my_msgs/msg/Reading", "std_msgs/Header header\nint16[] electrodes\n")
         writer.write("/tactile", "my_msgs/msg/Reading", 0, b"\0\1\0\0")
-        for cloud in make_clouds(rng, count=4):
-            writer.write_cloud(cloud, "/a/points")
-    with Recording(tmp_path / "bag") as recording:
-        points, tactile = recording.topics
-    assert (points.name, points.type, points.count) == ("/a/points", POINT_CLOUD_TYPE, 4)
-    assert (tactile.type, tactile.count, tactile.fields) == ("my_msgs/msg/Reading", 1, ("header", "electrodes"))
-
-
-def test_a_topic_that_is_absent_empty_or_of_another_type_is_named(tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/said", "std_msgs/msg/String")
-    with pytest.raises(FileError, match=r"bag: /points: no such topic; known: /said \(std_msgs/msg/String, 0\)"):
-        list(read_bag(tmp_path / "bag", "/points"))
-    with pytest.raises(FileError, match="/said: holds std_msgs/msg/String, not sensor_msgs/msg/PointCloud2"):
-        list(read_bag(tmp_path / "bag", "/said"))
-    with pytest.raises(FileError, match=r"no topic of sensor_msgs/msg/PointCloud2; known: /said"):
-        list(read_bag(tmp_path / "bag"))
-    assert write_bag(tmp_path / "empty", []) == 0
-    with pytest.raises(FileError, match="/foretouch/points: holds no messages"):
-        list(read_bag(tmp_path / "empty"))
-
-
-def test_several_topics_of_clouds_must_be_chosen_from(tmp_path, rng):
-    first, second = make_clouds(rng, count=2)
-    with BagWriter(tmp_path / "bag") as writer:
         writer.write_cloud(first, "/left")
         writer.write_cloud(second, "/right")
         writer.add_topic("/never_used", POINT_CLOUD_TYPE)
-    with pytest.raises(FileError, match=r"name one with --topic: /left \(.*\), /right \([^)]*\)$"):
-        list(read_bag(tmp_path / "bag"))
-    (cloud,) = read_bag(tmp_path / "bag", "/right")
-    assert_same(cloud, second)
+    with Recording(tmp_path / "bag") as recording:
+        left, _, _, tactile = recording.topics
+    assert (left.name, left.type, left.count) == ("/left", POINT_CLOUD_TYPE, 1)
+    assert (tactile.type, tactile.count, tactile.fields) == ("my_msgs/msg/Reading", 1, ("header", "electrodes"))
+    assert_same(*read_bag(tmp_path / "bag", "/right"), second)
+    with BagWriter(tmp_path / "said") as writer:
+        writer.add_topic("/said", "std_msgs/msg/String")
+        with pytest.raises(DatasetError, match="/said: holds std_msgs/msg/String, not std_msgs/msg/Bool"):
+            writer.add_topic("/said", "std_msgs/msg/Bool")
+        with pytest.raises(DatasetError, match="nobodys_msgs/msg/X: no definition is known"):
+            writer.add_topic("/x", "nobodys_msgs/msg/X")
+    assert write_bag(tmp_path / "empty", []) == 0
+
+    def check(name: str, topic: str | None, message: str) -> None:
+        with pytest.raises(FileError, match=message):
+            list(read_bag(tmp_path / name, topic))
+
+    cases = [
+        ("bag", None, r"name one with --topic: /left \(.*\), /right \([^)]*\)$"),
+        ("said", "/points", r"said: /points: no such topic; known: /said \(std_msgs/msg/String, 0\)"),
+        ("said", "/said", "/said: holds std_msgs/msg/String, not sensor_msgs/msg/PointCloud2"),
+        ("said", None, r"no topic of sensor_msgs/msg/PointCloud2; known: /said"),
+        ("empty", None, "/foretouch/points: holds no messages"),
+    ]
+    every_case(cases, check)
 
 
 def test_nothing_is_overwritten_and_a_failure_leaves_no_half_recording(tmp_path, rng):
@@ -212,31 +202,15 @@ def test_nothing_is_overwritten_and_a_failure_leaves_no_half_recording(tmp_path,
         write_bag(tmp_path / "file" / "bag", [cloud])
 
 
-def test_a_topic_has_one_type_and_a_type_a_definition(tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/said", "std_msgs/msg/String")
-        with pytest.raises(DatasetError, match="/said: holds std_msgs/msg/String, not std_msgs/msg/Bool"):
-            writer.add_topic("/said", "std_msgs/msg/Bool")
-        with pytest.raises(DatasetError, match="nobodys_msgs/msg/X: no definition is known"):
-            writer.add_topic("/x", "nobodys_msgs/msg/X")
-
-
-def test_sizes_that_do_not_add_up_name_the_message(tmp_path, rng):
+def test_a_message_whose_sizes_do_not_add_up_or_that_is_cut_short_is_named(tmp_path, rng):
     xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
     good = foreign_message(KILTED, xyz, stamp_ns=1)
     bad = foreign_message(KILTED, xyz, stamp_ns=2, width=6)
     write_foreign(tmp_path / "bag", [good, bad, good])
     with pytest.raises(FileError, match=r"bag: /cloud\[1\]: row_step: 112 is less than width 6 x point_step 20"):
         list(read_bag(tmp_path / "bag"))
-
-
-def test_a_message_cut_short_names_itself(tmp_path, rng):
-    (cloud,) = make_clouds(rng, count=1)
-    write_bag(tmp_path / "whole", [cloud])
-    with Recording(tmp_path / "whole") as recording:
-        data = next(recording.messages()).data
     with BagWriter(tmp_path / "cut") as writer:
-        writer.write(TOPIC, POINT_CLOUD_TYPE, 0, data[:1000])
+        writer.write(TOPIC, POINT_CLOUD_TYPE, 0, KILTED.serialize_cdr(good, POINT_CLOUD_TYPE)[:100])
     with pytest.raises(FileError, match=r"cut: /foretouch/points\[0\]: truncated or damaged"):
         list(read_bag(tmp_path / "cut"))
 
@@ -286,16 +260,6 @@ def test_storage_that_is_cut_off_is_refused_in_one_line(tmp_path, rng):
         assert "\n" not in str(caught.value)
 
     every_case([(plugin, part) for plugin in StoragePlugin for part in (0.0, 0.001, 0.3, 0.7, 0.97, 0.999)], check)
-
-
-def test_fewer_messages_than_declared(tmp_path, rng):
-    write_bag(tmp_path / "bag", make_clouds(rng))
-    metadata = tmp_path / "bag" / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("message_count: 6", "message_count: 7"))
-    read = read_bag(tmp_path / "bag")
-    assert len([next(read) for _ in range(6)]) == 6
-    with pytest.raises(FileError, match="/foretouch/points: declares 7 messages, holds 6"):
-        next(read)
 
 
 def test_a_flipped_byte_is_detected_or_does_no_harm(tmp_path, rng):

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,14 +12,10 @@ import numpy as np
 import pytest
 from every_case import every_case
 from recording_builders import IDENTITY
-from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
 
-from foretouch.cli.main import main
-from foretouch.dataset.bag import Recording
 from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.recording import SampleRecord, verify_dataset
-from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, FileError
 from foretouch.types import Cloud
@@ -72,10 +66,8 @@ class Faults:
     late_ns: int = NS // 5  # reception of the readings
     ago_ns: int = 0  # by this all was received later than stamped: a recorded replay
     matrix: np.ndarray = field(default_factory=lambda: TURNED)
-    reports: tuple[tuple[str, int], ...] = (("a", 0),)  # grasp and shift of its interval [ns]
-    names: tuple[tuple[str, ...], ...] = (("a", "b"), ("c",))  # by cloud
+    executed: str = "a"  # the grasp
     second_cloud: bool = False  # another one with the stamp of the first
-    frame: str = "camera"  # of the grasps
     electrodes: int = 24
 
 
@@ -95,12 +87,11 @@ def write_topics(path: Path, faults: Faults | None = None) -> None:
             cloud = Cloud(xyz.astype(np.float32), frame_id="camera", stamp_ns=at_ns)
             writer.write_cloud(cloud, "/foretouch/object_cloud", bag_time_ns=at_ns + 1 + faults.ago_ns)
 
-        for k, names in enumerate(faults.names):
+        for k, names in enumerate((("a", "b"), ("c",))):
             at = start + k * NS
             write_cloud(np.full((4, 3), k), at)
             grasps = [_grasp(name, faults.matrix) for name in names]
-            header = SimpleNamespace(stamp=_stamp(at), frame_id=faults.frame)
-            planned = SimpleNamespace(header=header, grasps=grasps, status=0, reason="")
+            planned = SimpleNamespace(header=_header(at), grasps=grasps, status=0, reason="")
             write("/foretouch/grasps", "GraspArray", at + 2, planned)
         if faults.second_cloud:
             write_cloud(np.full((4, 3), 7), start)
@@ -114,19 +105,17 @@ def write_topics(path: Path, faults: Faults | None = None) -> None:
             # Received late: the time of reception must not decide which readings are cut out.
             message = SimpleNamespace(header=_header(at), tactiles=tactiles)
             write("/rh/tactile", "BiotacAll", at + faults.late_ns, message)
-        for k, (name, shift) in enumerate(faults.reports):
-            executed = SimpleNamespace(
-                header=_header(release + k), grasp_id=name, achieved=_pose(), start=_stamp(start + 2 * NS + shift),
-                contact=_stamp(contact + shift), release=_stamp(release + shift), success=True,
-            )  # fmt: skip
-            write("/foretouch/executed_grasp", "ExecutedGrasp", release + k, executed)
+        executed = SimpleNamespace(
+            header=_header(release), grasp_id=faults.executed, achieved=_pose(), start=_stamp(start + 2 * NS),
+            contact=_stamp(contact), release=_stamp(release), success=True,
+        )  # fmt: skip
+        write("/foretouch/executed_grasp", "ExecutedGrasp", release, executed)
 
 
 def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
     write_topics(tmp_path / "bag", faults)
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
-    samples = open_samples(tmp_path / "ds")
-    return result, list(samples.records(discarded=True))
+    return result, list(open_samples(tmp_path / "ds").records(discarded=True))
 
 
 def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> None:
@@ -155,8 +144,7 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
     def check(reason: str, faults: Faults) -> None:
         (tmp_path / reason).mkdir()
         result, samples = imported(tmp_path / reason, faults)
-        assert result.left_out[reason] == 1
-        assert result.labelled == sum(name == "a" and shift == 0 for name, shift in faults.reports[:-1])
+        assert (result.left_out[reason], result.labelled) == (1, 0)
         if reason == "no_tactile":
             assert result.left_out["unreadable /rh/tactile"] == 500
         if reason == "pairing_error":  # a cloud whose grasp was rejected becomes a sample without a touch
@@ -165,74 +153,34 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
     cases = [
         ("pairing_error", Faults(hole=True)),
         ("clock_offset", Faults(late_ns=NS // 2)),
-        ("overlap", Faults(reports=(("a", 0), ("b", NS // 2)))),
-        ("told_twice", Faults(reports=(("a", 0), ("a", 0)))),
-        ("grasp_ambiguous", Faults(names=(("a",), ("a",)))),
         ("cloud_ambiguous", Faults(second_cloud=True)),
-        ("bad_interval", Faults(reports=(("a", -3 * NS),))),
-        ("frame_differs", Faults(frame="base")),
         ("bad_grasp", Faults(matrix=np.eye(3))),
-        ("grasp_unknown", Faults(reports=(("stranger", 0),))),
+        ("grasp_unknown", Faults(executed="stranger")),
         ("no_tactile", Faults(electrodes=19)),
     ]
     every_case(cases, check)
 
 
 def test_times_of_a_bag_that_was_not_recorded_live_say_nothing_of_the_clocks(tmp_path: Path) -> None:
-    result, samples = imported(tmp_path, Faults(ago_ns=86_400 * NS, late_ns=NS // 2))
+    """Its grasps hold nine zeros as matrix, and are read from their quaternions."""
+    faults = Faults(ago_ns=86_400 * NS, late_ns=NS // 2, matrix=np.zeros((3, 3)))
+    result, samples = imported(tmp_path, faults)
     assert (result.samples, result.labelled) == (2, 1)
     assert samples[0].sample.extra["clock_offset_s"] == 0.0
-
-
-def test_a_grasp_with_nine_zeros_is_read_from_its_quaternion(tmp_path: Path) -> None:
-    result, samples = imported(tmp_path, Faults(matrix=np.zeros((3, 3))))
-    assert (result.samples, result.labelled) == (2, 1)
     for one in samples:
         np.testing.assert_array_equal(one.sample.grasp.rotation, TURNED)
 
 
-def test_a_topic_that_is_missing_or_of_an_unsupported_type_is_named(tmp_path: Path) -> None:
-    write_topics(tmp_path / "bag")
+def test_topics_are_checked_and_fingers_chosen_by_their_indices(tmp_path: Path) -> None:
+    result, (touched, _) = imported(tmp_path, Faults(), fingers=(0, 3))  # all fingers read the same
+    assert result.labelled == 1
+    assert touched.sample.touch is not None
+    with pytest.raises(ConfigError, match="'FF' is the thumb already"):
+        import_samples(tmp_path / "bag", tmp_path / "other", topics=BagTopics(fingers=(0, 0)))
     supported = r"/foretouch/grasps: holds foretouch_msgs/GraspArray; supported: foretouch_msgs/BiotacAll, sr_robot"
     for topics, rule in (
         (BagTopics(clouds="/nowhere"), "/nowhere: no such topic; known: /foretouch/executed_grasp"),
         (BagTopics(tactile="/foretouch/grasps"), supported),
     ):
         with pytest.raises(FileError, match=rule):
-            import_samples(tmp_path / "bag", tmp_path / "ds", topics=topics)
-
-
-def test_fingers_are_chosen_by_their_indices(tmp_path: Path) -> None:
-    result, (touched, _) = imported(tmp_path, Faults(), fingers=(0, 3))  # all fingers read the same
-    assert result.labelled == 1
-    assert touched.sample.touch is not None
-    with pytest.raises(ConfigError, match="'FF' is the thumb already"):
-        import_samples(tmp_path / "bag", tmp_path / "other", topics=BagTopics(fingers=(0, 0)))
-
-
-def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    add_tactile_type(tmp_path, monkeypatch)
-    for command in (["record"], ["dataset", "import"]):
-        with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()) as text:
-            main([*command, "--help"])
-        assert MADE_UP_TYPE in text.getvalue()
-
-    write_topics(tmp_path / "bag")
-    store = Definitions().store
-    with Recording(tmp_path / "bag") as bag, BagWriter(tmp_path / "other") as writer:
-        for message in bag.messages():
-            data, kind = message.data, message.type
-            if message.topic == "/rh/tactile":
-                kind, content = "geometry_msgs/msg/PolygonStamped", bag.content(message)
-                th, mf = content.tactiles[4], content.tactiles[1]
-                values = np.r_[th.pdc, mf.pdc, th.electrodes, mf.electrodes, 0].reshape(17, 3)
-                points = [_point([float(v) for v in row]) for row in values]
-                polygon = SimpleNamespace(header=content.header, polygon=SimpleNamespace(points=points))
-                data = bytes(store.serialize_cdr(polygon, kind))
-            writer.write(message.topic, kind, message.bag_time_ns, data)
-    result = import_samples(tmp_path / "other", tmp_path / "ds")
-    assert (result.samples, result.labelled) == (2, 1)
-    samples = open_samples(tmp_path / "ds")
-    touch = next(samples.records()).sample.touch
-    assert touch is not None
-    np.testing.assert_array_equal(touch.e_mf, np.arange(24) + 2900)
+            import_samples(tmp_path / "bag", tmp_path / "other", topics=topics)

@@ -26,10 +26,6 @@ def said(text: str) -> bytes:
     return bytes(STORE.serialize_cdr(STORE.types[STRING](text), STRING))
 
 
-def entry_at(at_ns: int, topic: str = CLOUDS) -> Entry:
-    return Entry("", topic, at_ns, b"")
-
-
 def test_files_become_stamped_messages_and_an_unreadable_one_a_refusal(tmp_path):
     for number in (1, 2, 3):
         write_cloud(tmp_path / f"{number}.npy", cloud_of(number))
@@ -87,13 +83,15 @@ def test_files_that_are_no_image_hold_an_object_and_recordings_what_a_camera_del
 
 
 def test_recorded_times_are_kept_or_a_rate_paces_the_clouds():
+    def due(*times: tuple[str, int]) -> list[float]:
+        return [pace.due_s(Entry("", topic, at_ns, b"")) for topic, at_ns in times]
+
     pace = Pace()
-    assert [pace.due_s(entry_at(t)) for t in (5_000_000_000, 5_500_000_000, 6_000_000_000)] == [0.0, 0.5, 1.0]
+    assert due((CLOUDS, 5_000_000_000), (CLOUDS, 5_500_000_000), (CLOUDS, 6_000_000_000)) == [0.0, 0.5, 1.0]
     assert (pace.length_ns, pace.length_s) == (1_500_000_000, 1.5)
     pace = Pace(rate_hz=4.0)  # the others follow the cloud before them
-    times = [pace.due_s(entry_at(t, topic)) for t, topic in ((0, "/a"), (1, CLOUDS), (2, "/a"), (9, CLOUDS), (9, "/a"))]
-    assert times == [0.0, 0.0, 0.0, 0.25, 0.25]
+    assert due(("/a", 0), (CLOUDS, 1), ("/a", 2), (CLOUDS, 9), ("/a", 9)) == [0.0, 0.0, 0.0, 0.25, 0.25]
     assert pace.length_s == 0.5
     pace = Pace()
-    pace.due_s(entry_at(7))
+    due((CLOUDS, 7))
     assert pace.length_ns == STAMP_STEP_NS  # of a single cloud

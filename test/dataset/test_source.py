@@ -8,7 +8,7 @@ import pytest
 from recording_builders import readable
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.bag_writer import write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import FileError
@@ -34,8 +34,7 @@ def test_a_file_is_a_source_of_one(tmp_path):
     for suffix in (".pcd", ".ply", ".npz", ".npy"):
         path = tmp_path / f"one{suffix}"
         write_cloud(path, cloud_of(3.0))
-        source = open_source(path)
-        (item,) = source
+        (item,) = source = open_source(path)
         assert (source.kind, len(source), item.name, item.sample) == ("clouds", 1, str(path), None)
         np.testing.assert_array_equal(item.cloud.xyz, cloud_of(3.0).xyz)
 
@@ -64,53 +63,32 @@ def test_samples_bring_their_grasp_and_a_stamp_of_their_own(tmp_path, rng):
     np.testing.assert_array_equal(samples[0].grasp.g2, [0.0, 0.04, 1.2])
 
 
-def test_a_bad_file_or_sample_costs_one_item(tmp_path, rng):
-    for number in (1, 2, 3):
-        (tmp_path / "clouds").mkdir(exist_ok=True)
-        write_cloud(tmp_path / "clouds" / f"{number}.pcd", cloud_of(number))
-    (tmp_path / "clouds" / "2.pcd").write_bytes(b"VERSION .7\nFIELDS x y")
+def test_a_bad_sample_costs_one_item(tmp_path, rng):
     for name in ("can/1562239078", "can/1562239100"):
         write_sample(tmp_path / "samples" / name, rng)
         (item,) = open_source(tmp_path / "samples" / name)
         assert item.sample.id == name
     (tmp_path / "samples" / "can/1562239078" / GRASP_FILE).write_text("0,0,0\n")
-    for folder, left, rule in (
-        ("clouds", 2, "clouds/2.pcd: "),
-        ("samples", 1, "1562239078/best-grasp.txt: holds 3 numbers, not 6"),
-        ("samples/can", 1, "1562239078/best-grasp.txt: holds 3 numbers, not 6"),
-    ):
+    for folder in ("samples", "samples/can"):
         refused = []
         read = list(readable(open_source(tmp_path / folder), lambda _, err, refused=refused: refused.append(str(err))))
-        assert len(read) == left
+        assert len(read) == 1
         (reason,) = refused
-        assert rule in reason
+        assert "1562239078/best-grasp.txt: holds 3 numbers, not 6" in reason
 
 
-def test_a_recording_keeps_frames_and_stamps(tmp_path):
+def test_a_recording_keeps_frames_and_stamps_and_one_that_breaks_off_is_reported(tmp_path):
     clouds = [cloud_of(k, frame_id="lidar", stamp_ns=100 + k) for k in range(3)]
     write_bag(tmp_path / "bag", clouds)
     source = open_source(tmp_path / "bag", frame_id="unused")
     assert (source.kind, source.topic, len(source)) == ("recording", "/foretouch/points", 3)
     assert [(i.cloud.frame_id, i.cloud.stamp_ns) for i in source] == [("lidar", 100), ("lidar", 101), ("lidar", 102)]
     assert [i.name for i in source][2] == f"{tmp_path / 'bag'}[2]"
-
-
-def test_a_recording_that_breaks_off_is_reported(tmp_path):
-    write_bag(tmp_path / "bag", [cloud_of(k) for k in range(3)])
     metadata = tmp_path / "bag" / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("message_count: 3", "message_count: 4"))
     refused = []
     assert len(list(readable(open_source(tmp_path / "bag"), lambda _, err: refused.append(str(err))))) == 3
     assert "declares 4 messages, holds 3" in refused[0]
-
-
-def test_the_topic_is_checked_before_anything_is_read(tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write_cloud(cloud_of(1), "/left")
-        writer.write_cloud(cloud_of(2), "/right")
-    with pytest.raises(FileError, match="name one with --topic"):
-        open_source(tmp_path / "bag")
-    assert open_source(tmp_path / "bag", "/right").topic == "/right"
 
 
 def test_what_is_nothing_known(tmp_path):
@@ -125,12 +103,3 @@ def test_what_is_nothing_known(tmp_path):
     ):
         with pytest.raises(FileError, match=rule):
             open_source(tmp_path / name, topic)
-
-
-@pytest.mark.real_data
-def test_real_samples_are_all_read(real_data):
-    source = open_source(real_data / "vision2tactile" / "rugby")
-    refused = []
-    read = list(readable(source, lambda name, err: refused.append(name)))
-    assert len(read) == len(source) == 50
-    assert not refused

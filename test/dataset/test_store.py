@@ -4,7 +4,6 @@
 import hashlib
 import json
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -70,8 +69,9 @@ def test_what_was_written_is_read_bit_for_bit(tmp_path: Path) -> None:
     assert store.manifest["about"] == {"scene": "x"}
 
 
-def test_more_than_one_shard_and_none(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [sample(k, 3) for k in range(1100)])
+def test_more_than_one_shard_none_and_a_hash_of_the_content(tmp_path: Path) -> None:
+    samples = [sample(k, 3) for k in range(1100)]
+    first = write(tmp_path / "ds", samples)
     store = Store(tmp_path / "ds")
     assert [shard["samples"] for shard in store.manifest["shards"]] == [1024, 76]
     assert [store[k].id for k in (1023, 1024)] == ["can/1023", "can/1024"]
@@ -81,12 +81,8 @@ def test_more_than_one_shard_and_none(tmp_path: Path) -> None:
     assert (len(store), is_store(store.path), is_store(tmp_path)) == (0, True, False)
     with pytest.raises(IndexError, match="sample 0 of 0"):
         store[0]
-
-
-def test_the_hash_is_of_the_content(tmp_path: Path) -> None:
-    samples = [sample(k) for k in range(5)]
-    first, again = write(tmp_path / "a", samples), write(tmp_path / "b", samples)
-    other = write(tmp_path / "c", [*samples[:4], replace(samples[4], extra={"force_th_n": 0.0})])
+    again = write(tmp_path / "again", samples)
+    other = write(tmp_path / "other", [*samples[:-1], replace(samples[-1], extra={"force_th_n": 0.0})])
     assert first.sha256 == again.sha256 != other.sha256
 
 
@@ -104,6 +100,9 @@ def test_an_existing_path_is_refused_and_an_error_leaves_nothing_behind(tmp_path
         write_and_fail(tmp_path / "ds")
 
 
+_UNSET = Touch.from_vector(np.full(TOUCH_SIZE, np.nan))
+
+
 def test_bad_samples_are_refused_by_name(tmp_path: Path) -> None:
     good = sample(0)
     organised = replace(good, cloud=Cloud(np.zeros((2, 2, 3), np.float32)))
@@ -114,10 +113,7 @@ def test_bad_samples_are_refused_by_name(tmp_path: Path) -> None:
             (organised, "can/0: the cloud is organised"),
             (unfinished, "can/0: the cloud is organised or not finite"),
             (replace(good, extra={"force": math.inf}), "can/0: extra.force: inf"),
-            (
-                replace(good, tare=Touch.from_vector(np.full(50, np.nan))),
-                "can/0: tare: holds a value that is not finite",
-            ),
+            (replace(good, tare=_UNSET), "can/0: tare: holds a value that is not finite"),
             (good, "can/0: the store .* holds this id already"),
         ):
             with pytest.raises(DatasetError, match=message):
@@ -150,22 +146,16 @@ def test_files_that_disagree_with_the_manifest_are_never_used(tmp_path: Path) ->
             (tmp_path / "ds" / MANIFEST).write_bytes(manifest)
 
     shard = "shard-00000.arrow"
-    every_case(
-        [
-            (shard, lambda data: data.replace(cloud, cloud[::-1]), "sha256 is .* the file was changed"),
-            (shard, lambda data: data.replace(label, changed_label), "sha256 is"),
-            (shard, lambda data: data[: len(data) // 2], "sha256 is"),
-            (shard, lambda data: data[: len(data) // 2], "cannot be read", True),
-            (shard, lambda _: _other_columns(), "schema: has other columns", True),
-            ("splits.json", lambda _: b"[]", "sha256 is"),
-            (
-                MANIFEST,
-                lambda data: data.replace(b'"x"', b'"y"'),
-                "seal: damaged: the text does not match its checksum",
-            ),
-        ],
-        check,
-    )
+    cases = [
+        (shard, lambda data: data.replace(cloud, cloud[::-1]), "sha256 is .* the file was changed"),
+        (shard, lambda data: data.replace(label, changed_label), "sha256 is"),
+        (shard, lambda data: data[: len(data) // 2], "sha256 is"),
+        (shard, lambda data: data[: len(data) // 2], "cannot be read", True),
+        (shard, lambda _: _other_columns(), "schema: has other columns", True),
+        ("splits.json", lambda _: b"[]", "sha256 is"),
+        (MANIFEST, lambda data: data.replace(b'"x"', b'"y"'), "seal: damaged: the text does not match its checksum"),
+    ]
+    every_case(cases, check)
     Store(tmp_path / "ds").verify()
 
 
@@ -197,18 +187,6 @@ def test_a_manifest_that_breaks_a_rule_is_refused_though_its_seal_is_right(tmp_p
         ({"shards": [good["shards"][0] | {"samples": 2}]}, "holds 3 samples, the manifest declares 2"),
     ]
     every_case(cases, check)
-
-
-def test_a_random_read_takes_microseconds(tmp_path: Path) -> None:
-    write(tmp_path / "ds", [sample(k, 5000) for k in range(130)])
-    store = Store(tmp_path / "ds")
-    order = np.random.default_rng(0).permutation(130)
-    spent = []
-    for k in order:
-        start = time.thread_time()
-        store[int(k)].cloud.xyz.sum()  # every page is touched
-        spent.append(time.thread_time() - start)
-    assert np.median(spent) < 300e-6  # measured 40 µs; the bound leaves room for a loaded machine
 
 
 def test_offsets_are_checked_even_where_the_hashes_agree(tmp_path: Path) -> None:

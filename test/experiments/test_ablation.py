@@ -10,7 +10,7 @@ from every_case import every_case
 from experiment_samples import make_samples
 
 from foretouch.experiments import find_experiment
-from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, fit_variants
+from foretouch.experiments.ablation import FEATURE_SETS, FULL, fit_variants
 from foretouch.learning.data import labels_of
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.estimator import by_modality

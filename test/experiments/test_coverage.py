@@ -9,7 +9,7 @@ from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
 from foretouch.experiments import find_experiment
-from foretouch.experiments.coverage import coverage_rows, coverage_table, wilson_interval
+from foretouch.experiments.coverage import coverage_rows, coverage_table
 from foretouch.experiments.shared.folds import by_object, split_objects
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
@@ -45,11 +45,8 @@ def test_objects_have_equal_weight_however_often_they_were_tested() -> None:
     assert together["coverage"] == pytest.approx((0.9 + 0.5) / 2.0)
     assert together["low"] is None  # no interval from two objects
     assert together["grasps"] == 20  # both splits tested the same ten grasps of a
-
-
-def test_each_block_of_time_has_other_grasps() -> None:
-    table = coverage_table([_row("time blocks", str(k), "a", 0.9) for k in range(5)], FEW_DRAWS)
-    assert {row["grasps"] for row in table} == {50}
+    blocks = coverage_table([_row("time blocks", str(k), "a", 0.9) for k in range(5)], FEW_DRAWS)
+    assert {row["grasps"] for row in blocks} == {50}  # but each block of time has others
 
 
 def test_means_outside_the_accepted_range_are_marked() -> None:
@@ -61,12 +58,6 @@ def test_means_outside_the_accepted_range_are_marked() -> None:
     assert found.notes == [
         "left out: coverage is .67 on average; the lowest of one object is .60 (o0, PDC_TH, no touch)"
     ]
-
-
-def test_wilson_interval_of_eight_in_ten() -> None:
-    """Wilson (1927); the figures are those of R's prop.test(8, 10, correct = FALSE)."""
-    assert wilson_interval(0.8, 10, 0.95) == pytest.approx((0.4901625, 0.9433178), abs=1e-6)
-    assert wilson_interval(1.0, 10, 0.95)[1] == 1.0
 
 
 @pytest.mark.real_data

@@ -11,7 +11,7 @@ import pytest
 import foretouch.experiments
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
-from foretouch.experiments import find_experiment, list_experiments, run_sweep
+from foretouch.experiments import find_experiment, list_experiments
 
 SOURCE = """
 from dataclasses import dataclass
@@ -58,41 +58,27 @@ EXPERIMENT = Experiment(
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """`my_lab/stiffness.py`, an experiment."""
-    folder = tmp_path / "my_lab"
+@pytest.mark.usefixtures("in_this_process")
+def test_a_module_of_ones_own_or_in_the_package(tmp_path: Path, capsys, numbers: Path, monkeypatch) -> None:
+    folder, out = tmp_path / "my_lab", tmp_path / "out"
     folder.mkdir()
     (folder / "__init__.py").touch()
     (folder / "stiffness.py").write_text(SOURCE)
     for name in ("my_lab", "my_lab.stiffness", "foretouch.experiments.stiffness"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    return folder
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_a_module_of_ones_own(folder: Path, capsys, numbers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(folder.parent)
-    out = folder.parent / "out"
+    monkeypatch.syspath_prepend(tmp_path)
     assert main(["experiment", "my_lab.stiffness", "-o", str(out), "--data", str(numbers), "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["figures"] == ["stiffness.png"]
     assert (out / "results.csv").read_text() == "number,length\n0,0\n1,6\n2,12\n"
     summary = (out / "summary.md").read_text()
     assert summary.startswith("# How stiff is it?\n\n`foretouch experiment stiffness --preset full`; foretouch 0.")
     assert summary.endswith("## stiffness\n\n| length |\n| --- |\n| 0 |\n| 6 |\n| 12 |\n")
+    assert (out / "stiffness.png").stat().st_size > 5000
     with pytest.raises(ConfigError, match=r"is none of my_lab\.stiffness:stiffness"):
         find_experiment("my_lab.stiffness:rubber")
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_a_module_in_the_package(folder: Path, numbers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foretouch.experiments, "__path__", [*foretouch.experiments.__path__, str(folder)])
-    assert "stiffness" in [one.name for one in list_experiments()]
-    experiment = find_experiment("stiffness")
-    result = run_sweep(experiment, experiment.resolve("full", {"cells": 2}), folder / "out", source=numbers)
-    assert result.rows == [{"number": 0, "length": 0}, {"number": 1, "length": 6}]
-    (figure,) = experiment.draw(result.rows, folder / "out")
-    assert figure.stat().st_size > 5000
+    assert "stiffness" in [one.name for one in list_experiments()]  # also as a module of the package
+    assert find_experiment("stiffness").module == "foretouch.experiments.stiffness"
 
 
 def test_every_experiment_is_found_by_its_name() -> None:

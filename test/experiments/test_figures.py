@@ -4,10 +4,8 @@
 import pytest
 from matplotlib.figure import Figure
 
-from foretouch.experiments import find_experiment
 from foretouch.experiments.shared import figures
 from foretouch.experiments.shared.figures import draw_intervals, draw_series
-from foretouch.experiments.shared.p1 import P1, draw_errors
 from foretouch.tactile import MODALITIES
 
 
@@ -44,37 +42,18 @@ def test_lines_over_touches(axes) -> None:
     assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "3", "10"]
 
 
-def test_errors_at_one_table_stand_beside_each_other(axes) -> None:
-    names = ("mean", "trees", "contact", P1)
-    draw_errors(
-        axes,
-        [{"predictor": k, "table": "within", "rmse": 40.0} for k in names],
-        tables=["within"],
-        predictors=names,
-        values="rmse",
-    )
-    markers = [line[0][0] for line in lines(axes) if line[1] == [40.0]]
-    assert markers == sorted(set(markers))
-    assert sum(markers) == pytest.approx(0.0)
-    assert axes.get_ylim()[0] == 0.0
-
-
 def test_each_line_has_a_panel_for_each_modality(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = []
     monkeypatch.setattr(figures, "save_small", lambda figure, path: drawn.append(figure) or path)
     rows = [{"modality": name, "value": k} for k, name in enumerate(MODALITIES)]
-    lines = [
-        figures.Line(
-            1.0, rows, lambda axes, own: axes.plot([row["value"] for row in own], label="a"), title, legend=place
-        )
-        for title, place in (("above", "right upper"), ("", ""))
-    ]
+
+    def draw(axes, own) -> None:
+        axes.plot([row["value"] for row in own], label="a")
+
+    places = (("above", "right upper"), ("", ""))
+    lines = [figures.Line(1.0, rows, draw, title, legend=place) for title, place in places]
     assert figures.save_panels(tmp_path / "a.png", 8.0, lines, sharex=True) == [tmp_path / "a.png"]
     axes = drawn[0].axes
     assert [one.get_title() for one in axes[3:5]] == ["above: E_MF", "PDC_TH"]
     assert [one.lines[0].get_ydata().tolist() for one in axes] == [[k] for k in range(4)] * 2
     assert len(drawn[0].legends) == 1
-
-
-def test_an_experiment_may_have_no_figure(tmp_path) -> None:
-    assert find_experiment("own_experiments.counting").draw([{"number": 1}], tmp_path) == []

@@ -19,14 +19,8 @@ from foretouch.learning.data.splits import RATIOS
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "config" / "scenes" / "deformables.yaml"
-TINY: dict[str, Any] = {
-    "updates": 8,
-    "ratios": [50, 90],
-    "seeds": [0, 1],
-    "modalities": ["PDC_TH"],
-    "cached_points": 64,
-    "training.batch_size": 4,
-}
+TINY: dict[str, Any] = {"updates": 8, "modalities": ["PDC_TH"], "cached_points": 64, "training.batch_size": 4}
+TWO = {"ratios": [50, 90], "seeds": [0, 1]}
 KINDS = ("pressure", "electrodes")
 
 
@@ -42,17 +36,6 @@ def data(store: Path) -> SimulatedGrasps:
 
 def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:
     return find_experiment("label_ratio").resolve(preset, changes)
-
-
-def trials(**chosen: str) -> dict[str, list[str]]:
-    """The same trial for both kinds of modalities at one ratio."""
-    return {f"{model}.{kind}": [trial] for model, trial in chosen.items() for kind in KINDS}
-
-
-def test_the_scene_is_the_frozen_one(store: Path) -> None:
-    assert settings_of().scene_sha256 == SCENE.with_suffix(".sha256").read_text().strip()
-    with pytest.raises(DatasetError, match="is not abc, the frozen scene's"):
-        load_scene(settings_of(scene_sha256="abc"), store)
 
 
 def test_no_test_sample_is_trained_on_or_chosen_by(data: SimulatedGrasps) -> None:
@@ -72,7 +55,7 @@ def test_no_test_sample_is_trained_on_or_chosen_by(data: SimulatedGrasps) -> Non
 
 
 def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -> None:
-    experiment, settings = find_experiment("label_ratio"), settings_of(**TINY)
+    experiment, settings = find_experiment("label_ratio"), settings_of(**TINY, **TWO)
     cells = [cell for cell in experiment.cells(settings, data) if cell.values["model"] in MODELS]
     assert len(cells) == 2 * 2 * 2
     for ratio in (50, 90):
@@ -114,11 +97,10 @@ def test_the_printed_recipe_runs(data: SimulatedGrasps) -> None:
     tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
     small = {"cached_points": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0]}
     generator = {"training.points": 32, "training.generator": {"noise_length": 4, "widths": [4], "stride": 3}}
-    printed = trials(pointnet="P2", srgan="P2, as_printed")
-    experiment, settings = (
-        find_experiment("label_ratio"),
-        settings_of("p2_as_printed", **tiny, **small, **generator, **printed),
-    )
+    chosen = {"pointnet": "P2", "srgan": "P2, as_printed"}
+    printed = {f"{model}.{kind}": [trial] for model, trial in chosen.items() for kind in KINDS}
+    experiment = find_experiment("label_ratio")
+    settings = settings_of("p2_as_printed", **tiny, **small, **generator, **printed)
     for cell in experiment.cells(settings, data):
         if cell.values["model"] in MODELS:
             (row,) = experiment.run(cell, settings, data)
@@ -126,7 +108,7 @@ def test_the_printed_recipe_runs(data: SimulatedGrasps) -> None:
             assert row["labelled"] == 32
 
 
-def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps) -> None:
+def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps, store: Path) -> None:
     cases = (
         ("p2_as_printed", {"cached_points": 512}, r"cached_points: 512 points are fewer than the network's 750"),
         ("quick", {"srgan": {"electrodes": ["0.3/1/1"]}}, r"srgan.electrodes: 1 trials are not one for each of 5"),
@@ -137,19 +119,20 @@ def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps) -> None:
             settings_of(preset, **changes)
 
     every_case(cases, check)
-    experiment, settings = (
-        find_experiment("label_ratio"),
-        settings_of(**TINY, pointnet={"pressure": ["fast", "faster"]}),
-    )
+    experiment = find_experiment("label_ratio")
+    settings = settings_of(**TINY, **TWO, pointnet={"pressure": ["fast", "faster"]})
     with pytest.raises(ConfigError, match="pointnet 'fast' is none of rate"):
         experiment.run(experiment.cells(settings, data)[len(settings.ratios)], settings, data)
+    assert settings.scene_sha256 == SCENE.with_suffix(".sha256").read_text().strip()
+    with pytest.raises(DatasetError, match="is not abc, the frozen scene's"):
+        load_scene(settings_of(scene_sha256="abc"), store)
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_run_may_be_extended_but_not_by_other_trials(store: Path, tmp_path: Path) -> None:
     """And one that was cut gives the same table."""
     experiment, out = find_experiment("label_ratio"), tmp_path / "out"
-    tiny = {**TINY, "seeds": [0]}
+    tiny = {**TINY, "ratios": [50, 90], "seeds": [0]}
     smoke = experiment.presets["smoke"]
     last = {f"{model}.{kind}": smoke[model][kind][-1:] for model in MODELS for kind in KINDS}
     assert run_sweep(experiment, settings_of(**{**tiny, "ratios": [90], **last}), out, source=store).finished == 3
@@ -173,8 +156,7 @@ def test_a_run_may_be_extended_but_not_by_other_trials(store: Path, tmp_path: Pa
 @pytest.mark.usefixtures("in_this_process")
 def test_tuning_gives_both_models_as_many_trials_and_chooses_one(store: Path, tmp_path: Path) -> None:
     experiment = find_experiment("label_ratio_tuning")
-    tiny = {name: value for name, value in TINY.items() if name not in ("ratios", "seeds")}
-    result = run_sweep(experiment, experiment.resolve("smoke", tiny), tmp_path / "out", source=store)
+    result = run_sweep(experiment, experiment.resolve("smoke", TINY), tmp_path / "out", source=store)
     assert result.failures == {}
     for model in MODELS:
         mine = select(result.rows, model=model)
@@ -197,8 +179,5 @@ def test_the_presets_hold_what_tuning_chose_at_the_size_of_p2() -> None:
         small, large = (find_experiment(name).resolve(preset, {}) for preset in ("quick", "paper"))
         for key in ("optimiser", "learning_rate", "weight_decay", "schedule", "target_scaling", "batch_norm", "loss"):
             assert getattr(large.training, key) == getattr(small.training, key)
-        assert (large.training.optimiser, large.training.schedule) == ("adamw", "cosine")
-        assert large.model.metric_inputs
-        assert small.model.metric_inputs
+        assert large.model.metric_inputs == small.model.metric_inputs
         assert (large.model.n_points, large.model.feature_size, large.model.tnet) == (750, 1024, True)
-        assert (large.training.batch_size, large.training.epochs) == (10, 30)

@@ -48,10 +48,7 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
         nets.append(trainer.net)
     for one, other in zip(nets[0].parameters(), nets[1].parameters(), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-5)
-
-
-def test_both_models_begin_with_the_same_network(presampled: PresampledSet) -> None:
-    nets = [
+    nets = [  # and the SR-GAN of a trial begins with the same network
         kind(presampled, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
         for kind, model, trial in ((PointnetTrainer, "pointnet", "rate 0.003"), (SrganTrainer, "srgan", "0.3/1/1"))
     ]

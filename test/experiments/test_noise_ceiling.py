@@ -11,8 +11,7 @@ from sim_builders import SPONGE, scene
 
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.noise_ceiling import ceiling_rows
-from foretouch.experiments.noise_ceiling.repeats import CAUSES, NEW_OBJECT, Repeater
+from foretouch.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
 from foretouch.experiments.shared.simulated_data import SimulatedSettings, load_simulated, simulate_store
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
@@ -29,19 +28,10 @@ def rows(repeats: int, predictors: dict[str, Any]) -> list[dict[str, Any]]:
     made = true[:, None] + rng.normal(0.0, SIGMA, (GRASPS, repeats, 50))
     mean, spread = made.mean(axis=1), made.var(axis=1, ddof=1)
     share = 1.0 - 1.0 / repeats
-    told = [
-        {
-            "what": "repeats",
-            "name": "all",
-            "id": str(k),
-            "mean": mean[k],
-            "rest": share * spread[k],
-            "within": spread[k],
-            "within_change": spread[k],
-            "reference": mean[k] ** 2 + share * spread[k],
-        }
-        for k in range(GRASPS)
-    ]
+    columns = {"mean": mean, "rest": share * spread, "within": spread, "within_change": spread}
+    columns["reference"] = mean**2 + share * spread
+    head = {"what": "repeats", "name": "all"}
+    told = [{**head, "id": str(k), **{name: all_[k] for name, all_ in columns.items()}} for k in range(GRASPS)]
     for name, predict in predictors.items():
         said = predict(true)
         told += [{"what": "predictor", "name": name, "id": str(k), "predicted": said[k]} for k in range(GRASPS)]
@@ -68,34 +58,24 @@ def test_shares_of_predictors_that_know_all_half_and_nothing() -> None:
     assert told["half"]["share"] == pytest.approx(0.75, abs=0.01)
     assert told["nothing"]["share"] == pytest.approx(0.0, abs=1e-9)
     assert told["nothing"]["skill"] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_predictor_without_rows_is_left_out() -> None:
     assert {row["name"] for row in ceiling_rows(rows(2, {}), 100)} == {"ceiling", "ceiling, change from the tare"}
     assert ceiling_rows([], 100) == []
 
 
+POSTURE = {"pitch_deg": [-10, 35]}
 HIDDEN = {
     "grasps": {"insertion_m": 0.012, "control": "depth", "thumb": {"depth_m": [0.001, 0.004]}, "error": {}},
-    "fingers": {
-        "thumb_posture": {"pitch_deg": [-10, 35]},
-        "middle_posture": {"pitch_deg": [-10, 35]},
-        "drift": {},
-        "noise": {},
-    },
+    "fingers": {"thumb_posture": POSTURE, "middle_posture": POSTURE, "drift": {}, "noise": {}},
 }
 CONFIG = scene(SPONGE, **HIDDEN)
 EVERYTHING = frozenset(CAUSES)
 
 
-def test_repeats_follow_from_the_sample_alone() -> None:
+def test_repeats_follow_from_the_sample_alone_and_are_the_sample_without_a_cause() -> None:
     first, again = (Repeater(CONFIG, EVERYTHING).repeat(0, 0, 3) for _ in range(2))
     np.testing.assert_array_equal(first.touches, again.touches)
     assert len(np.unique(first.touches, axis=0)) == 3
     assert not np.array_equal(Repeater(CONFIG, EVERYTHING).repeat(1, 0, 3).touches, first.touches)
-
-
-def test_without_a_cause_all_repeats_are_the_sample() -> None:
     made = Repeater(CONFIG, frozenset()).repeat(0, 0, 3)
     sample = Engine(CONFIG, EFFECTS, ("touch", "tare")).run(SampleKey(CONFIG.seed, 0))
     np.testing.assert_array_equal(made.touches, np.tile(sample.touch.vector(), (3, 1)))
@@ -112,31 +92,24 @@ def test_each_cause_moves_the_touch_and_only_the_sensor_the_tare() -> None:
     assert frozenset().union(*CAUSES.values()) <= {effect.name for effect in EFFECTS}
 
 
-def test_a_grasp_that_never_succeeds_again_is_named() -> None:
-    """Without friction every finger slips off."""
-    smooth = scene(SPONGE | {"friction": 0.0}, **HIDDEN)
+def test_what_cannot_be_repeated_is_named() -> None:
+    smooth = scene(SPONGE | {"friction": 0.0}, **HIDDEN)  # every finger slips off
     with pytest.raises(SimulationError, match="slot 0: 0 of 20 repeats succeed"):
         Repeater(smooth, EVERYTHING).repeat(0, 0, 2)
+    with pytest.raises(ConfigError, match="scene: campaign: grasps are repeated at one moment"):
+        Repeater(scene(SPONGE, campaign={}), EVERYTHING)
 
 
-def test_a_new_object_may_be_of_any_material_of_the_scene() -> None:
+def test_a_new_object_may_be_of_any_material_of_the_scene_and_is_touched_on_another_day() -> None:
     """A sponge and a hard look-alike: what is known of the object leaves less open than what is not."""
     hard = SPONGE | {"name": "hard", "young_pa": 5e6}
     both = scene(SPONGE, hard, **HIDDEN | {"fingers": {}})
     command = frozenset({"command"})
     known, new = (Repeater(both, causes).repeat(0, 0, 6) for causes in (command, command | {NEW_OBJECT}))
     assert np.ptp(new.touches, axis=0).max() > 1.5 * np.ptp(known.touches, axis=0).max()
-
-
-def test_a_new_object_is_touched_on_another_day() -> None:
     days = scene(SPONGE, **HIDDEN | {"fingers": {"sessions": {}}})
     assert np.ptp(Repeater(days, EVERYTHING).repeat(0, 0, 3).tares, axis=0).max() == 0.0
     assert np.ptp(Repeater(days, frozenset({NEW_OBJECT})).repeat(0, 0, 3).tares, axis=0).max() > 1.0
-
-
-def test_a_campaign_is_refused_since_no_moment_comes_twice() -> None:
-    with pytest.raises(ConfigError, match="scene: campaign: grasps are repeated at one moment"):
-        Repeater(scene(SPONGE, campaign={}), EVERYTHING)
 
 
 def test_noise_ceiling(swept, scenes: Path) -> None:

@@ -24,7 +24,7 @@ def samples():
     return make_samples(objects=4, each=12)
 
 
-def test_with_offset_correction_by_hand(samples) -> None:
+def test_offset_correction_by_hand_asks_the_baseline_once_for_each_sample(samples) -> None:
     train, held = samples[:36], samples[36:]
     labels = labels_of(train)
     fitted = with_offset_correction(training_mean)(train, labels, 0)
@@ -33,9 +33,6 @@ def test_with_offset_correction_by_hand(samples) -> None:
     residuals = labels_of(held[:3]) - mean
     assert_allclose(fitted.predict_after(held[:3], held[3:]), np.tile(mean + residuals.sum(axis=0) / (3 + 2), (9, 1)))
     assert_allclose(fitted.predict_after([], held), fitted.predict(held))
-
-
-def test_a_baseline_is_asked_once_for_each_sample(samples) -> None:
     asked = []
 
     def counting(train, labels, test, seed):

@@ -44,12 +44,12 @@ def starts(trace: Path) -> dict[str, int]:
 
 
 def test_table_manifest_and_cells(sweep, out) -> None:
-    told = []
-    result = sweep(workers=2, progress=lambda result, done, total: told.append((result.cell.key, done, total)))
+    reported = []
+    result = sweep(workers=2, progress=lambda result, done, total: reported.append((result.cell.key, done, total)))
     assert [row["number"] for row in result.rows] == [k for k in range(6) for _ in range(2)]
     assert read_results(out / "results.csv") == result.rows
-    assert sorted(key for key, *_ in told) == [f"cell{k}" for k in range(6)]
-    assert [one[1:] for one in told] == [(k + 1, 6) for k in range(6)]
+    assert sorted(key for key, *_ in reported) == [f"cell{k}" for k in range(6)]
+    assert [one[1:] for one in reported] == [(k + 1, 6) for k in range(6)]
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["experiment"] == "counting"
     assert manifest["settings"] == CountingSettings().to_mapping()
@@ -61,17 +61,8 @@ def test_table_manifest_and_cells(sweep, out) -> None:
 
 
 def test_killed_and_resumed_equals_uninterrupted(sweep, tmp_path, numbers, trace, in_this_process) -> None:
-    words = [sys.executable, "-m", "foretouch.cli.main", "experiment", "own_experiments.counting", "-o"]
-    words += [
-        str(tmp_path / "cut"),
-        "--data",
-        str(numbers),
-        "--workers",
-        "1",
-        "--json",
-        "pause_s=0.3",
-        f"trace={trace}",
-    ]
+    words = [sys.executable, "-m", "foretouch.cli.main", "experiment", "own_experiments.counting", "--json"]
+    words += ["-o", f"{tmp_path}/cut", "--data", str(numbers), "--workers", "1", "pause_s=0.3", f"trace={trace}"]
     environment = {**os.environ, "PYTHONPATH": PATH}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True) as process:
         assert [json.loads(process.stdout.readline())["status"] for _ in range(2)] == ["done", "done"]
@@ -109,6 +100,10 @@ def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -
     with pytest.raises(ConfigError, match=r"data\.sha256"):
         sweep(settings={"cells": 2}, resume=True)
     assert (out / "results.csv").read_bytes() == before
+    with pytest.raises(ConfigError, match="preset: 'quick' is none of full, smoke"):
+        EXPERIMENT.resolve("quick", {})
+    with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
+        EXPERIMENT.resolve("full", {"paus": 1})
     job = Job.make(EXPERIMENT, CountingSettings().to_mapping(), numbers, "0" * 64)
     result = run_cell(job, Cell("cell0", {"number": 0}))
     assert result.rows is None
@@ -174,14 +169,6 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_pro
                 use()
 
     every_case(damaged, check)
-
-
-def test_presets_and_their_errors() -> None:
-    assert EXPERIMENT.resolve("smoke", {"pause_s": 1}).cells == 2
-    with pytest.raises(ConfigError, match="preset: 'quick' is none of full, smoke"):
-        EXPERIMENT.resolve("quick", {})
-    with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
-        EXPERIMENT.resolve("full", {"paus": 1})
 
 
 def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from every_case import every_refusal
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -14,10 +15,14 @@ X, Y, Z = np.eye(3)
 vectors = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 3).map(np.array)
 
 
-def test_axes_of_a_hand_worked_pose():
+def test_axes_of_hand_worked_poses():
     # Contacts along x, object along y: Z = x, X = x × y = z, Y = x × z = -y.
     rotation = hand_rotation(np.array([0.05, 0.0, 1.0]), np.array([-0.05, 0.0, 1.0]), Y)
     np.testing.assert_allclose(rotation, np.column_stack([Z, -Y, X]), atol=1e-15)
+    # Contacts along the axis: Z = y; x and z are equally far from it, the first stands in: X = y × x = -z.
+    along = np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.0, 1.0]), Y
+    np.testing.assert_allclose(hand_rotation(*along), np.column_stack([-Z, -X, Y]), atol=1e-15)
+    assert is_parallel(*along)
 
 
 @given(vectors, vectors, vectors)
@@ -32,57 +37,34 @@ def test_is_a_proper_rotation_with_z_along_the_contacts(g1, g2, axis):
         assert abs(rotation[:, 0] @ axis) < 1e-8 * max(1.0, np.linalg.norm(axis))
 
 
-def test_turns_with_the_object(rng):
+def test_turns_with_the_object_and_half_about_z_with_a_negated_axis(rng):
     g1, g2, axis = rng.normal(size=(3, 3))
-    turn = Rotation.random(random_state=1).as_matrix()
-    turned = hand_rotation(turn @ g1, turn @ g2, turn @ axis)
-    np.testing.assert_allclose(turned, turn @ hand_rotation(g1, g2, axis), atol=1e-12)
-
-
-def test_negated_axis_turns_the_hand_half_about_z(rng):
-    g1, g2, axis = rng.normal(size=(3, 3))
-    expected = hand_rotation(g1, g2, axis) @ np.diag([-1.0, -1.0, 1.0])
-    np.testing.assert_allclose(hand_rotation(g1, g2, -axis), expected, atol=1e-12)
-
-
-def test_contacts_along_the_axis_follow_the_least_aligned_coordinate():
-    rotation = hand_rotation(np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.0, 1.0]), Y)
-    # Z = y; x and z are equally far from it, the first of them stands in: X = y × x = -z.
-    np.testing.assert_allclose(rotation, np.column_stack([-Z, -X, Y]), atol=1e-15)
-    assert is_parallel(np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.0, 1.0]), Y)
+    turn, rotation = Rotation.random(random_state=1).as_matrix(), hand_rotation(g1, g2, axis)
+    np.testing.assert_allclose(hand_rotation(turn @ g1, turn @ g2, turn @ axis), turn @ rotation, atol=1e-12)
+    np.testing.assert_allclose(hand_rotation(g1, g2, -axis), rotation @ np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
 
 
 def test_what_has_no_pose_is_refused():
-    for contacts, message in (
-        ((X, X, Y), r"g1 - g2: .* has no direction"),
-        ((X, Y, np.zeros(3)), r"axis: .* has no direction"),
-        ((np.array([np.nan, 0.0, 0.0]), Y, Z), "has no direction"),
-    ):
-        with pytest.raises(GraspError, match=message):
-            hand_rotation(*contacts)
-    for matrix in (
-        np.diag([1.0, 1.0, -1.0]),
-        np.eye(3) * 2.0,
-        np.full((3, 3), np.nan),
-        np.eye(2),
-        np.full((3, 3), 1e300),
-    ):
-        with pytest.raises(GraspError, match=r"rotation: .* is not a rotation matrix"):
-            quaternion_xyzw(matrix)
+    cases = [
+        (r"g1 - g2: .* has no direction", X, X, Y),
+        (r"axis: .* has no direction", X, Y, np.zeros(3)),
+        ("has no direction", np.array([np.nan, 0.0, 0.0]), Y, Z),
+    ]
+    every_refusal(GraspError, cases, hand_rotation)
+    matrices = [np.diag([1.0, 1.0, -1.0]), np.eye(3) * 2.0, np.full((3, 3), np.nan), np.eye(2), np.full((3, 3), 1e300)]
+    cases = [(r"rotation: .* is not a rotation matrix", matrix) for matrix in matrices]
+    every_refusal(GraspError, cases, quaternion_xyzw)
 
 
-def test_quaternion_agrees_with_scipy():
+def test_quaternions_are_those_of_scipy_and_of_a_half_turn_by_hand():
     rotations = Rotation.random(200, random_state=0)
     for matrix, expected in zip(rotations.as_matrix(), rotations.as_quat(), strict=True):
         quaternion = quaternion_xyzw(matrix)
         assert quaternion[3] >= 0.0
         np.testing.assert_allclose(quaternion * np.sign(expected[3]), expected, atol=1e-12)
-
-
-def test_quaternion_of_a_half_turn_has_its_first_component_positive():
     for axis in (X, Y, Z, (X + Y) / np.sqrt(2.0), (Y - X) / np.sqrt(2.0)):
         quaternion = quaternion_xyzw(2.0 * np.outer(axis, axis) - np.eye(3))
-        leading = axis[np.flatnonzero(axis)[0]]
+        leading = axis[np.flatnonzero(axis)[0]]  # positive by convention
         np.testing.assert_allclose(quaternion, [*(axis * np.sign(leading)), 0.0], atol=1e-12)
 
 

@@ -19,34 +19,25 @@ from foretouch.grasp.ranking import (
 
 CONFIG = GeoGraspConfig()
 Y = np.array([0.0, 1.0, 0.0])
-
-AXIS = np.array([0.0, 1.0, 0.0])
 CENTROID = np.zeros(3)
-GRASP_PLANE = GraspPlane(origin=CENTROID, normal=AXIS, first=0, second=1, n_points=2, width_m=0.1)
+GRASP_PLANE = GraspPlane(origin=CENTROID, normal=Y, first=0, second=1, n_points=2, width_m=0.1)
 
 
 def test_initial_points_are_the_extremes_near_the_plane():
+    toward = np.array([0.0, 0.0, 1.0])
     xyz = np.array([[-9, 0.02, 1], [-1, 0.001, 1], [0, 0, 1], [2, -0.006, 1], [5, 0.0071, 1]], np.float32)
-    grasp_plane = find_grasp_plane(xyz, np.array([0.0, 0.0, 1.0]), Y, 0, 0.007)
+    grasp_plane = find_grasp_plane(xyz, toward, Y, 0, 0.007)
     assert (grasp_plane.first, grasp_plane.second, grasp_plane.n_points) == (1, 3, 3)
     assert grasp_plane.width_m == pytest.approx(np.hypot(3.0, 0.007))
-
-    # The first of equal extremes counts.
     xyz = np.array([[0, 0, 1], [1, 0, 1], [1, 0.001, 1], [0, 0.001, 1]], np.float32)
-    grasp_plane = find_grasp_plane(xyz, np.array([0.0, 0.0, 1.0]), Y, 0, 0.007)
-    assert (grasp_plane.first, grasp_plane.second) == (0, 1)
-
-
-def test_a_plane_without_two_contacts_is_reported():
+    grasp_plane = find_grasp_plane(xyz, toward, Y, 0, 0.007)
+    assert (grasp_plane.first, grasp_plane.second) == (0, 1)  # the first of equal extremes counts
     xyz = np.array([[0, 0.1, 1], [1, -0.1, 1]], np.float32)
     with pytest.raises(CloudError, match=r"no point within 7 mm .* spans -0.100 ... 0.100 m"):
-        find_grasp_plane(xyz, np.array([0.0, 0.0, 1.0]), Y, 0, 0.007)
+        find_grasp_plane(xyz, toward, Y, 0, 0.007)
     with pytest.raises(CloudError, match="the 1 points near the grasp plane leave no two contacts"):
         find_grasp_plane(np.ones((1, 3), np.float32), np.ones(3), Y, 0, 0.007)
-
-
-def test_two_spheres_of_candidates_stay_apart():
-    for width, radius in ((0.2, 0.05), (0.1, 0.035), (0.06, 0.021)):
+    for width, radius in ((0.2, 0.05), (0.1, 0.035), (0.06, 0.021)):  # the two spheres of candidates stay apart
         assert _contact_radius(width, CONFIG) == pytest.approx(radius)
 
 
@@ -58,16 +49,12 @@ def test_candidates_average_their_voxels(rng):
     np.testing.assert_array_equal(initial.xyz[0], xyz[7])
     cells = {tuple(cell) for cell in np.floor(candidates.xyz / CONFIG.voxel_m).astype(int)}
     assert len(cells) == len(candidates.xyz)
-
-
-def test_a_point_without_a_normal_takes_it_from_its_voxel():
-    plane = np.column_stack(
-        [*(g.ravel() for g in np.meshgrid(np.arange(20) * 0.002, np.arange(20) * 0.002)), np.ones(400)]
+    x, y = np.mgrid[:20, :20] * 0.002
+    flat = np.column_stack([x.ravel(), y.ravel(), np.ones(400)])
+    candidates, initial, n_near = _contact_side(
+        np.vstack([flat, [0.5, 0.0, 1.0]]).astype(np.float32), 400, 0.02, CONFIG
     )
-    lonely = [[0.5, 0.0, 1.0]]
-    xyz = np.concatenate([plane, lonely]).astype(np.float32)
-    candidates, initial, n_near = _contact_side(xyz, 400, 0.02, CONFIG)
-    assert n_near == 1
+    assert n_near == 1  # a lonely point leaves its voxel without a normal
     assert np.isnan(candidates.normal).all()
     assert np.isnan(initial.curvature).all()
 
@@ -102,12 +89,22 @@ def test_pairs_score_as_worked_by_hand():
     assert (reason, score) == ("", pytest.approx(1.5 * 4.0 + 3.5, abs=1e-4))
 
 
-def test_candidates_inside_the_object_are_skipped():
+def test_candidates_that_are_inside_without_a_normal_or_along_the_axis_never_rank():
     a, b = _sides()
     a.candidates.xyz[0] = [-0.03, 0.0, 0.0]
     ranking = rank_pairs((a, b), GRASP_PLANE, CENTROID)
     assert 0 not in ranking.first
     assert ranking.counts["n_pairs_inside"] == 3
+    a, b = _sides()
+    a.candidates.normal[0], a.candidates.curvature[0] = np.nan, np.nan
+    ranking = rank_pairs((a, b), GRASP_PLANE, CENTROID)
+    assert 0 not in ranking.first
+    assert ranking.counts["n_pairs_unknown"] == 3
+    assert np.isfinite(ranking.score).all()
+    along = GraspPlane(CENTROID, np.array([1.0, 0.0, 0.0]), 0, 1, 2, 0.1)
+    ranking = rank_pairs(_sides(), along, CENTROID)
+    assert len(ranking.score) == 0
+    assert ranking.counts["n_pairs_low"] > 0
 
 
 def test_the_second_side_has_two_percent_of_slack():
@@ -116,23 +113,6 @@ def test_the_second_side_has_two_percent_of_slack():
     for x, kept in ((0.0499, True), (0.0497, False)):
         others = _points([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)
         assert (0 in rank_pairs((a, b._replace(candidates=others)), GRASP_PLANE, CENTROID).second) == kept
-
-
-def test_a_candidate_without_a_normal_never_ranks():
-    a, b = _sides()
-    a.candidates.normal[0], a.candidates.curvature[0] = np.nan, np.nan
-    ranking = rank_pairs((a, b), GRASP_PLANE, CENTROID)
-    assert 0 not in ranking.first
-    assert ranking.counts["n_pairs_unknown"] == 3
-    assert np.isfinite(ranking.score).all()
-
-
-def test_a_grasp_along_the_axis_never_ranks():
-    a, b = _sides()
-    along = GraspPlane(CENTROID, np.array([1.0, 0.0, 0.0]), 0, 1, 2, 0.1)
-    ranking = rank_pairs((a, b), along, CENTROID)
-    assert len(ranking.score) == 0
-    assert ranking.counts["n_pairs_low"] > 0
 
 
 def test_initial_points_without_a_score_have_a_reason():

@@ -63,14 +63,6 @@ def half(prediction: TouchPrediction) -> np.ndarray:
     return prediction.upper.vector() - prediction.lower.vector()
 
 
-def test_a_long_pause_makes_the_sensors_unknown_again(model: TouchModel) -> None:
-    sample, history = SECOND[0], read(HandHistory(model), FIRST)
-    (unread,) = model.predict(sample.cloud, [sample.grasp])
-    later = predict(history, sample, FIRST[-1].stamp_ns + 300 * DAY)
-    assert_allclose(half(later), half(unread), rtol=0.15)  # what was learned about the width of intervals stays
-    assert_allclose(later.value.vector(), unread.value.vector(), atol=1e-6)
-
-
 def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
     sample, tare = SECOND[0], Touch.from_vector(REST + 40.0)
     (unread,), (tared,) = (model.predict(sample.cloud, [sample.grasp], tare=one) for one in (None, tare))

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contact_model_builders import scaled
+from recording_builders import read_folder
 
-from foretouch.dataset.vision2tactile import folder_sha256, read_sample, sample_folders
+from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Grasp
@@ -67,7 +68,7 @@ def test_objects_of_sizes_far_from_those_of_training_are_flagged_and_get_the_mea
 @pytest.mark.real_data
 def test_it_predicts_its_training_data(real_data: Path) -> None:
     model = load_model()
-    samples = [read_sample(folder) for folder in sample_folders(real_data / "vision2tactile")[::5]]
+    samples = read_folder(real_data / "vision2tactile")[::5]
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert np.mean(["unfamiliar" in prediction.flags for prediction in predictions]) < 0.1
     predicted = np.array([p.value.vector() for p in predictions])

@@ -17,7 +17,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.state_space import FINGERS, TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.types import Evidence
 
 SIZE, S, DAY = 50, 10**9, 86400 * 10**9
 START = 1_700_000_000 * S
@@ -97,43 +96,6 @@ def test_the_level_is_that_of_the_joint_gaussian(rng) -> None:
         assert_allclose(level.variance, variance, rtol=1e-6)
     assert level.evidence.readings == 30
     assert level.evidence.reading_age_s == pytest.approx(500.0)
-
-
-def test_another_object_keeps_the_state_and_forgets_the_object(rng) -> None:
-    tracker = SensorTracker(drifting())
-    for k in range(20):
-        touch(tracker, 60.0 * k, 30.0 + rng.normal(0.0, 20.0, SIZE))
-    own = tracker.level(START + 1200 * S)
-    other = tracker.level(START + 1200 * S, same_object=False)
-    tracker.start_object()
-    begun = tracker.level(START + 1200 * S)
-    assert_array_equal(begun.offset, other.offset)
-    assert_array_equal(begun.variance, other.variance)
-    assert own.evidence == Evidence(20, 60.0, 20, 60.0)
-    assert begun.evidence == Evidence(0, None, 20, 60.0)
-    assert 15.0 < other.offset.mean() < own.offset.mean() < 31.0
-    assert (own.variance < other.variance).all()
-
-
-def test_after_a_long_pause_the_state_counts_as_unknown() -> None:
-    tracker = SensorTracker(drifting(lasting=0.0))
-    before = tracker.level(START)
-    for k in range(10):
-        tracker.add_tare(START + k * S, np.full(SIZE, 25.0))
-    assert tracker.level(START + 10 * S).offset.mean() > 20.0
-    later = tracker.level(START + 300 * DAY)
-    assert_allclose(later.offset, 0.0, atol=1e-3)
-    assert_allclose(later.variance, before.variance, rtol=1e-6)
-
-
-def test_after_touches_predicted_differences_are_shrunk() -> None:
-    tracker = SensorTracker(replace(drifting(), difference_shrinkage=np.full((2, SIZE), 0.25)))
-    grasps = REST + np.array([[0.0], [40.0]])
-    first, _ = tracker.predict(START, grasps)
-    assert_allclose(first[1] - first[0], 40.0)
-    touch(tracker, 0.0, np.zeros(SIZE))
-    later, _ = tracker.predict(START, grasps)
-    assert_allclose(later[1] - later[0], 10.0)
 
 
 def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> None:
@@ -336,12 +298,8 @@ def test_a_state_that_cannot_be_is_refused_by_name() -> None:
             SensorTracker.from_tensors(drifting(), tensors)
 
     every_case([(name, harm) for name in tracker.to_tensors() for harm in (*HARM, "shape", "missing")], check)
-
-
-def test_the_state_of_another_model_is_refused() -> None:
-    tensors = SensorTracker(drifting()).to_tensors()
     with pytest.raises(ModelError, match=r"^parameters: are those of another model"):
-        SensorTracker.from_tensors(drifting(slow=3.0), tensors)
+        SensorTracker.from_tensors(drifting(slow=3.0), tracker.to_tensors())
 
 
 def test_variances_stay_finite_and_positive_over_many_readings() -> None:

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib.image
 import numpy as np
@@ -19,19 +18,19 @@ def sample(pdc: float) -> GraspSample:
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
-def test_a_sheet_has_a_row_for_two_samples(tmp_path: Path, count: int) -> None:
+def test_a_sheet_has_a_row_for_two_samples(tmp_path, count) -> None:
     path = save_contact_sheet(tmp_path / "new" / "sheet.png", [sample(2000.0)] * count, "a title")
     height = matplotlib.image.imread(path).shape[0]
     assert height == pytest.approx(100 * (2.6 * max(1, -(-count // 2)) + 1.3), abs=2)
 
 
-def test_an_unlabelled_sample_is_drawn_without_its_fingers(tmp_path: Path) -> None:
+def test_an_unlabelled_sample_is_drawn_without_its_fingers(tmp_path) -> None:
     labelled = save_contact_sheet(tmp_path / "a.png", [sample(2000.0)]).read_bytes()
     unlabelled = save_contact_sheet(tmp_path / "b.png", [replace(sample(2000.0), touch=None)]).read_bytes()
     assert labelled != unlabelled
 
 
-def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> None:
     kept: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: kept.append(figure))
     save_contact_sheet(

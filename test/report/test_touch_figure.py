@@ -25,7 +25,7 @@ def picture(path: Path, target: FoundObject, prediction: TouchPrediction, **opti
     return imread(save_touch_picture(path, [DrawnGrasp(target=target, prediction=prediction, **options)]))[..., :3]
 
 
-def test_what_was_read_is_beside_what_was_predicted(sample, tmp_path: Path) -> None:
+def test_what_was_read_is_beside_what_was_predicted(sample, tmp_path) -> None:
     target, prediction, tare = sample
     alone = picture(tmp_path / "a.png", target, prediction)
     both = picture(tmp_path / "new" / "b.png", target, prediction, rest=tare, read=prediction.value)
@@ -33,7 +33,7 @@ def test_what_was_read_is_beside_what_was_predicted(sample, tmp_path: Path) -> N
     assert both.shape[1] > 1.3 * alone.shape[1]
 
 
-def test_a_second_grasp_takes_a_row_of_its_own(sample, tmp_path: Path) -> None:
+def test_a_second_grasp_takes_a_row_of_its_own(sample, tmp_path) -> None:
     target, prediction, _ = sample
     one = DrawnGrasp(target=target, prediction=prediction)
     alone, both = (imread(save_touch_picture(tmp_path / f"{k}.png", [one] * k)) for k in (1, 2))
@@ -46,7 +46,7 @@ def dots_of(figure: Figure) -> list:
     return [dots for axes in figure.axes for dots in axes.collections if len(dots.get_offsets()) == 24]
 
 
-def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, tmp_path: Path, monkeypatch) -> None:
+def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, tmp_path, monkeypatch) -> None:
     target, prediction, tare = sample
     drawn: list[Figure] = []
     monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path: drawn.append(figure) or path)
@@ -62,7 +62,7 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
     np.testing.assert_allclose(dots[5].get_array() - dots[4].get_array(), 500.0)
 
 
-def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path: Path) -> None:
+def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path) -> None:
     target, prediction, tare = sample
     refused = replace(prediction, value=None, status="refused", reason="no usable model")
     nothing = picture(tmp_path / "a.png", target, refused)
@@ -85,7 +85,7 @@ def test_a_sentence_states_how_prediction_and_reading_agree(sample) -> None:
     assert _agreement(replace(one, read=None)) == ""
 
 
-def test_an_interval_changes_the_predicted_pressures_alone(sample, tmp_path: Path) -> None:
+def test_an_interval_changes_the_predicted_pressures_alone(sample, tmp_path) -> None:
     target, prediction, tare = sample
     low, high = (Touch.from_vector(prediction.value.vector() + shift) for shift in (-60.0, 60.0))
     bounded = replace(prediction, lower=low, upper=high)

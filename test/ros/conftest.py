@@ -26,6 +26,7 @@ from foretouch.ros.runtime.environment import prepare_environment
 prepare_environment()
 
 import rclpy  # noqa: E402
+from action_msgs.msg import GoalStatus  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
@@ -175,6 +176,17 @@ class Graph:
         """Ask a node for transitions such as `deactivate`; whether all have succeeded."""
         requests = [ChangeState.Request(transition=Transition(label=one)) for one in transitions]
         return all(self.call(ChangeState, f"{name}/change_state", one).success for one in requests)
+
+    def goal(self, kind: Any, name: str, goal: Any) -> tuple[int, Any, list[Any]]:
+        """The status and the result of a goal, and its feedback."""
+        feedback: list[Any] = []
+        sent = self.action_client(kind, name).send_goal_async(goal, lambda message: feedback.append(message.feedback))
+        self.until(sent.done)
+        future = sent.result().get_result_async()
+        self.until(future.done)
+        status, result = future.result().status, future.result().result
+        self.until(lambda: feedback or status != GoalStatus.STATUS_SUCCEEDED)
+        return status, result, feedback
 
     def action_client(self, kind: type, name: str) -> Any:
         """A client, on a node that is served once the client is complete: its constructor makes it known too early."""

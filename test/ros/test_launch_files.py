@@ -97,17 +97,11 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(library):
             assert {key: value for key, value in options.items() if value != []} == wanted
 
     every_case([(name, params_file) for name in NODES for params_file in ("", "d415.yaml")], check)
-
-
-def test_perception_is_one_process_or_three_of_which_the_touch_predictor_gets_the_model(library):
-    for together, executables in (("true", 1), ("false", 3)):
-        module, _, context = describe("perception", points="points", model="m.json", one_process=together)
-        nodes = module.perception(context)
-        assert len(nodes) == executables
+    module, _, context = describe("perception", points="points", model="m.json", one_process="false")
+    nodes = {node.node_executable: node for node in module.perception(context)}
+    assert list(nodes) == ["foretouch_segmentation", "foretouch_grasp", "foretouch_touch_predictor"]
     if library == "stubs":
-        given = {node.node_executable: node.options["ros_arguments"] for node in nodes}
-        own = {"foretouch_touch_predictor": ["-p", "model:=m.json"]}
-        assert given == {"foretouch_segmentation": [], "foretouch_grasp": [], **own}
+        assert [node.options["ros_arguments"] for node in nodes.values()] == [[], [], ["-p", "model:=m.json"]]
 
 
 def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera(library):
@@ -157,11 +151,3 @@ def test_a_launch_ends_with_a_node_and_fails_with_it():
     with pytest.raises(RuntimeError, match="replay-1 ended with exit status 1"):
         end_with_node(failed, SimpleNamespace(is_shutdown=False))
     assert end_with_node(failed, SimpleNamespace(is_shutdown=True)) is not None
-
-
-def test_what_a_launch_file_needs_is_installed_beside_it():
-    installed = {path.name for path in FOLDER.glob("*.*")}  # the pattern of setup.py
-    assert "foretouch_launch_helpers.py" in installed
-    assert not any(
-        name.endswith("launch.py") for name in installed if ".launch." not in name
-    )  # `ros2 launch` lists such

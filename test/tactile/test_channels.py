@@ -7,16 +7,8 @@ from every_case import every_case
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile import (
-    MODALITIES,
-    P1_RANGES,
-    P2_RANGES,
-    TactileRanges,
-    columns,
-    electrode_normals,
-    electrode_positions,
-    modality_size,
-)
+from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, TactileRanges, columns, modality_size
+from foretouch.tactile.channels import electrode_normals, electrode_positions
 
 
 def test_modalities_fill_the_vector_of_fifty_once() -> None:
@@ -27,16 +19,13 @@ def test_modalities_fill_the_vector_of_fifty_once() -> None:
         columns(["PAC_TH"])
 
 
-def test_scaling_by_hand() -> None:
+def test_scaling_and_counts_outside_by_hand() -> None:
     counts = P2_RANGES.low.copy()
     counts[0], counts[1], counts[2], counts[26] = 2950.0, 2300.0, 100.0, 1160.0
     # (2950 - 2500) / 900, the upper end, the lower end, (1160 - 500) / 3300
     assert_allclose(P2_RANGES.scale(counts)[[0, 1, 2, 26]], [0.5, 1.0, 0.0, 0.2], rtol=1e-15)
     labels = P1_RANGES.scale(np.full(50, 1000.0))  # P1 divides by the upper ends
     assert_allclose(labels[[0, 1, 2, 26]], [1000 / 3100, 0.5, 1000 / 3500, 1000 / 3800], rtol=1e-15)
-
-
-def test_outside_flags_ends_and_nan() -> None:
     counts = P2_RANGES.low.copy()
     counts[0], counts[1], counts[2] = 3400.0, 2300.5, np.nan
     assert P2_RANGES.outside(counts).nonzero()[0].tolist() == [1, 2]

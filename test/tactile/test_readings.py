@@ -19,9 +19,7 @@ REST = Touch(2779.0, 1676.0, np.full(24, 3300.0), np.full(24, 3500.0))
 def test_faults_are_named_all_at_once() -> None:
     def check(change: dict[str, Any], *messages: str) -> None:
         faults = touch_faults(replace(REST, **change))
-        assert [fault.startswith(message) for fault, message in zip(faults, messages, strict=True)] == [True] * len(
-            faults
-        )
+        assert all(fault.startswith(message) for fault, message in zip(faults, messages, strict=True))
 
     cases = [
         ({},),

@@ -10,20 +10,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from foretouch.checked_files import read_json
+from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
+from foretouch.tactile import make_tare, tdc_of
+from foretouch.types import ELECTRODES, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
-
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name
-_FIELDS = ("pdc_th", "pdc_mf", "e_th", "e_mf")
-_TDC_FIELDS = ("tdc_th", "tdc_mf")  # optional
+_FIELDS: dict[str, tuple[int, ...]] = {"pdc_th": (), "pdc_mf": (), "e_th": (ELECTRODES,), "e_mf": (ELECTRODES,)}
+_TDC_FIELDS: dict[str, tuple[int, ...]] = {"tdc_th": (), "tdc_mf": ()}  # optional
 
 
 def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +76,7 @@ class Adaptation:
 
     def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
         """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
-        return [one for one in self.touched if sample is None or not _same(one, sample)]
+        return _others(self.touched, sample)
 
     def predict(
         self,
@@ -107,8 +110,8 @@ class Adaptation:
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = self.hand.copy() if self.hand is not None else HandHistory(self.model)
         last = None
-        for one in sorted(self.history, key=lambda one: one.stamp_ns):
-            if one.stamp_ns <= now_ns and not (sample is not None and _same(one, sample)):
+        for one in sorted(_others(self.history, sample), key=lambda one: one.stamp_ns):
+            if one.stamp_ns <= now_ns:
                 self._add(hand, one, one.stamp_ns, new_object=one.object != last)
                 last = one.object
         for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
@@ -120,8 +123,6 @@ class Adaptation:
 
     def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
-        from foretouch.tactile import tdc_of
-
         assert sample.touch is not None  # noqa: S101  only labelled samples are passed
         try:
             if sample.tare is not None:
@@ -173,10 +174,7 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
 
 def _read_tare(paths: Sequence[str]) -> tuple[Touch, Float64]:
     """The median of all readings in some files with its TDC; errors name the field and the rule that it breaks."""
-    import numpy as np
-
     from foretouch.dataset.vision2tactile import read_touch
-    from foretouch.tactile import make_tare, tdc_of
 
     readings: list[tuple[Touch, Float64]] = []
     for path in map(Path, paths):
@@ -196,17 +194,13 @@ def _read_tare(paths: Sequence[str]) -> tuple[Touch, Float64]:
 
 def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
     """One reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
-    import numpy as np
-
-    from foretouch.tactile import tdc_of
-    from foretouch.types import ELECTRODES, Touch
-
-    if not isinstance(entry, dict) or sorted(entry.keys() - set(_TDC_FIELDS)) != sorted(_FIELDS):
+    if not isinstance(entry, dict) or entry.keys() - _TDC_FIELDS.keys() != _FIELDS.keys():
         allowed = f"{', '.join(_FIELDS)}, optionally {', '.join(_TDC_FIELDS)}"
         raise FileError(path, f"is no reading: it must hold {allowed} and nothing else")
     values = {}
-    for name in entry:
-        shape = (ELECTRODES,) if name.startswith("e_") else ()
+    for name, shape in (_FIELDS | _TDC_FIELDS).items():
+        if name not in entry:
+            continue
         numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
         if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
             raise FileError(path, "is not numbers", field=name)
@@ -217,16 +211,15 @@ def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
     return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"]), tdc
 
 
-def _same(one: GraspSample, other: GraspSample) -> bool:
-    """Whether two samples are the same grasp, even from different files; ids alone may recur in another dataset."""
-    if one.touch is None or other.touch is None or one.id != other.id:
-        return False
-    return bool((one.touch.vector() == other.touch.vector()).all())
+def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
+    """Labelled samples without one of them, even from another file; ids alone may recur in another dataset."""
+    if sample is None or sample.touch is None:
+        return samples
+    own = sample.touch.vector()
+    return [one for one in samples if one.id != sample.id or one.touch is None or (one.touch.vector() != own).any()]
 
 
 def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:
-    from foretouch.tactile import tdc_of
-
     if sample is None or sample.tare is None:
         raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
     return sample.tare, tdc_of(sample.extra, "tare_")
@@ -234,8 +227,6 @@ def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:
 
 def read_samples(paths: Sequence[str]) -> list[GraspSample]:
     """All samples of some datasets."""
-    from foretouch.dataset.samples import open_samples
-
     samples: list[GraspSample] = []
     for path in paths:
         samples += [record.sample for record in open_samples(path).records()]

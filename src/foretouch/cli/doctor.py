@@ -28,17 +28,17 @@ from foretouch.errors import ForetouchError, MissingDependencyError
 if TYPE_CHECKING:
     from packaging.specifiers import SpecifierSet
 
-State = Literal["ok", "mismatch", "missing", "broken", "optional"]
+_State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
 _SHM_NEEDED_MB = 256  # three segments of 64 MB and a reserve
 
 
 @dataclass(frozen=True)
-class Finding:
+class _Finding:
     """The result of one check."""
 
     name: str  # what was checked
-    state: State  # "ok", "mismatch" (may work), "missing", "broken", or "optional" (absent, and needed by few)
+    state: _State  # "ok", "mismatch" (may work), "missing", "broken", or "optional" (absent, and needed by few)
     found: str  # what was found
     fix: str = ""  # the command that fixes it, else ""
 
@@ -96,18 +96,18 @@ def _self_test(names: Sequence[str], *, as_json: bool) -> int:
     return int(bool(failed))
 
 
-def _examine() -> Iterator[Finding]:
+def _examine() -> Iterator[_Finding]:
     """Run all checks, the fastest first."""
     old, version = sys.version_info < (3, 11), platform.python_version()
     fix = "make setup PYTHON=python3.11" if old else ""
-    yield Finding("Python", "mismatch" if old else "ok", f"{version} {platform.machine()}", fix)
+    yield _Finding("Python", "mismatch" if old else "ok", f"{version} {platform.machine()}", fix)
     yield from _requirements()
     yield from _imports()
     yield _shared_memory()
     yield from _own_parts()
 
 
-def _requirements() -> Iterator[Finding]:
+def _requirements() -> Iterator[_Finding]:
     """Compare the requirements of setup.cfg with what is installed."""
     from packaging.requirements import Requirement
 
@@ -115,10 +115,9 @@ def _requirements() -> Iterator[Finding]:
     for line in metadata.requires("foretouch") or []:
         match = _EXTRA.search(line)
         extra = match[1] if match else None
-        if extra in {"test", "dev", "docs", *other_ros}:
-            continue
-        wanted = Requirement(line)
-        yield _requirement(wanted.name, wanted.specifier, extra)
+        if extra not in {"test", "dev", "docs", *other_ros}:
+            wanted = Requirement(line)
+            yield _requirement(wanted.name, wanted.specifier, extra)
 
 
 def _wheels_of_ros() -> str:
@@ -131,19 +130,18 @@ def _wheels_of_ros() -> str:
         return "kilted"
 
 
-def _requirement(name: str, wanted: SpecifierSet, extra: str | None) -> Finding:
+def _requirement(name: str, wanted: SpecifierSet, extra: str | None) -> _Finding:
     fix = f"pip install '{name}{wanted}'"
     try:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
-        state: State = "missing" if extra in {None, "ros", "jazzy"} else "optional"
-        return Finding(name, state, "absent", fix)
+        return _Finding(name, "missing" if extra in {None, "ros", "jazzy"} else "optional", "absent", fix)
     if not wanted.contains(found, prereleases=True):
-        return Finding(name, "mismatch", f"{found} is not {wanted}", fix)
-    return Finding(name, "ok", found)
+        return _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
+    return _Finding(name, "ok", found)
 
 
-def _imports() -> Iterator[Finding]:
+def _imports() -> Iterator[_Finding]:
     """Import the libraries that may fail to load although they are installed, each in a separate process."""
     preload = "from foretouch.libusb import ensure_libusb; ensure_libusb()"
     for name, code, fix in (
@@ -164,21 +162,21 @@ def _imports() -> Iterator[Finding]:
         ("sr_robot_msgs", "the messages of Shadow"),
     ):
         present = _failure(f"import {name}") is None
-        yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
+        yield _Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
 
 
-def _shared_memory() -> Finding:
-    name = "shared memory"
+def _shared_memory() -> _Finding:
     try:
         free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
     except OSError:
-        return Finding(name, "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
-    state: State = "ok" if free_mb >= _SHM_NEEDED_MB else "mismatch"
-    fix = "" if state == "ok" else "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
-    return Finding(name, state, f"{free_mb:.0f} MB free", fix)
+        return _Finding("shared memory", "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
+    if free_mb >= _SHM_NEEDED_MB:
+        return _Finding("shared memory", "ok", f"{free_mb:.0f} MB free")
+    fix = "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
+    return _Finding("shared memory", "mismatch", f"{free_mb:.0f} MB free", fix)
 
 
-def _own_parts() -> Iterator[Finding]:
+def _own_parts() -> Iterator[_Finding]:
     """The compiled kernels, the released models, which are compared with their cards, and the camera."""
     kernels = _checked("compiled kernels", "mismatch", "apt install gcc, then install foretouch again", _load_kernels)
     yield kernels
@@ -215,17 +213,17 @@ def _list_cameras() -> str:
     return ", ".join(found)
 
 
-def _checked(name: str, otherwise: State, fix: str, check: Callable[[], str]) -> Finding:
+def _checked(name: str, otherwise: _State, fix: str, check: Callable[[], str]) -> _Finding:
     """What a function returns, or in another state the error that it raises."""
     try:
-        return Finding(name, "ok", check())
+        return _Finding(name, "ok", check())
     except (ForetouchError, ImportError) as err:
-        return Finding(name, otherwise, str(err), fix)
+        return _Finding(name, otherwise, str(err), fix)
 
 
-def _tried(name: str, code: str, fix: str) -> Finding:
+def _tried(name: str, code: str, fix: str) -> _Finding:
     message = _failure(code)
-    return Finding(name, "ok", "yes") if message is None else Finding(name, "broken", message, fix)
+    return _Finding(name, "ok", "yes") if message is None else _Finding(name, "broken", message, fix)
 
 
 def _failure(code: str) -> str | None:

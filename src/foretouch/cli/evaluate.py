@@ -77,8 +77,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     from foretouch.learning.evaluation.prequential import evaluate_prequential
     from foretouch.models.registry import load_model
 
-    data = load_dataset(arguments.dataset)
-    earlier = [load_dataset(path) for path in arguments.history]
+    data, *earlier = (load_dataset(path) for path in (arguments.dataset, *arguments.history))
     samples, history = (
         [sample for one in datasets for sample in one.samples if sample.touch is not None]
         for datasets in ([data], earlier)

@@ -35,14 +35,19 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
         waiting: What the first answer waits for.
     """
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or waiting or "none yet"
-    parts: list[RenderableType] = [Text(f"clouds answered: {answered}"), _nodes(view.nodes), *_problems(view.nodes)]
+    parts: list[RenderableType] = [Text(f"clouds answered: {answered}"), _nodes(view.nodes)]
+    parts += [
+        Text(f"{_short(name)}: {one.message}", _LEVELS.get(one.level, ""))
+        for name, one in view.nodes.items()
+        if one.level
+    ]
     if view.executed is not None:
         parts.append(_executed(*view.executed))
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions))
     for name, node in view.nodes.items():
-        if found := _dropped(node.values):
-            parts.append(Text(f"{_short(name)} dropped {', '.join(f'{n} {why}' for why, n in found.items())}"))
+        found = ", ".join(f"{count} {why}" for why, count in _dropped(node.values).items())
+        parts += [Text(f"{_short(name)} dropped {found}")] * bool(found)
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     return FittedPanel(parts, title)
 
@@ -73,20 +78,13 @@ def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     return {reason: count for reason, count in found.items() if count}
 
 
-def _problems(nodes: Mapping[str, NodeView]) -> list[Text]:
-    """One line for each node with a warning or an error."""
-    level = _LEVELS.get
-    return [Text(f"{_short(name)}: {one.message}", level(one.level, "")) for name, one in nodes.items() if one.level]
-
-
 def _predictions(predictions: Sequence[TouchPrediction]) -> FittedTable:
     from foretouch.ros.messages.conversions import reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
     rows: list[list[str | Text]] = []
     for one in predictions:
-        g1, g2 = one.grasp.g1, one.grasp.g2
-        width_mm = 1e3 * dist((g1.x, g1.y, g1.z), (g2.x, g2.y, g2.z))
+        width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (one.grasp.g1, one.grasp.g2)))
         width = f"{width_mm:.0f}" if width_mm < _WIDEST_MM else "–"  # a refused grasp may be 1e160 m wide
         if one.reason and one.status:
             rows.append([one.grasp.object_id, width, "", "", "", "", one.reason])

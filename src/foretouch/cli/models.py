@@ -58,19 +58,18 @@ def _record(name: str) -> dict[str, Any]:
         "sha256": model.sha256,
         "bytes": sum(one["bytes"] for one in hashes.values()),
         "files": hashes,
-        "skill": _skills(card),
+        "skill": {
+            split: mean for split, one in card.get("skill", {}).items() if (mean := _mean(one, "skill")) is not None
+        },
         "calibration": _calibration(card),
         "card": card,
     }
 
 
-def _skills(card: Mapping[str, Any]) -> dict[str, float]:
-    """Mean skill over the modalities by split: 0 equals the mean of the training labels, 1 is perfect."""
-    skills = {
-        split: [score["skill"] for score in scores.values() if "skill" in score]
-        for split, scores in card.get("skill", {}).items()
-    }
-    return {split: sum(values) / len(values) for split, values in skills.items() if values}
+def _mean(scores: Mapping[str, Mapping[str, Any]], name: str) -> float | None:
+    """Mean of a number over the modalities that have it."""
+    values = [score[name] for score in scores.values() if name in score]
+    return sum(values) / len(values) if values else None
 
 
 def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -84,24 +83,25 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     facts = card.get("calibration")
     if facts is None:
         return None
-    groups = {}
-    for name, group in facts.get("regimes", {}).items():
-        shares = [share["mean"] for share in group.get("coverage", {}).values() if "mean" in share]
-        coverage = sum(shares) / len(shares) if shares else None
-        groups[name] = {"objects": group.get("objects"), "samples": group.get("samples"), "coverage": coverage}
+    regimes = facts.get("regimes", {})
+    groups = {
+        name: {
+            "objects": one.get("objects"),
+            "samples": one.get("samples"),
+            "coverage": _mean(one.get("coverage", {}), "mean"),
+        }
+        for name, one in regimes.items()
+    }
     objects = max((one["objects"] or 0 for one in groups.values()), default=0)
     return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}
 
 
 def _show(records: list[dict[str, Any]]) -> None:
-    rows = []
+    rows, named = [], dict[str, list[str]]()
     for record in records:
-        if record["status"] != "ok":
-            rows.append([record["name"], record["status"], *[""] * 6])
-            continue
-        skills = [f"{record['skill'][name]:+.2f}" if name in record["skill"] else "–" for name in _SPLITS]
-        kilobytes = f"{record['bytes'] / 1000:.0f}"
-        rows.append([record["name"], record["kind"], "ok", kilobytes, *skills, _coverages(record["calibration"])])
+        rows.append([record["name"], record.get("kind", record["status"]), *_cells(record)])
+        for line in _notes(record):
+            named.setdefault(line, []).append(record["name"])
     title = (
         "Touch models. Skill on the test samples of each split: 0 equals the mean of the training labels, 1 is perfect. "
         "Coverage: share of readings inside the intervals, for held-out objects"
@@ -110,13 +110,17 @@ def _show(records: list[dict[str, Any]]) -> None:
     for record in records:
         if record["status"] != "ok":
             print_text(record["reason"])  # which names the file
-    named: dict[str, list[str]] = {}
-    for record in records:
-        for line in _notes(record) if record["status"] == "ok" else []:
-            named.setdefault(line, []).append(record["name"])
     sound = sum(record["status"] == "ok" for record in records)
     for line, names in sorted(named.items(), key=lambda item: -len(item[1])):  # what several have in common, once
         print_text(f"{'all models' if len(names) == sound > 1 else ', '.join(names)}: {line}")
+
+
+def _cells(record: Mapping[str, Any]) -> list[str]:
+    """Files, size, skills and coverage; empty for a damaged model."""
+    if record["status"] != "ok":
+        return [""] * 6
+    skills = [f"{record['skill'][name]:+.2f}" if name in record["skill"] else "–" for name in _SPLITS]
+    return ["ok", f"{record['bytes'] / 1000:.0f}", *skills, _coverages(record["calibration"])]
 
 
 def _coverages(calibration: Mapping[str, Any] | None) -> str:
@@ -128,7 +132,9 @@ def _coverages(calibration: Mapping[str, Any] | None) -> str:
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:
-    """Summary, guarantee of the intervals and limits of an undamaged model."""
+    """Summary, guarantee of the intervals and limits of a model; none of a damaged one."""
+    if record["status"] != "ok":
+        return []
     notes = [str(record["card"].get("summary", ""))]
     calibration = record["calibration"]
     if calibration is not None:

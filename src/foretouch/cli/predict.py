@@ -15,19 +15,20 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from foretouch.cli import inputs
-from foretouch.cli.adaptation import add_adaptation_arguments, read_adaptation, read_samples
+from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation, read_samples
 from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.errors import ConfigError, GraspError
 from foretouch.tactile import MODALITIES
+from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
 
 if TYPE_CHECKING:
-    from foretouch.cli.adaptation import Adaptation
     from foretouch.dataset.source import SourceItem
     from foretouch.models.budget import LatencyBudget
     from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.types import Grasp, GraspSample, TouchPrediction
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,42 +66,48 @@ def run(arguments: argparse.Namespace) -> int:
     changes = {"model": arguments.model} if arguments.model else {}
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes, defaults))
-    model = {"name": pipeline.model.name, "sha256": pipeline.model.sha256}
     adaptation = read_adaptation(arguments, pipeline.model)
     budget = None if arguments.budget_ms is None else _make_budget(arguments.budget_ms, pipeline)
+    return inputs.process_inputs(arguments, partial(_answer, arguments, pipeline, adaptation, budget), _show)
 
-    def answer(item: SourceItem) -> Iterator[inputs.Record]:
-        targets = inputs.target_objects(item, arguments, pipeline)
-        if adaptation.touched and len(targets) > 1:
-            raise ConfigError(
-                f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
-            )
-        for target in targets:
-            began = time.perf_counter()
-            try:
-                grasps, reason = _grasps(item, target, arguments, pipeline)
-            except GraspError as err:
-                if len(targets) == 1:
-                    raise
-                grasps, reason = [], str(err)
-            planned = time.perf_counter()
-            predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
-            ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
-            refused = [one.reason for one in predictions if one.status != "ok"]
-            yield {
-                **({"sample": item.sample.id} if item.sample is not None else {}),
-                "object": target.id,
-                "status": "ok" if predictions and not refused else "refused",
-                "reason": "; ".join(refused) or reason,
-                "predictions": [prediction_record(one) for one in predictions],
-                "model": model,
-                **level,
-                "touched": len(adaptation.touches_for(item.sample)),
-                "ms": {**ms, "total": sum(ms.values())},
-                "failed": not predictions or bool(refused),
-            }
 
-    return inputs.process_inputs(arguments, answer, _show)
+def _answer(
+    arguments: argparse.Namespace,
+    pipeline: Pipeline,
+    adaptation: Adaptation,
+    budget: LatencyBudget | None,
+    item: SourceItem,
+) -> Iterator[inputs.Record]:
+    """Predictions for each object of an input."""
+    targets = inputs.target_objects(item, arguments, pipeline)
+    if adaptation.touched and len(targets) > 1:
+        raise ConfigError(
+            f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
+        )
+    for target in targets:
+        began = time.perf_counter()
+        try:
+            grasps, reason = _grasps(item, target, arguments, pipeline)
+        except GraspError as err:
+            if len(targets) == 1:
+                raise
+            grasps, reason = [], str(err)
+        planned = time.perf_counter()
+        predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
+        ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
+        refused = [one.reason for one in predictions if one.status != "ok"]
+        yield {
+            **({"sample": item.sample.id} if item.sample is not None else {}),
+            "object": target.id,
+            "status": "ok" if predictions and not refused else "refused",
+            "reason": "; ".join(refused) or reason,
+            "predictions": [prediction_record(one) for one in predictions],
+            "model": {"name": pipeline.model.name, "sha256": pipeline.model.sha256},
+            **level,
+            "touched": len(adaptation.touches_for(item.sample)),
+            "ms": {**ms, "total": sum(ms.values())},
+            "failed": not predictions or bool(refused),
+        }
 
 
 def _make_budget(budget_ms: float, pipeline: Pipeline) -> LatencyBudget:
@@ -124,8 +131,6 @@ def _predict(
     sample: GraspSample | None,
 ) -> tuple[Sequence[TouchPrediction], inputs.Record]:
     """Predictions, and what the budget chose for the record."""
-    from foretouch.types import LATE, REDUCED
-
     if budget is None or not grasps:
         return adaptation.predict(pipeline, target, grasps, sample), {}
     chosen = budget.begin(len(grasps), time.monotonic())
@@ -141,11 +146,8 @@ def _predict(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    import numpy as np
-
     from foretouch.learning.evaluation.prequential import replay_model
     from foretouch.models.registry import load_model
-    from foretouch.types import Reference, Touch, TouchPrediction
 
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
@@ -184,8 +186,6 @@ def _grasps(
     item: SourceItem, target: FoundObject, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
     """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned by GeoGrasp."""
-    import numpy as np
-
     if arguments.grasp:
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
@@ -211,7 +211,5 @@ def _show(record: dict[str, Any]) -> None:
 
 
 def _reference_text(prediction: inputs.Record, touched: int) -> str:
-    counts = {"touches": touched, "history": prediction["evidence"]["readings"]}
-    return " ".join(
-        str(part) for part in (prediction["reference"], counts.get(prediction["reference"], "")) if part != ""
-    )
+    counts = {"touches": f" {touched}", "history": f" {prediction['evidence']['readings']}"}
+    return f"{prediction['reference']}{counts.get(prediction['reference'], '')}"

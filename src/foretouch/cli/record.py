@@ -11,7 +11,7 @@ from contextlib import suppress
 from functools import partial
 from os.path import commonpath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -22,6 +22,7 @@ from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
+from foretouch.ros.graph import Graph
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, stamp_ns
 from foretouch.topics import TACTILE_TOPIC
 
@@ -36,50 +37,44 @@ _REPORT_S = 1.0  # between two lines of --json
 def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance."""
     parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status)]
-    if status.reason:
-        parts.append(Text(status.reason, "red"))
+    parts += [Text(status.reason, "red")] * bool(status.reason)
     parts.append(_topics(status.topics))
     for one in status.topics:
-        if one.drop_counts:
-            found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
-            parts.append(Text(f"{one.topic} dropped {found}"))
+        found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
+        parts += [Text(f"{one.topic} dropped {found}")] * bool(found)
     return FittedPanel(parts, title)
 
 
 def _samples(status: RecorderStatus) -> Text:
-    minutes, seconds = divmod(status.duration.sec, 60)
-    text = Text(f"{minutes}:{seconds:02d}  ", "bold" if status.recording else "dim")
-    text.append(f"{status.samples} samples", "bold green" if status.samples else "bold")
-    text.append(f" + {status.unlabelled} without touch")
-    if status.samples and status.duration.sec:
-        text.append(f", {60.0 * status.samples / status.duration.sec:.1f} a minute")
-    if status.last_sample:
-        text.append(f"; last {status.last_sample}")
-    left_s = status.disk_left
-    disk = (
-        f"disk full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "disk: -" if math.isinf(left_s) else "disk: weeks"
+    (minutes, seconds), left_s = divmod(status.duration.sec, 60), status.disk_left
+    left = f"full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "-" if math.isinf(left_s) else "weeks"
+    return Text.assemble(
+        (f"{minutes}:{seconds:02d}  ", "bold" if status.recording else "dim"),
+        (f"{status.samples} samples", "bold green" if status.samples else "bold"),
+        f" + {status.unlabelled} without touch",
+        f", {60.0 * status.samples / status.duration.sec:.1f} a minute"
+        if status.samples and status.duration.sec
+        else "",
+        f"; last {status.last_sample}" if status.last_sample else "",
+        f"  {status.bytes_written / _GB:.3f} GB, disk{':' * (left_s >= 1e6)} {left}",
     )
-    text.append(f"  {status.bytes_written / _GB:.3f} GB, {disk}")
-    return text
 
 
 def _grasps(status: RecorderStatus) -> Text:
-    text = Text("grasps executed: ")
-    pairs = list(zip(status.outcomes, status.outcome_counts, strict=True))
-    for name, count in pairs:
-        text.append(f"{count} {name.replace('_', ' ')}  ", "green" if name == "recorded" else "yellow")
-    if not pairs:
-        text.append("none yet  ", "dim")
-    if not math.isnan(status.pairing_error):
-        text.append(f"pairing error {1e3 * status.pairing_error:.0f} ms, at most {1e3 * status.pairing_error_max:.0f}")
-    return text
+    counts = [
+        (f"{count} {name.replace('_', ' ')}  ", "green" if name == "recorded" else "yellow")
+        for name, count in zip(status.outcomes, status.outcome_counts, strict=True)
+    ]
+    error, most = 1e3 * status.pairing_error, 1e3 * status.pairing_error_max
+    error_text = "" if math.isnan(error) else f"pairing error {error:.0f} ms, at most {most:.0f}"
+    return Text.assemble("grasps executed: ", *(counts or [("none yet  ", "dim")]), error_text)
 
 
 def _sensors(status: RecorderStatus) -> Text:
-    text = Text("sensors: ")
-    for name, state in zip(status.sensors, status.sensor_states, strict=True):
-        text.append(f"{name} {state}  ", "green" if state == "alive" else "red")
-    return text
+    states = zip(status.sensors, status.sensor_states, strict=True)
+    return Text.assemble(
+        "sensors: ", *((f"{name} {state}  ", "green" if state == "alive" else "red") for name, state in states)
+    )
 
 
 def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
@@ -132,14 +127,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Record; exit status 1 if the recording did not start, or ended by itself."""
-    from foretouch.ros.graph import Graph
-    from foretouch.ros.nodes.recorder import RecorderNode
-
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     announce("starting the recorder")
     with graph:
-        node = graph.nodes["recorder"]
-        if not isinstance(node, RecorderNode) or node.state_name != "active":
+        node = cast("RecorderNode", graph.nodes["recorder"])
+        if node.state_name != "active":
             raise ForetouchError("the recorder did not start; see its log")
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)

@@ -6,6 +6,7 @@ import argparse
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.run import add_replay_arguments, replay_fault, report_conflicts, source_parameters
 from foretouch.errors import ForetouchError
+from foretouch.ros.graph import Graph
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if the replay could not start or failed."""
     from foretouch.dataset.source import open_source
-    from foretouch.ros.graph import Graph
 
     open_source(arguments.path, arguments.topic)  # so that an absent one is reported before anything starts
     parameters = source_parameters(arguments, arguments.path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -16,11 +18,13 @@ from foretouch.cli.live import live_panel
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.screen import FittedPanel, terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import Graph
 
 if TYPE_CHECKING:
     from foretouch.report.touch_figure import DrawnGrasp
-    from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.bridge import BridgeNode
+    from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch_msgs.msg import TouchPredictionArray
@@ -62,8 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    json_help = "print a JSON object for each cloud, and the counts at the end"
-    parser.add_argument("--json", action="store_true", help=json_help)
+    json_lines = "print a JSON object for each cloud, and the counts at the end"
+    parser.add_argument("--json", action="store_true", help=json_lines)
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
@@ -98,8 +102,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     3 if the camera never sent a cloud.
     """
-    from foretouch.ros.graph import Graph
-
     if arguments.picture:
         require_writable(arguments.picture)
     nodes = _nodes(arguments)
@@ -123,7 +125,6 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.models.card import read_card
     from foretouch.models.registry import find_card
-    from foretouch.ros.executables import PERCEPTION
 
     nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
     if arguments.model:
@@ -135,11 +136,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
     scene = Path(arguments.source).suffix in _SCENE_FILES
-    if (scene or arguments.source == "camera") and (arguments.wait_for or arguments.wait_limit is not None):
+    if not (scene or arguments.source == "camera"):
+        return nodes | {"replay": _replay_parameters(arguments)}
+    if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
-    if arguments.source == "camera":
-        return nodes | {"camera": {"camera.serial": arguments.serial} if arguments.serial else {}}
-    return nodes | (_scene_nodes(arguments) if scene else {"replay": _replay_parameters(arguments)})
+    serial = {"camera.serial": arguments.serial} if arguments.serial else {}
+    return nodes | (_scene_nodes(arguments) if scene else {"camera": serial})
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -245,12 +247,14 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.json:
         counts: dict[str, Any] = {"played": played, "answered": answered, "conflicts": conflicts}
         counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
-        print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
+        if "hand" in graph.nodes:
+            counts["executed"] = dict(cast("HandNode", graph.nodes["hand"]).executed)
+        print_json(counts)
     else:
         title = f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered"
         terminal().print(live_panel(view, title))
     if arguments.picture:
-        _draw(graph, arguments.picture)
+        _draw(graph.monitor.last_drawables(), arguments.picture)
     if graph.replay is None and not played:
         warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
         return _NO_CLOUDS
@@ -262,10 +266,9 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     return 0 if complete and not fault and (predicted or not answered) else 1
 
 
-def _draw(graph: Graph, path: str) -> None:
+def _draw(found: Sequence[Drawable], path: str) -> None:
     from foretouch.report.touch_figure import save_touch_picture
 
-    found = graph.monitor.last_drawables()
     if not found:
         warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
@@ -282,16 +285,13 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     if prediction.value is not None:
         knows = "does not know (unfamiliar)" if "unfamiliar" in prediction.flags else "knows"
         by = f"{found.prediction.model} ({reference_text(found.prediction)})"
-        title += f", of a kind that the model {knows}; predicted by {by}"
-        title += "".join(f", {flag}" for flag in prediction.flags if flag != "unfamiliar")
-    return DrawnGrasp(
-        target=found.target,
-        prediction=prediction,
-        scene=found.scene,
-        rest=None if readings is None else readings.tare,
-        read=None if readings is None else readings.touch,
-        title=title if readings is None else f"{title}; readings of the simulated hand",
-    )
+        others = [flag for flag in prediction.flags if flag != "unfamiliar"]
+        title = ", ".join([f"{title}, of a kind that the model {knows}; predicted by {by}", *others])
+    drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
+    if readings is None:
+        return drawn
+    title += "; readings of the simulated hand"
+    return replace(drawn, rest=readings.tare, read=readings.touch, title=title)
 
 
 class _Printer:

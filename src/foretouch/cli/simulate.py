@@ -78,20 +78,19 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
 def _explain(scene: SceneConfig, as_json: bool) -> int:
     from foretouch.simulation.simulate import explain_scene
 
-    plans = explain_scene(scene)
+    plans, everyone = explain_scene(scene), len(scene.objects)
     if as_json:
         effects = [
             {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
             for p in plans
         ]
         print_json({"effects": effects, "samples": 0, "scene_sha256": scene.sha256()})
-        return 0
-    everyone = len(scene.objects)
-    rows = [
-        [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]
-        for p in plans
-    ]
-    print_table("effects", ["effect", "", "for", "objects"], rows)
+    else:
+        rows = [
+            [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]
+            for p in plans
+        ]
+        print_table("effects", ["effect", "", "for", "objects"], rows)
     return 0
 
 
@@ -131,11 +130,8 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
 
     simulation = Simulation(scene)
     workers = arguments.workers or len(os.sched_getaffinity(0))
-    about = {
-        "made_by": f"foretouch {__version__} simulate",
-        "scene": scene.to_mapping(),
-        "scene_sha256": scene.sha256(),
-    }
+    made_by = f"foretouch {__version__} simulate"
+    about = {"made_by": made_by, "scene": scene.to_mapping(), "scene_sha256": scene.sha256()}
     shown: list[GraspSample] = []
     start = time.perf_counter()
     with (

@@ -9,8 +9,8 @@ Several processes share each batch, with the gradients of one, when `torchrun` s
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,16 +75,10 @@ def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset, *, q
     if arguments.json or quiet:
         train_run(config, data, arguments.out, print_json, **options)
         return 0
-    last: dict[str, Any] = {}
+    records: list[Mapping[str, Any]] = []
     with progress_bar("training") as update:
-
-        def report(record: Mapping[str, Any]) -> None:
-            last.clear()
-            last.update(record)
-            if "losses" in record:  # a contact model has no epochs
-                update(record["epoch"] + 1, record["epochs"], _words(record))
-
-        card = train_run(config, data, arguments.out, report, **options)
+        card = train_run(config, data, arguments.out, partial(_report, update, records), **options)
+    last = records[-1]
     epochs = f"{last['epochs']} epochs" if last["epochs"] else "fitted"
     print(f"{card}: {epochs} on {data.name}, sha256 {data.sha256[:12]}")
     if "scores" in last:
@@ -101,15 +95,23 @@ def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) ->
     if records:
         scored = [record for record in records if "skill" in record]
         modalities = list(scored[0]["skill"])
-        rows = []
-        for one in scored:
-            skills = (one["mean_skill"], *(one["skill"][key] for key in modalities))
-            rows.append([one["split"], one["who"], *(f"{skill:+.3f}" for skill in skills)])
+        rows = [
+            [
+                one["split"],
+                one["who"],
+                *(f"{skill:+.3f}" for skill in (one["mean_skill"], *map(one["skill"].get, modalities))),
+            ]
+            for one in scored
+        ]
         title = f"skill on {data.name} by cross-validation: 0 is the training mean, 1 is perfect"
         print_table(title, ["split", "predictor", "mean", *modalities], rows)
     return 0
 
 
-def _words(record: Mapping[str, Any]) -> str:
-    numbers = dict(record["losses"]) | ({"validation": record["validation"]} if "validation" in record else {})
-    return json.dumps({name: float(f"{value:.4g}") for name, value in numbers.items()})[1:-1].replace('"', "")
+def _report(update: Callable[..., None], records: list[Mapping[str, Any]], record: Mapping[str, Any]) -> None:
+    """Keep the last record, and show the losses of an epoch; a contact model has none."""
+    records[:] = [record]
+    if "losses" in record:
+        numbers = dict(record["losses"]) | ({"validation": record["validation"]} if "validation" in record else {})
+        text = ", ".join(f"{name}: {value:.4g}" for name, value in numbers.items())
+        update(record["epoch"] + 1, record["epochs"], text)

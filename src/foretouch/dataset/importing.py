@@ -35,6 +35,7 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 
 _CONFIG: Final = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
+_UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a running robot
 
 
@@ -106,7 +107,9 @@ def import_samples(
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
             holding = [topic.name for topic in bag.topics if topic.type == SAMPLE_TYPE]
-            found, records = _own_samples(bag, holding) if holding else _assembled(bag, topics or BagTopics(), result)
+            found, records = _UNKNOWN, _assemble(bag, topics or BagTopics(), result)
+            if holding:
+                found, records = _own_samples(bag, holding)
         else:
             raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
         folder = out if out.exists() else stack.enter_context(new_folder(out))
@@ -131,11 +134,6 @@ def _own_samples(bag: Recording, topics: list[str]) -> tuple[Identity, Iterator[
 
     first = next(_stored(), None)
     return Identity() if first is None else first.identity, (one.record for one in _stored())
-
-
-def _assembled(bag: Recording, topics: BagTopics, result: ImportResult) -> tuple[Identity, Iterator[SampleRecord]]:
-    unknown = {"name": "unknown"}
-    return Identity(hand=unknown, camera=unknown), _assemble(bag, topics, result)
 
 
 def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterator[SampleRecord]:

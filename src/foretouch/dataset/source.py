@@ -34,19 +34,18 @@ class SourceItem:
         self._load = load
 
     @cached_property
-    def value(self) -> Cloud | GraspSample:
-        """The cloud or the sample; a `ForetouchError` if it cannot be read."""
+    def _value(self) -> Cloud | GraspSample:
         return self._load()
 
     @property
     def cloud(self) -> Cloud:
-        """The cloud, or that of the sample (raises as `value`)."""
-        return self.value.cloud if isinstance(self.value, GraspSample) else self.value
+        """The cloud, or that of the sample; a `ForetouchError` if it cannot be read."""
+        return self._value.cloud if isinstance(self._value, GraspSample) else self._value
 
     @property
     def sample(self) -> GraspSample | None:
-        """The sample; None for a cloud alone (raises as `value`)."""
-        return self.value if isinstance(self.value, GraspSample) else None
+        """The sample; None for a cloud alone (raises as `cloud`)."""
+        return self._value if isinstance(self._value, GraspSample) else None
 
 
 @dataclass(frozen=True)

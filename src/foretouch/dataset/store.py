@@ -13,7 +13,7 @@ order, not the files: it does not depend on how they are split into shards or on
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -113,10 +113,6 @@ class Store(Sequence[GraspSample]):
             return _sample(self._batches[b], k - int(self._starts[b]))
         except (ForetouchError, ValueError) as err:
             raise FileError(self.path, " ".join(str(err).split()), field=f"sample {k}") from err
-
-    def __iter__(self) -> Iterator[GraspSample]:
-        for k in range(len(self)):
-            yield self[k]
 
     def verify(self) -> None:
         """Read everything and compare it with the manifest; a `FileError` names what differs."""

@@ -23,7 +23,7 @@ from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
-from foretouch.errors import CloudError, DatasetError, FileError, GraspError, shown
+from foretouch.errors import CloudError, FileError, GraspError, shown
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation
@@ -47,17 +47,6 @@ _NAME_DIGITS: Final = 20  # more than those of any stamp
 _TEXT_LIMIT: Final = 100_000  # bytes; the public files have less than 400
 
 
-def sample_folders(path: str | Path) -> list[Path]:
-    """The sample folders at or below `path`, by object and time; a `DatasetError` if there is none."""
-    root = Path(path)
-    if not root.is_dir():
-        raise DatasetError(f"{root}: no such folder")
-    found = sorted(_folders_in(root))
-    if not found:
-        raise DatasetError(f"{root}: holds no sample: a folder with {', '.join(_FILES)}")
-    return found
-
-
 def _folders_in(root: Path) -> Iterator[Path]:
     """The folders meant as samples: they hold at least one of the three files."""
     for path in chain([root], root.glob("*"), root.glob("*/*")):
@@ -68,24 +57,16 @@ def _folders_in(root: Path) -> Iterator[Path]:
 def folder_sha256(path: str | Path) -> str:
     """One hash over names and contents of all samples' files, independent of where the folder is."""
     digest = hashlib.sha256()
-    for folder in sample_folders(path):
+    for folder in sorted(_folders_in(Path(path))):
         for name in _FILES:
             content = hashlib.sha256(read_bytes(folder / name)).hexdigest()
             digest.update(f"{folder.absolute().parent.name}/{folder.name}/{name} {content}\n".encode())
     return digest.hexdigest()
 
 
-def read_sample(folder: str | Path) -> GraspSample:
-    """Read one sample folder, `<object>/<unix time>` or `<object>/<name>`.
-
-    Returns:
-        The sample; its stamp is 0 if the name is no time; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such
-        as `TDC_MF` [counts].
-
-    Raises:
-        FileError: Names the file, the field and the rule that it breaks.
-    """
-    folder = Path(folder).absolute()
+def _read_sample(folder: Path) -> GraspSample:
+    """The sample in a folder `<object>/<name>`, with PAC0, PAC1, TAC and TDC of both fingers as `extra` [counts]."""
+    folder = folder.absolute()
     touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
     stamp_ns = _stamp_ns(folder.name)
@@ -164,12 +145,12 @@ def _read_numbers(path: Path, count: int) -> Float64:
 
 
 def _open_samples(path: Path, _: bool) -> SampleSet:
-    folders = sample_folders(path)
+    folders = sorted(_folders_in(path))
     return SampleSet(
         path=path,
         kind="vision2tactile",
         size=len(folders),
-        record=lambda k: SampleRecord(sample=read_sample(folders[k])),
+        record=lambda k: SampleRecord(sample=_read_sample(folders[k])),
         name=lambda k: str(folders[k]),
         identity=_IDENTITY,
     )

@@ -11,9 +11,8 @@ released one, `ContactPredictor`, which is calibrated on its training samples al
 Coverage is counted value by value and averaged over the values of a modality, the grasps and the draws of touches.
 Width is relative to the interval around the mean of the training labels, calibrated by the same rule.
 
-The interval of a mean is by bootstrap over objects with expanded percentiles, as everywhere
-(`learning.evaluation.metrics`). That of a single object is Wilson's score interval (Wilson 1927) with its grasps as
-independent trials: appropriate for one value, and too wide for the mean of 24 electrodes, whose errors are correlated.
+Intervals of a mean are by bootstrap over objects with expanded percentiles, as everywhere
+(`learning.evaluation.metrics`).
 """
 
 from __future__ import annotations
@@ -55,7 +54,6 @@ _SPLITS: Final = {_SIMULATED: "", "left out": "object", _TIME: "time"}
 _NOMINAL: Final = 0.9
 _ACCEPTED: Final = (0.85, 0.95)  # range in which the mean coverage must lie
 _CONDITION: Final = ("condition", "tare", "touches")
-_OUTER: Final = (0.1, 0.9)  # quantiles over objects
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,24 +152,15 @@ def coverage_table(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
     result: list[Row] = []
     for condition, chosen in grouped(rows, *_CONDITION):
         head = dict(zip(_CONDITION, condition, strict=True))
-        objects = {name: _mean_of(own) for name, own in sorted(grouped(chosen, "object"))}
-        for k, modality in enumerate(MODALITIES):
-            coverage = np.array([own["coverage"][k] for own in objects.values()])
-            estimate, outer = mean_over_objects(coverage, config), np.quantile(coverage, _OUTER)
-            every = {"coverage": estimate.value, "low": estimate.low, "high": estimate.high}
-            every |= {"objects_low": outer[0], "objects_high": outer[1]}
-            every["width"] = np.mean([own["width"][k] for own in objects.values()])
-            every["unfamiliar"] = np.mean([own["unfamiliar"] for own in objects.values()])
-            counts = {"objects": len(objects), "grasps": sum(own["grasps"] for own in objects.values())}
-            result.append({**head, "object": ALL_OBJECTS, "modality": modality, **counts, **every})
-        for name, own in objects.items():
+        means = {name: _mean_of(own) for name, own in sorted(grouped(chosen, "object"))}
+        for name, own in {ALL_OBJECTS: list(means.values()), **{name: [one] for name, one in means.items()}}.items():
+            counts = {"objects": len(own), "grasps": sum(one["grasps"] for one in own)}
+            flagged = np.mean([one["unfamiliar"] for one in own])
             for k, modality in enumerate(MODALITIES):
-                low, high = wilson_interval(own["coverage"][k], own["grasps"], config.level)
-                single = {"coverage": own["coverage"][k], "low": low, "high": high}
-                single |= {"objects_low": None, "objects_high": None}
-                single |= {"width": own["width"][k], "unfamiliar": own["unfamiliar"]}
-                counts = {"objects": 1, "grasps": own["grasps"]}
-                result.append({**head, "object": name, "modality": modality, **counts, **single})
+                coverage = mean_over_objects(np.array([one["coverage"][k] for one in own]), config)
+                found = {"coverage": coverage.value, "low": coverage.low, "high": coverage.high}
+                found |= {"width": np.mean([one["width"][k] for one in own]), "unfamiliar": flagged}
+                result.append({**head, "object": name, "modality": modality, **counts, **found})
     return result
 
 
@@ -180,16 +169,6 @@ def _mean_of(rows: Sequence[Row]) -> Row:
     means: Row = {name: np.mean([row[name] for row in rows], axis=0) for name in ("coverage", "width", "unfamiliar")}
     count = max if rows[0]["condition"] == _SIMULATED else sum
     return {**means, "grasps": count(row["grasps"] for row in rows)}
-
-
-def wilson_interval(share: float, trials: int, level: float) -> tuple[float, float]:
-    """Wilson's confidence interval of a share of at least one independent trials, such as at the level 0.95."""
-    from scipy.stats import norm
-
-    z2 = float(norm.ppf((1.0 + level) / 2.0)) ** 2
-    centre = (share + z2 / (2.0 * trials)) / (1.0 + z2 / trials)
-    half = np.sqrt(z2 * (share * (1.0 - share) / trials + z2 / (4.0 * trials**2))) / (1.0 + z2 / trials)
-    return max(0.0, centre - float(half)), min(1.0, centre + float(half))
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
@@ -208,14 +187,18 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         if condition != _SIMULATED:
             untouched = select(single, touches=0)
             flagged = [_percent(found[0]) for _, found in grouped(untouched, "object")]
-            body = [[*line, one] for line, one in zip(pivot(untouched, "object", _own_cell), flagged, strict=True)]
+            body = [
+                [*line, one]
+                for line, one in zip(
+                    pivot(untouched, "object", lambda row: f"{row['coverage']:.2f}"), flagged, strict=True
+                )
+            ]
             single_tables.append(
                 Table(f"{condition}, no touch: each object", ["coverage", *MODALITIES, "flagged"], body)
             )
     notes = [
         "mean over objects [95 % interval over objects] / interval width relative to that of the calibrated label mean",
         f"☒: the mean lies outside {_ACCEPTED[0]:.2f} to {_ACCEPTED[1]:.2f}",
-        "single objects: Wilson's interval with the grasps as trials",
     ]
     return [findings(sentences), *with_notes([*tables, *single_tables], notes)]
 
@@ -233,10 +216,6 @@ def _cell(row: Row) -> str:
     sign = "" if _ACCEPTED[0] <= row["coverage"] <= _ACCEPTED[1] else " ☒"
     ends = "" if row["low"] is None else f" [{row['low']:.2f}, {row['high']:.2f}]"
     return f"{row['coverage']:.3f}{sign}{ends} / {row['width']:.2f}"
-
-
-def _own_cell(row: Row) -> str:
-    return f"{row['coverage']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:

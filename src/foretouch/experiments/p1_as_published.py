@@ -7,7 +7,7 @@ on the partial batch at the end of an epoch, adds 1e-6 under the root of the los
 each time. Its "5-fold cross-validation" is `ShuffleSplit`: five independent random splits whose test share is n / 500
 of n samples. A score is the mean over the batches of their RMSE, then over the splits.
 
-What still departs from that code: clouds are mapped to the unit sphere before their points are drawn and not after, all
+P1 recorded a crisps can and a coffee can, a snacks box (cheezit) and a sugar box. What still departs from its code: clouds are mapped to the unit sphere before their points are drawn and not after, all
 24 electrodes of the thumb are learned and not 23, and the sugar box is not in the public data, so `boxes` are all boxes
 of it.
 """
@@ -23,10 +23,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import DatasetError
+from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared.figures import Line, save_panels
-from foretouch.experiments.shared.p1 import ACROSS, P1, PUBLISHED, ObjectTypes, draw_errors
+from foretouch.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch.experiments.shared.scores import labelled, load
 from foretouch.experiments.shared.tables import findings, grouped, pivot, select, span, unique
 from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
@@ -35,7 +34,30 @@ from foretouch.tactile import MODALITIES, P1_RANGES, columns
 from foretouch.types import Float64, GraspSample
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from foretouch.models.network.networks import TouchNet
+
+ACROSS: Final = "across types"
+PUBLISHED: Final[dict[str, dict[str, tuple[float, float | None]]]] = {
+    "within p1_cylinders": {
+        "PDC_TH": (208.0, 0.067),
+        "PDC_MF": (153.0, 0.076),
+        "E_TH": (216.0, 0.061),
+        "E_MF": (231.0, 0.060),
+    },
+    "within boxes": {
+        "PDC_TH": (278.0, 0.089),
+        "PDC_MF": (164.0, 0.081),
+        "E_TH": (232.0, 0.066),
+        "E_MF": (212.0, 0.055),
+    },
+    ACROSS: {"PDC_TH": (236.0, None), "PDC_MF": (165.0, None), "E_TH": (317.0, None), "E_MF": (310.0, None)},
+}
+"""P1, sections III and IV: RMSE [counts] and over its divisors, by the closest of our tables."""
+
+P1: Final = "P1 (published)"
+"""Its name among the predictors."""
 
 _RECIPE: Final = "p1_as_published"
 _SPLITS: Final = 5
@@ -46,6 +68,25 @@ _WAYS: Final = {
     "mean": "mean of the training labels",
 }
 """Predictors by name; the network by the statistics of its batch norm in testing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectTypes(Settings):
+    """Types of the objects, by their names in the dataset."""
+
+    cylinders: tuple[str, ...] = setting(("campbells", "coffee", "pringles"), "Cans")
+    boxes: tuple[str, ...] = setting(("cheezit", "spam", "wood"), "Boxes and blocks")
+    p1_cylinders: tuple[str, ...] = setting(("coffee", "pringles"), "Cans that P1 was trained on")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if both := sorted(set(self.cylinders) & set(self.boxes)):
+            raise ConfigError(f"ObjectTypes.boxes: {both[0]!r} is a cylinder as well")
+
+    def indices(self, samples: Sequence[GraspSample]) -> dict[str, Indices]:
+        """Samples of each type."""
+        types = self.to_mapping().items()
+        return {name: np.array([k for k, s in enumerate(samples) if s.object in own], np.intp) for name, own in types}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +243,18 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
 def _published_text(row: Row) -> str:
     scaled = "" if row["as_published"] is None else f"{row['as_published']:.3f} "
     return f"{scaled}({row['as_published_counts']:.0f})"
+
+
+def draw_errors(axes: Axes, rows: Rows, *, tables: Sequence[str], predictors: Sequence[str], values: str) -> None:
+    """Draw the error of each predictor over the tables; published errors are black stars."""
+    styles: dict[str, dict[str, Any]] = {
+        "every": {"linestyle": ""},
+        P1: {"color": "black", "marker": "*", "markersize": 9},
+    }
+    draw_series(axes, rows, "table", "predictor", predictors, values=values, places=tables, spread=0.1, styles=styles)
+    axes.set_xticks(range(len(tables)), [name.replace(" ", "\n", 1) for name in tables], fontsize=8)
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.15)
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:

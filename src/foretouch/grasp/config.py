@@ -7,6 +7,7 @@ from typing import Literal, get_args
 from foretouch.config import Settings, setting
 
 GraspMethod = Literal["original", "stable"]
+SEARCH_VOXELS = 4.0  # radius around an initial point in which contacts are searched: two fingertips
 _METHOD = "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little"
 
 
@@ -44,11 +45,6 @@ class GeoGraspConfig(Settings):
     def voxel_m(self) -> float:
         """Edge of the voxel grid [m]: half a fingertip."""
         return self.tip_mm / 2000.0
-
-    @property
-    def contact_radius_m(self) -> float:
-        """Radius around an initial point in which contacts are searched [m]: two fingertips."""
-        return 2.0 * self.tip_mm / 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)

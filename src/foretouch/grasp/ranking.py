@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature, voxel_grid
 from foretouch.errors import CloudError
-from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.types import Float32, Float64
 
 _OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
@@ -90,7 +90,7 @@ def contact_sides(xyz: Float32, plane: GraspPlane, config: GeoGraspConfig) -> tu
 
 def _contact_radius(width_m: float, config: GeoGraspConfig) -> float:
     """Radius around each initial point in which contacts are searched [m]; the two spheres do not overlap."""
-    full = config.contact_radius_m
+    full = SEARCH_VOXELS * config.voxel_m
     return _OVERLAP_FRACTION * width_m if 2.0 * full >= width_m else full
 
 

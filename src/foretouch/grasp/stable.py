@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError
-from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.grasp.hold import HeldGrasp
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
@@ -207,7 +207,7 @@ def stable_side(
     points: WeightedPoints, initial: Float64, frame: ObjectFrame, width_m: float, config: GeoGraspConfig
 ) -> StableSide:
     """Candidates around one initial point, on a grid anchored at it."""
-    radius = min(config.contact_radius_m, _OVERLAP_FRACTION * width_m)
+    radius = min(SEARCH_VOXELS * config.voxel_m, _OVERLAP_FRACTION * width_m)
     third = cross(frame.axis, frame.across)
     basis = np.stack([frame.axis, frame.across, third])
     mass, sums, n_points = _node_sums(points, initial, basis, radius, config.voxel_m)

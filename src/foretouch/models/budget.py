@@ -20,7 +20,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -69,8 +69,7 @@ class _Mean:
     mean: Float64  # (50,) [counts]
     ranges: TactileRanges
 
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
-        del cloud
+    def estimate(self, _: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         return Estimate(np.tile(self.mean, (len(grasps), 1)), np.zeros(len(grasps), np.bool_))
 
 
@@ -92,8 +91,8 @@ def levels_of(model: TouchModel) -> list[Level]:
     levels = [Level(model.name, known.get(model.name, {}).get("skill"), model)]
     for name, entry in sorted(known.items(), key=lambda item: -item[1]["skill"]):
         if name in _MAKERS:
-            made = _MAKERS[name](model.estimator)
-            levels.append(Level(name, entry["skill"], model.reduced(made, by_modality(np.array(entry["widen"])))))
+            reduced = model.reduced(_MAKERS[name](model.estimator), by_modality(np.array(entry["widen"])))
+            levels.append(Level(name, entry["skill"], reduced))
     mean = getattr(model.estimator, "mean", None)
     if isinstance(mean, np.ndarray):
         reduced = model.reduced(_Mean(mean, model.ranges), np.ones(len(mean)))
@@ -130,7 +129,7 @@ def load_profile(
 
     Args:
         levels: Of the model.
-        seconds: Time of a measurement; each level and number of grasps gets five calls at least [s].
+        seconds: Time of a measurement [s].
         again: Measure in any case.
         say: Called with a line on why it is measured, and on a file that cannot be written.
         progress: Called with the number of calls done and of all.
@@ -153,9 +152,8 @@ def load_profile(
     except FileError as err:
         say(f"budget: {err}: measuring how long predictions take here, once")
     times, state = _measure(levels, seconds, progress)
-    document = {**_FORMAT, "fingerprint": own, "state": state, "p95_s": times}
     try:
-        write_text(path, json.dumps(document, indent=1) + "\n")
+        write_text(path, json.dumps({**_FORMAT, "fingerprint": own, "state": state, "p95_s": times}, indent=1) + "\n")
     except FileError as err:
         say(f"budget: {err}: the profile is kept in memory, until the end of this process")
         return Profile(times, state, "measured now, and not kept")
@@ -192,9 +190,9 @@ def _measure(
     functions = {one.name: lambda count, one=one: one.model.predict(cloud, grasps[:count]) for one in levels}
     load = MachineLoad()
     found = time_calls(functions, _COUNTS, seconds, progress, PAUSE_S)
-    times: dict[str, dict[int, float]] = {level.name: {} for level in levels}
-    for (name, count), calls in found.items():  # of a call that waits for a core, the processor time is the lesser
-        times[name][count] = float(np.percentile(calls.min(axis=1), 95))
+    # Of a call that waits for a core, the processor time is the lesser.
+    p95 = {key: float(np.percentile(calls.min(axis=1), 95)) for key, calls in found.items()}
+    times = {one.name: {count: time_s for (name, count), time_s in p95.items() if name == one.name} for one in levels}
     return times, str(load.row()["state"])
 
 
@@ -221,91 +219,75 @@ class Answer:
     affordable: bool  # whether a level meets the budget on the machine as it was profiled
 
 
+@dataclass(eq=False)
 class LatencyBudget:
-    """Chooses the level of each request. Thread-safe.
+    """Chooses the level of each request. Thread-safe."""
 
-    Args:
-        budget_s: From the receipt of a request to its answer [s].
-        levels: The best first.
-        profile: Times of the levels.
-        around: By number of grasps, ascending, what a caller needs around a prediction [s].
-        now: Clock [s].
-    """
-
-    def __init__(
-        self,
-        budget_s: float,
-        levels: Sequence[Level],
-        profile: Profile,
-        around: Mapping[int, float] | None = None,
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.budget_s = budget_s
-        self._levels = tuple(levels)
-        self._profile = profile
-        self._around = around or {1: 0.0}
-        self._now = now
-        self._lock = threading.Lock()
-        self._waits: dict[int, float] = {}  # the least so far between receipt and choice [s], by digits of the number
-        self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)  # when each ended [s], and how slow it was
-        self._overloaded = False
-        self._counts: Counter[str] = Counter()
-        self._last = "none yet"
+    budget_s: float  # from the receipt of a request to its answer [s]
+    levels: Sequence[Level]  # the best first
+    profile: Profile  # times of the levels
+    # By number of grasps, ascending, what a caller needs around a prediction [s].
+    around: Mapping[int, float] = field(default_factory=lambda: {1: 0.0})
+    now: Callable[[], float] = time.monotonic  # clock [s]
+    _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
+    # The least so far between receipt and choice [s], by digits of the number.
+    _waits: dict[int, float] = field(default_factory=dict, init=False)
+    # When each of the latest answers ended [s], and how slow it was.
+    _recent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_RECENT), init=False)
+    _overloaded: bool = field(default=False, init=False)
+    _counts: Counter[str] = field(
+        default_factory=lambda: Counter(answered=0, late=0, reduced=0, unaffordable=0), init=False
+    )
+    _last: str = field(default="none yet", init=False)
 
     def affordable(self, count: int) -> Level | None:
         """The best level for so many grasps that meets the budget on the machine as it was profiled; None if none."""
         expected, left = self._expected(count), self.budget_s - self._waits.get(len(str(count)), 0.0)
-        place = _best(expected, left)
-        return self._levels[place] if expected[place] <= left else None
+        return next((level for level, seconds in zip(self.levels, expected, strict=True) if seconds <= left), None)
 
     def begin(self, count: int, arrived: float) -> Answer:
         """Choose the level of a request of so many grasps that arrived at a time [s]."""
-        began, expected = self._now(), self._expected(count)
+        began, expected = self.now(), self._expected(count)
         waited, digits = began - arrived, len(str(count))
         with self._lock:
             least = self._waits[digits] = min(waited, self._waits.get(digits, waited))
             recent = sorted(ratio for ended, ratio in self._recent if ended > began - _RECENT_S)
             place = _best(expected, self.budget_s - waited, recent)
             idle = _best(expected, self.budget_s - least)
-            level = self._levels[place]
+            level = self.levels[place]
             self._last, self._overloaded = level.name, place > idle
         return Answer(level, place > 0, arrived, began, expected[place], expected[idle] <= self.budget_s - least)
 
     def is_over(self, answer: Answer) -> bool:
         """Whether an answer is late by now, or so close to it that it may be when it is handed over."""
-        return self._now() - answer.arrived > self.budget_s - _GUARD_S
+        return self.now() - answer.arrived > self.budget_s - _GUARD_S
 
     def end(self, answer: Answer) -> bool:
         """Note the end of an answer, right before it is published, and whether it is late as by `is_over`."""
-        late, ended = self.is_over(answer), self._now()
+        late, ended = self.is_over(answer), self.now()
         with self._lock:
             self._recent.append((ended, (ended - answer.began + _ADDED_S) / (answer.expected_s + _ADDED_S)))
-            self._counts[f"by.{answer.level.name}"] += 1
-            self._counts["answered"] += 1
-            self._counts["late"] += late
-            self._counts["reduced"] += answer.reduced
-            self._counts["unaffordable"] += not answer.affordable
+            flags = {"late": late, "reduced": answer.reduced, "unaffordable": not answer.affordable}
+            self._counts.update({f"by.{answer.level.name}": 1, "answered": 1, **flags})
         return late
 
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
         with self._lock:
             slowdown = np.median([ratio for _, ratio in self._recent] or 1.0)
-            counts = {"answered": 0, "late": 0, "reduced": 0, "unaffordable": 0, **self._counts}
-            last, overloaded = self._last, self._overloaded
-        return {
-            "budget_ms": f"{self.budget_s * 1e3:g}",
-            "budget.level": last,
-            "budget.overloaded": str(overloaded).lower(),
-            "budget.slowdown": f"{slowdown:.2f}",
-            **{f"budget.{name}": str(count) for name, count in counts.items()},
-            "budget.profile": f"{self._profile.origin} ({self._profile.state})",
-        }
+            return {
+                "budget_ms": f"{self.budget_s * 1e3:g}",
+                "budget.level": self._last,
+                "budget.overloaded": str(self._overloaded).lower(),
+                "budget.slowdown": f"{slowdown:.2f}",
+                **{f"budget.{name}": str(count) for name, count in self._counts.items()},
+                "budget.profile": f"{self.profile.origin} ({self.profile.state})",
+            }
 
     def _expected(self, count: int) -> list[float]:
         """Time of an answer by each level [s]."""
-        around = _interpolated(self._around, count)
-        return [_interpolated(self._profile.times[level.name], count) + around for level in self._levels]
+        around = _interpolated(self.around, count)
+        return [_interpolated(self.profile.times[level.name], count) + around for level in self.levels]
 
 
 def _best(expected: Sequence[float], left: float, recent: Sequence[float] = ()) -> int:

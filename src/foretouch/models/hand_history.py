@@ -57,12 +57,6 @@ class ObjectSignature:
             return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
         return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]))
 
-    def is_near(self, other: ObjectSignature, distance_m: float) -> bool:
-        """Whether no mean and no deviation differs by more than a distance [m]."""
-        if self.frame_id != other.frame_id or not np.isfinite([self.numbers, other.numbers]).all():
-            return False
-        return bool((np.abs(self.numbers - other.numbers) <= distance_m).all())
-
 
 class HandHistory:
     """Readings of one hand, compared with the predictions of one model. Not thread-safe.
@@ -160,8 +154,16 @@ class HandHistory:
         return self._counted(restarted)
 
     def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
-        """Whether the object of a cloud is, by place and size, the one that was touched last."""
-        return self.signature is not None and ObjectSignature.of(cloud).is_near(self.signature, same_object_m)
+        """Whether the object of a cloud is the one that was touched last.
+
+        It is if no mean and no deviation of its points differs by more than a distance [m].
+        """
+        if self.signature is None:
+            return False
+        seen = ObjectSignature.of(cloud)
+        if seen.frame_id != self.signature.frame_id or not np.isfinite([seen.numbers, self.signature.numbers]).all():
+            return False
+        return bool((np.abs(seen.numbers - self.signature.numbers) <= same_object_m).all())
 
     def start_object(self) -> None:
         """The object is another one now: forget the touches of the last one, keep the state of the sensors."""

@@ -118,6 +118,7 @@ class TouchModel:
     Attributes:
         name, sha256: From the card; the hash is of the weights, or over those of all members.
         ranges: Ranges outside which a predicted value is flagged.
+        estimator: Predicts from the cloud and the grasp alone.
     """
 
     def __init__(
@@ -132,7 +133,7 @@ class TouchModel:
         self.card = dict(card)
         self.calibration = calibration
         self.ranges = estimator.ranges
-        self._estimator = estimator
+        self.estimator = estimator
         self._widen = widen
 
     def reduced(self, estimator: Estimator, widen: Float64) -> TouchModel:
@@ -143,11 +144,6 @@ class TouchModel:
             widen: (50,) factors of the half widths of its intervals.
         """
         return TouchModel(estimator, self.card, self.calibration, widen)
-
-    @property
-    def estimator(self) -> Estimator:
-        """Predicts from the cloud and the grasp alone."""
-        return self._estimator
 
     def new_tracker(self) -> SensorTracker:
         """A tracker of a hand whose readings are compared with this model's predictions.
@@ -212,7 +208,7 @@ class TouchModel:
         self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None, history: History | None
     ) -> Sequence[TouchPrediction]:
         """Predictions for executable grasps."""
-        estimate = self._estimator.estimate(cloud, grasps)
+        estimate = self.estimator.estimate(cloud, grasps)
         if tare is not None:
             tracker = self.new_tracker()
             tracker.add_tare(0, self.tare_offset(tare))
@@ -235,7 +231,7 @@ class TouchModel:
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
         refusals = _refusals(grasps, cloud, _EXECUTED_WIDTH_M, limits.max_range_m)
         usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
-        estimate = self._estimator.estimate(cloud, usable)  # a useless cloud is named first
+        estimate = self.estimator.estimate(cloud, usable)  # a useless cloud is named first
         if any(refusals):
             raise GraspError(next(filter(None, refusals)))
         return estimate

@@ -57,11 +57,7 @@ _FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first 
 _LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
 _AHEAD_NS: Final = 60 * 10**9
 _LEAP_NS: Final = 10 * 365 * 86400 * 10**9  # no sensor is stored for longer
-_JUMP_COUNTS: Final = (
-    150.0,
-    2.0,
-    800.0,
-)  # TDC at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
+_TDC_JUMP: Final = (150.0, 2.0, 800.0)  # at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 _MOST_COUNTS: Final = 10.0 * FULL_SCALE  # of a prediction, which may leave the range of readings
 
@@ -102,6 +98,8 @@ class SensorTracker:
         parameters: Of the model that predicts by vision.
 
     Attributes:
+        touches: Number of those of the current object.
+        revision: Changes whenever a reading is added or an object begins.
         tdc_readings: Readings with the temperature of a finger at least.
         tdc_jumps: How often the temperature of a finger jumped, as after a power cycle.
     """
@@ -124,25 +122,15 @@ class SensorTracker:
         self._suspect = np.zeros(len(FINGERS), np.bool_)
         self._first_log_factor = self._log_factor = np.log(parameters.factor)
         self._expected = np.zeros(TOUCH_SIZE)  # sum over the touches of the object
-        self._touches = self._readings = 0
+        self.touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
-        self._revision = 0
-
-    @property
-    def revision(self) -> int:
-        """Changes whenever a reading is added or an object begins."""
-        return self._revision
+        self.revision = 0
 
     def copy(self) -> SensorTracker:
         """An independent tracker in the same state."""
         twin = copy.copy(self)
         twin._filter = self._filter.copy()  # noqa: SLF001  its own class
         return twin
-
-    @property
-    def touches(self) -> int:
-        """Touches of the current object."""
-        return self._touches
 
     def add_tare(
         self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None, tdc: Float64 | None = None
@@ -172,7 +160,7 @@ class SensorTracker:
         self._restart(failed)
         self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1, x=x)
         self._newest_ns, self._readings = stamp, self._readings + 1
-        self._revision += 1
+        self.revision += 1
         return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
 
     def add_touch(
@@ -209,7 +197,7 @@ class SensorTracker:
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted(x=x)
         noise = self.parameters.noise[self._kind]
-        limits = self.parameters.alarm * (1.0 if self._touches else _FIRST_TOUCH)
+        limits = self.parameters.alarm * (1.0 if self.touches else _FIRST_TOUCH)
         failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, limits)
         restarted = failed & self._suspect
         self._restart(restarted)
@@ -218,8 +206,8 @@ class SensorTracker:
         self._filter.observe(self._inverse @ (reading - expected), noise, x=x)
         self._expected = self._expected + expected
         self._object_ns = stamp
-        self._readings, self._touches = self._readings + 1, self._touches + 1
-        self._revision += 1
+        self._readings, self.touches = self._readings + 1, self.touches + 1
+        self.revision += 1
         return tuple(name for name, one in zip(FINGERS, restarted, strict=True) if one)
 
     def start_object(self, *, known: bool = False) -> None:
@@ -232,8 +220,8 @@ class SensorTracker:
         self._filter.start_object(self.parameters.object[self._kind])
         self._log_factor = self._other_log_factor()
         self._expected = np.zeros(TOUCH_SIZE)
-        self._touches, self._object_ns = 0, -1
-        self._revision += 1
+        self.touches, self._object_ns = 0, -1
+        self.revision += 1
 
     def level(
         self, stamp_ns: int, *, same_object: bool = True, known: bool = False, tdc: Float64 | None = None
@@ -266,7 +254,7 @@ class SensorTracker:
         if tdc is None or not self.parameters.thermal:
             return self._tdc, 0
         latest = np.where((tdc > 0.0) & (tdc < FULL_SCALE), tdc, before)
-        at_once, each_second, most = _JUMP_COUNTS
+        at_once, each_second, most = _TDC_JUMP
         limit = min(most, at_once + each_second * max(0, stamp_ns - self._tdc_ns) / 1e9)
         jumped = np.abs(latest - before) > limit  # not where there was none before
         reference = np.where(jumped, reference + latest - before, np.where(np.isnan(reference), latest, reference))
@@ -289,7 +277,7 @@ class SensorTracker:
 
     def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
         """Numbers and ages of the readings behind a level; arguments as of `level`."""
-        touches = self._touches if same_object else 0
+        touches = self.touches if same_object else 0
         return Evidence(
             touches=touches,
             touch_age_s=max(0, int(stamp_ns) - self._object_ns) / 1e9 if touches else None,
@@ -381,7 +369,7 @@ class SensorTracker:
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """All that is known, for a file; a tracker made from it continues to the bit as this one."""
-        flags = [self._touches, self._readings, self._kind, *self._suspect]
+        flags = [self.touches, self._readings, self._kind, *self._suspect]
         thermal = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
         return thermal | {
             "mean": self._filter.mean[:3].copy(),
@@ -454,7 +442,7 @@ class SensorTracker:
         self._filter.mean[:], self._filter.covariance[:] = mean, covariance
         self._expected = tensors["expected"].astype(np.float64)
         self._log_factor = tensors["log_factor"].astype(np.float64)
-        self._touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
+        self.touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
         self._newest_ns, self._object_ns = newest, last_of_object
 
 

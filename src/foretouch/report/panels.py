@@ -11,7 +11,6 @@ from foretouch.errors import FileError
 from foretouch.types import Float64, Touch
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -59,12 +58,6 @@ def save_small(figure: Figure, path: Path) -> Path:
     with Image.open(path) as image:
         image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     return path
-
-
-def mark_off_scale(axes: Axes, lower_limit: float, y: float, text: str, colour: str) -> None:
-    """Draw an arrow at the left edge of the axes, with the value that lies below their lower limit."""
-    axes.plot(lower_limit, y, marker="<", color=colour, clip_on=False)
-    axes.annotate(text, (lower_limit, y), (6, 0), textcoords="offset points", va="center", fontsize=8)
 
 
 def finger_parts(touch: Touch, name: str) -> tuple[float, Float64]:

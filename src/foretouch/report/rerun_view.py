@@ -77,7 +77,10 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
         ForetouchError: If there is no step.
         MissingDependencyError: If Rerun is not installed.
     """
-    rerun = _rerun()
+    try:
+        import rerun
+    except ImportError as err:
+        raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'") from err
     part = path.with_name(f"{path.name}.part")
     try:
         part.open("wb").close()
@@ -97,14 +100,6 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
         with suppress(OSError):
             part.unlink(missing_ok=True)
     return written
-
-
-def _rerun() -> Any:
-    try:
-        import rerun
-    except ImportError as err:
-        raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'") from err
-    return rerun
 
 
 class _Writer:
@@ -136,8 +131,8 @@ class _Writer:
             self._send("/answer", texts)
             self._hands()
             self._electrodes()
-            shown = {name: self._curves(name) for name in FINGER_NAMES}
-            self._to.send_blueprint(_layout(shown, self._eye), make_active=True, make_default=True)
+            layout = _layout([self._curves(name) for name in FINGER_NAMES], self._eye)
+            self._to.send_blueprint(layout, make_active=True, make_default=True)
         return len(self._steps)
 
     def _send(self, path: str, columns: Any, steps: Sequence[int] | None = None) -> None:
@@ -252,16 +247,19 @@ class _Writer:
                 path, place = f"/electrodes/{name}/{what}", np.array([_GAP_MM * (what == "read"), 0.0])
                 heading = rr.Points2D([place - [0.0, 15.0]], radii=0.01, labels=[what], colors=_CANDIDATE)
                 self._to.log(f"{path}_title", heading, static=True)
-                rows: list[dict[str, Any] | None] = []
-                for one in column:
-                    if one is None:
-                        rows.append(None)
-                        continue
-                    shades = colours(np.clip((one - low) / max(high - low, 1.0), 0.0, 1.0), bytes=True)
-                    rows.append({"positions": flat + place, "colors": shades, "labels": [f"{x:.0f}" for x in one]})
+                shades = [
+                    None if one is None else colours(np.clip((one - low) / max(high - low, 1.0), 0.0, 1.0), bytes=True)
+                    for one in column
+                ]
+                rows = [
+                    one
+                    if one is None
+                    else {"positions": flat + place, "colors": shade, "labels": [f"{x:.0f}" for x in one]}
+                    for one, shade in zip(column, shades, strict=True)
+                ]
                 self._column(path, rr.Points2D, rows, radii=1.0, show_labels=False)
                 if what == "predicted":
-                    spheres = [row and {"positions": on_skin, "colors": row["colors"]} for row in rows]
+                    spheres = [one if one is None else {"positions": on_skin, "colors": one} for one in shades]
                     self._column(f"{_path(finger)}/electrodes", rr.Points3D, spheres, radii=0.0012)
 
     def _curves(self, name: str) -> int:
@@ -275,10 +273,8 @@ class _Writer:
                     rows[number, k] = np.hstack(finger_parts(touch, name))
         for k, (what, label) in enumerate(_CURVES.items()):
             known = np.flatnonzero(np.isfinite(rows[:, k, 0])).tolist()
-            if not known:
-                continue
             style = self._style(what, label)
-            for column in range(1 + ELECTRODES):
+            for column in range(1 + ELECTRODES) if known else ():
                 path = f"/touch/E_{name}/{column:02d}/{what}" if column else f"/touch/PDC_{name}/{what}"
                 self._to.log(path, style, static=True)
                 self._send(path, self._rr.Scalars.columns(scalars=rows[known, k, column]), known)
@@ -345,17 +341,18 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
 
 def _text(step: ViewStep) -> str:
     """The answer in Markdown."""
+    one, value = step.prediction, None if step.prediction is None else step.prediction.value
     lines = [f"**{step.name}**", ""]
-    one = step.prediction
     if step.grasp is not None:
         lines += [f"grasp {1e3 * step.grasp.width_m:.0f} mm wide, {len(step.candidates)} other candidates", ""]
-    value = None if one is None else one.value
-    if one is None or value is None:
-        reason = step.reason or (one.reason if one is not None else "")
-        lines += [f"not predicted{f': {reason}' if reason else ''}", ""]
-    else:
+    if one is not None and value is not None:
         flags = f", **{', '.join(one.flags)}**" if one.flags else ""
         lines += [f"predicted by {step.model or 'an unnamed model'}, adapted to: {one.reference}{flags}", ""]
+    else:
+        lines += [
+            ": ".join(filter(None, ("not predicted", step.reason or (one.reason if one is not None else "")))),
+            "",
+        ]
     if value is None and step.read is None:
         return "\n".join(lines)
     lines += ["| counts | predicted | read |", "|---|---|---|"]
@@ -368,28 +365,23 @@ def _text(step: ViewStep) -> str:
     return "\n".join(lines)
 
 
-def _layout(electrodes: Mapping[str, int], eye: tuple[Float64, float] | None) -> Any:
-    """The scene with the answer, beside curves and electrodes of both fingers."""
+def _layout(electrodes: Sequence[int], eye: tuple[Float64, float] | None) -> Any:
+    """The scene with the answer, beside pressure, one electrode and all electrodes of each finger."""
     import rerun.blueprint as rrb
 
-    columns = []
-    for name, finger in FINGER_NAMES.items():
-        k, legend = electrodes[name], name == "TH"
-        columns.append(
-            rrb.Vertical(
-                rrb.TimeSeriesView(
-                    origin=f"/touch/PDC_{name}",
-                    name=f"{finger}: pressure PDC [counts]",
-                    plot_legend=rrb.PlotLegend(visible=legend),
-                ),
-                rrb.TimeSeriesView(
-                    origin=f"/touch/E_{name}/{k:02d}",
-                    name=f"{finger}: electrode {k} [counts]",
-                    plot_legend=rrb.PlotLegend(visible=False),
-                ),
-                rrb.Spatial2DView(origin=f"/electrodes/{name}", name=f"{finger}: electrodes"),
-            )
+    columns = [
+        rrb.Vertical(
+            *(
+                rrb.TimeSeriesView(origin=f"/touch/{path}", name=f"{finger}: {what} [counts]", plot_legend=legend)
+                for path, what, legend in (
+                    (f"PDC_{name}", "pressure PDC", rrb.PlotLegend(visible=name == "TH")),
+                    (f"E_{name}/{k:02d}", f"electrode {k}", rrb.PlotLegend(visible=False)),
+                )
+            ),
+            rrb.Spatial2DView(origin=f"/electrodes/{name}", name=f"{finger}: electrodes"),
         )
+        for (name, finger), k in zip(FINGER_NAMES.items(), electrodes, strict=True)
+    ]
     controls = None
     if eye is not None:
         target, size = eye

@@ -97,10 +97,9 @@ def _agreement(one: DrawnGrasp) -> str:
     if read is None:
         return ""
     difference = np.abs(value.vector() - read.vector())
-    text = (
-        f"Predicted and read differ by {difference[0]:.0f} (thumb) and {difference[1]:.0f} (middle finger) counts of "
-    )
-    text += f"pressure, and by {difference[2:].mean():.0f} counts an electrode"
+    thumb, middle, *electrodes = difference
+    text = f"Predicted and read differ by {thumb:.0f} (thumb) and {middle:.0f} (middle finger) counts of pressure, "
+    text += f"and by {np.mean(electrodes):.0f} counts an electrode"
     if one.prediction.lower is None or one.prediction.upper is None:
         return f"{text}."
     inside = (read.vector() >= one.prediction.lower.vector()) & (read.vector() <= one.prediction.upper.vector())
@@ -142,9 +141,8 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> 
         axes.set_axis_on()
         scale.draw(axes, sample.touch, sample.tare, name, size=110)
         force = sample.extra.get(f"force_{name.lower()}_n")
-        suffix = "" if force is None else f", {force:.1f} N"
-        pdc, _ = finger_parts(sample.touch, name)
-        axes.set_title(f"{FINGER_NAMES[name]}\nPDC {pdc:.0f}{suffix}", fontsize=9, color=colour)
+        title = f"{FINGER_NAMES[name]}\nPDC {finger_parts(sample.touch, name)[0]:.0f}"
+        axes.set_title(title if force is None else f"{title}, {force:.1f} N", fontsize=9, color=colour)
 
 
 class _Scale:
@@ -200,14 +198,15 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
         inside = np.zeros(depth.shape)
         inside[rows, columns] = 1.0
         axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
-        _name(axes, f"object {target.id}", (float(columns.mean()), float(rows.min())))
+        box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
+        style: dict[str, Any] = {"textcoords": "offset points", "color": "white", "fontsize": 9, "ha": "center"}
+        axes.annotate(f"object {target.id}", (float(columns.mean()), float(rows.min())), (0, 8), bbox=box, **style)
         axes.set(xlim=_around(columns, depth.shape[1]), ylim=_around(rows, depth.shape[0])[::-1], xticks=[], yticks=[])
         axes.set_title(title, fontsize=10)
-        axes.figure.colorbar(drawn, ax=axes, location="bottom", label="depth [m]", shrink=0.9)
-        return
-    points = _finite_subset(scene)
-    drawn = axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
-    _as_image(axes, title)
+    else:
+        points = _finite_subset(scene)
+        drawn = axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
+        _as_image(axes, title)
     axes.figure.colorbar(drawn, ax=axes, location="bottom", label="depth [m]", shrink=0.9)
 
 
@@ -242,12 +241,6 @@ def _around(places: Any, size: int) -> tuple[float, float]:
     low, high = float(places.min()), float(places.max())
     margin = 2.0 * (high - low)
     return max(low - margin, 0.0), min(high + margin, size - 1.0)
-
-
-def _name(axes: Axes, text: str, at: tuple[float, float]) -> None:
-    """Write a name above a place of an image."""
-    box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
-    axes.annotate(text, at, (0, 8), textcoords="offset points", color="white", fontsize=9, ha="center", bbox=box)
 
 
 def _finite_subset(cloud: Cloud) -> Float64:

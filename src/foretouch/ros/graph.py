@@ -80,14 +80,16 @@ class Graph:
                 self._executor.add_node(self.monitor)
             self._make_nodes()
         except BaseException:
-            self.close()
+            self.__exit__()
             raise
         self._thread = threading.Thread(target=self._serve, name="executor", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        """Stop and destroy all nodes, the last one started first."""
+        with uninterrupted():
+            self._close()
 
     @property
     def started(self) -> bool:
@@ -119,11 +121,6 @@ class Graph:
             if name in self.nodes:
                 self.nodes[name].stop()
 
-    def executed(self) -> dict[str, int]:
-        """Grasps that the simulated hand has executed, by outcome."""
-        hand = cast("HandNode | None", self.nodes.get("hand"))
-        return {} if hand is None else dict(hand.executed)
-
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
         hand, end = cast("HandNode | None", self.nodes.get("hand")), time.monotonic() + timeout_s
@@ -149,11 +146,6 @@ class Graph:
             if self.answered() > answered:
                 answered, last = self.answered(), time.monotonic()
         return True
-
-    def close(self) -> None:
-        """Stop and destroy all nodes, the last one started first."""
-        with uninterrupted():
-            self._close()
 
     def _close(self) -> None:
         import rclpy

@@ -21,20 +21,14 @@ from foretouch.cloud.geometry.pcl_filters import (
 from foretouch.errors import CloudError
 
 
-def test_cells_stand_on_the_origin_and_not_on_the_cloud():
+def test_cells_stand_on_the_origin_and_nan_spreads_to_its_cell_and_column_only():
     grid = voxel_grid(np.array([[0.9, 0, 0], [1.1, 0, 0], [1.9, 0, 0], [-0.1, 0, 0]], np.float32), 1.0)
     np.testing.assert_array_equal(grid.cell, [1, 2, 2, 0])
     np.testing.assert_array_equal(grid.counts, [1, 1, 2])
-
-    # Ordered x, then y, then z.
+    mean = grid.mean(np.array([[4.0, 5.0], [np.nan, 1.0], [2.0, 3.0], [0.0, 0.0]]))
+    np.testing.assert_array_equal(mean, [[0.0, 0.0], [4.0, 5.0], [np.nan, 2.0]])
     xyz = np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32) + np.float32(0.5)
-    np.testing.assert_array_equal(voxel_grid(xyz, 1.0).cell, [3, 2, 1, 0])
-
-
-def test_nan_spreads_to_its_cell_and_column_only():
-    grid = voxel_grid(np.array([[0.1, 0, 0], [0.2, 0, 0], [1.5, 0, 0]], np.float32), 1.0)
-    mean = grid.mean(np.array([[np.nan, 1.0], [2.0, 3.0], [4.0, 5.0]]))
-    np.testing.assert_array_equal(mean, [[np.nan, 2.0], [4.0, 5.0]])
+    np.testing.assert_array_equal(voxel_grid(xyz, 1.0).cell, [3, 2, 1, 0])  # by x, then y, then z
 
 
 def test_too_many_cells_are_refused():
@@ -42,17 +36,12 @@ def test_too_many_cells_are_refused():
         voxel_grid(np.array([[0, 0, 0], [1e30, 1e30, 1e30]], np.float32), 0.01)
 
 
-def _bumpy(rng, n=1500):
-    x, y = rng.uniform(-0.08, 0.08, (2, n))
-    return np.column_stack([x, y, 1.0 + 5.0 * x**2 + 0.01 * np.sin(60 * y) + rng.normal(0, 0.001, n)]).astype(
-        np.float32
-    )
-
-
-def test_normals_agree_with_one_covariance_at_a_time_and_look_at_the_sensor(rng):
-    xyz = _bumpy(rng)
-    query = rng.choice(len(xyz), 200, replace=False)
-    normals, curvature = normals_and_curvature(xyz, query, 0.03)
+def test_normals_agree_with_one_covariance_at_a_time_look_at_the_sensor_and_turn_with_the_cloud(rng):
+    x, y = rng.uniform(-0.08, 0.08, (2, 1500))
+    z = 1.0 + 5.0 * x**2 + 0.01 * np.sin(60 * y) + rng.normal(0, 0.001, 1500)
+    xyz = np.column_stack([x, y, z]).astype(np.float32)
+    query = np.arange(0, len(xyz), 10)
+    normals, curvature = normals_and_curvature(xyz, query)
     tree = cKDTree(xyz)
     for i, normal, k in zip(query, normals, curvature, strict=True):
         near = xyz[tree.query_ball_point(xyz[i], 0.03)].astype(float)
@@ -60,27 +49,18 @@ def test_normals_agree_with_one_covariance_at_a_time_and_look_at_the_sensor(rng)
         assert abs(normal @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
         assert k == pytest.approx(values[0] / values.sum(), rel=1e-6)
         assert normal @ xyz[i] <= 0.0
-
-
-def test_turns_with_the_cloud(rng):
-    xyz = _bumpy(rng)
     turn = Rotation.random(random_state=2).as_matrix()
-    query = np.arange(0, len(xyz), 10)
-    normals, curvature = normals_and_curvature(xyz, query)
     turned, same = normals_and_curvature((xyz @ turn.T).astype(np.float32), query)
     np.testing.assert_allclose(same, curvature, atol=1e-4)
     assert np.median(np.abs(np.einsum("ij,ij->i", turned, normals @ turn.T))) > 0.99999
 
 
-def test_an_exact_plane_has_no_curvature():
+def test_normals_of_hand_made_points():
     x, y = np.meshgrid(np.arange(30) * 0.002, np.arange(30) * 0.002)
     xyz = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]).astype(np.float32)
     normals, curvature = normals_and_curvature(xyz, np.array([0, 450]))
     np.testing.assert_allclose(normals, [[0, 0, -1]] * 2, atol=1e-7)
     np.testing.assert_allclose(curvature, 0.0, atol=1e-12)
-
-
-def test_neighbours_are_strictly_within_the_radius():
     # Three points around the first: one on the limit, exactly representable, leaves it with two neighbours.
     xyz = np.array([[0, 0, 1], [0.25, 0, 1], [0, 0.5, 1]], np.float32)
     assert np.isnan(normals_and_curvature(xyz, np.array([0]), 0.5)[1]).all()

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
-import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
@@ -44,22 +43,15 @@ def test_clouds_without_pixels(rng):
     every_case(cases, check)
 
 
-def test_pixels_far_apart_make_no_grid(rng):
-    _, pixels = _depth_image(rng)
-    far = pixels.astype(np.int64)
+def test_pixels_far_apart_make_no_grid_and_what_is_no_list_of_pixels_is_refused(rng):
+    far = _depth_image(rng)[1].astype(np.int64)
     for last in (65535 * 65536 + 65535, 65535):  # as a message can say it: 4 GB of cells, or one endless row
         far[-1] = last
         assert PixelGrid.from_pixels(far, (65536, 65536)) is None
 
-
-def test_what_is_no_list_of_pixels_is_refused():
-    def check(pixels, message):
-        with pytest.raises(CloudError, match=message):
-            PixelGrid.from_pixels(np.array(pixels), (2, 3))
-
     cases = [
-        ([3, 4, 3], "pixels: an index occurs twice"),
-        ([0, 6], r"pixels: 0 \.\.\. 6 is outside of an image of 2x3"),
-        ([0.5], "is no list of indices"),
+        ("pixels: an index occurs twice", [3, 4, 3]),
+        (r"pixels: 0 \.\.\. 6 is outside of an image of 2x3", [0, 6]),
+        ("is no list of indices", [0.5]),
     ]
-    every_case(cases, check)
+    every_refusal(CloudError, cases, lambda pixels: PixelGrid.from_pixels(np.array(pixels), (2, 3)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 
 from foretouch.cloud.geometry.sampling import SAMPLERS, UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError
@@ -50,22 +50,13 @@ def test_voxel_is_more_even_than_random(rng: np.random.Generator) -> None:
 
 
 def test_what_has_no_sample_or_frame_is_refused(rng: np.random.Generator) -> None:
-    def check_sample(message: str, xyz: np.ndarray, n: int, method: str) -> None:
-        with pytest.raises(CloudError, match=message):
-            sample_indices(xyz, n, method=method, rng=rng)
-
     cases = [
         ("N > 0", np.zeros((0, 3)), 5, "random"),
         ("n: 0", np.zeros((9, 3)), 0, "random"),
         ("'best' is none of random, voxel, farthest", np.zeros((9, 3)), 5, "best"),
         ("not finite", np.full((9, 3), np.inf), 5, "voxel"),
     ]
-    every_case(cases, check_sample)
-
-    def check_frame(message: str, xyz: np.ndarray) -> None:
-        with pytest.raises(CloudError, match=message):
-            UnitSphereFrame.fit(xyz)
-
+    every_refusal(CloudError, cases, lambda xyz, n, method: sample_indices(xyz, n, method=method, rng=rng))
     frames = [
         ("N > 0", np.zeros((0, 3))),
         ("5 points coincide at", np.ones((5, 3))),
@@ -73,13 +64,7 @@ def test_what_has_no_sample_or_frame_is_refused(rng: np.random.Generator) -> Non
         (r"1e\+31 m exceeds 1e\+30 m", np.array([[0.0, 0, 1], [1e31, 0, 1]])),
         (r"\(5, 2\)", np.zeros((5, 2))),
     ]
-    every_case(frames, check_frame)
-
-
-def test_hand_worked_frame() -> None:
-    frame = UnitSphereFrame.fit(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]], np.float32))
-    np.testing.assert_allclose(frame.centre, [0, 0, 2])
-    assert frame.scale == pytest.approx(1.0)
+    every_refusal(CloudError, frames, UnitSphereFrame.fit)
 
 
 def test_points_fill_the_unit_sphere_wherever_they_are(rng: np.random.Generator) -> None:
@@ -89,3 +74,5 @@ def test_points_fill_the_unit_sphere_wherever_they_are(rng: np.random.Generator)
     assert np.linalg.norm(moved, axis=1).max() == pytest.approx(1.0)
     other = 3.0 * xyz.astype(np.float64) + [0.4, 0.0, 1.0]
     np.testing.assert_allclose(moved, UnitSphereFrame.fit(other).apply_points(other), atol=1e-12)
+    frame = UnitSphereFrame.fit(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]], np.float32))
+    assert (frame.centre.tolist(), frame.scale) == ([0.0, 0.0, 2.0], 1.0)

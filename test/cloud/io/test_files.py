@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud, write_cloud
 from foretouch.errors import FileError
@@ -50,7 +50,7 @@ def open3d():
     return open3d
 
 
-def test_open3d_files_are_read_and_refused_where_cut_off(tmp_path: Path, open3d, rng) -> None:
+def test_files_are_exchanged_with_open3d_and_refused_where_cut_off(tmp_path: Path, open3d, rng) -> None:
     cloud = open3d.geometry.PointCloud()
     cloud.points = open3d.utility.Vector3dVector(rng.normal(size=(50, 3)).astype(np.float32))
     cloud.colors = open3d.utility.Vector3dVector(rng.integers(0, 256, (50, 3)) / 255.0)
@@ -68,15 +68,12 @@ def test_open3d_files_are_read_and_refused_where_cut_off(tmp_path: Path, open3d,
 
     cases = [("a.pcd", True, False), ("a.pcd", False, False), ("a.pcd", False, True), ("a.ply", True, False)]
     every_case([*cases, ("a.ply", False, False)], check)
-
-
-def test_open3d_reads_ours(tmp_path: Path, open3d, rng: np.random.Generator) -> None:
-    for suffix in (".pcd", ".ply"):
-        cloud = _cloud(rng, (6, 7), with_rgb=True)
-        write_cloud(tmp_path / f"a{suffix}", cloud)
-        read = open3d.io.read_point_cloud(str(tmp_path / f"a{suffix}"))
-        np.testing.assert_array_equal(np.asarray(read.points).astype(np.float32), cloud.xyz.reshape(-1, 3))
-        np.testing.assert_array_equal(np.rint(np.asarray(read.colors) * 255), cloud.rgb.reshape(-1, 3))
+    for suffix in (".pcd", ".ply"):  # and ours by Open3D
+        ours = _cloud(rng, (6, 7), with_rgb=True)
+        write_cloud(tmp_path / f"b{suffix}", ours)
+        read = open3d.io.read_point_cloud(str(tmp_path / f"b{suffix}"))
+        np.testing.assert_array_equal(np.asarray(read.points).astype(np.float32), ours.xyz.reshape(-1, 3))
+        np.testing.assert_array_equal(np.rint(np.asarray(read.colors) * 255), ours.rgb.reshape(-1, 3))
 
 
 def test_pcd_with_padding_doubles_and_extra_fields(tmp_path: Path) -> None:
@@ -104,14 +101,9 @@ def test_pcd_with_padding_doubles_and_extra_fields(tmp_path: Path) -> None:
         np.testing.assert_array_equal(cloud.rgb, np.broadcast_to(np.array([1, 2, 3], np.uint8), (2, 3, 3)))
 
     every_case(list(every), check)
-
-
-def test_ascii_pcd_by_hand(tmp_path: Path) -> None:
     packed = float(np.array([0x00102030], np.uint32).view(np.float32)[0])
-    (tmp_path / "a.pcd").write_text(
-        "# a comment\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 2\nHEIGHT 1\nDATA ascii\n"
-        f"1 2\t3  {packed!r}\nnan nan nan 0\n"
-    )
+    header = "# a comment\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 2\nHEIGHT 1\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(f"{header}1 2\t3  {packed!r}\nnan nan nan 0\n")
     cloud = read_cloud(tmp_path / "a.pcd")
     np.testing.assert_array_equal(cloud.xyz, [[1, 2, 3], [np.nan] * 3])
     np.testing.assert_array_equal(cloud.rgb, [[0x10, 0x20, 0x30], [0, 0, 0]])
@@ -206,12 +198,11 @@ def test_numpy_files_of_other_content_are_refused(tmp_path: Path, rng: np.random
         r"a\.npz: xyz: is damaged or contains objects": {"xyz": objects},
     }
 
-    def check(message: str) -> None:
-        np.savez(tmp_path / "a.npz", **cases[message])
-        with pytest.raises(FileError, match=message):
-            read_cloud(tmp_path / "a.npz")
+    def read(content: dict[str, np.ndarray]) -> None:
+        np.savez(tmp_path / "a.npz", **content)
+        read_cloud(tmp_path / "a.npz")
 
-    every_case(list(cases), check)
+    every_refusal(FileError, cases.items(), read)
     np.save(tmp_path / "a.npy", objects, allow_pickle=True)
     _assert_refused(tmp_path / "a.npy", (tmp_path / "a.npy").read_bytes(), r"a\.npy: is damaged or contains objects")
     for path in (tmp_path / "b.npz", tmp_path / "b.npy"):
@@ -240,18 +231,3 @@ def test_real_clouds_agree_with_open3d(real_data: Path, open3d) -> None:
         theirs = open3d.io.read_point_cloud(str(path))
         np.testing.assert_array_equal(cloud.xyz, np.asarray(theirs.points).astype(np.float32))
         np.testing.assert_array_equal(cloud.rgb, np.rint(np.asarray(theirs.colors) * 255))
-
-
-def test_damaged_bytes_never_escape_as_another_error(tmp_path: Path, rng: np.random.Generator) -> None:
-    for suffix in (".pcd", ".ply", ".npz"):
-        path = tmp_path / f"a{suffix}"
-        write_cloud(path, _cloud(rng, (20,), with_rgb=True))
-        original = path.read_bytes()
-        for _ in range(200):
-            damaged = bytearray(original)
-            damaged[int(rng.integers(200))] = int(rng.integers(256))
-            path.write_bytes(damaged)
-            try:
-                read_cloud(path)
-            except FileError as err:
-                assert "\n" not in str(err)  # noqa: PT017

@@ -23,27 +23,28 @@ def _object(number: int, centre: tuple[float, float, float], n: int) -> ObjectSe
 OBJECTS = [_object(1, (0.0, 0.0, 0.8), 500), _object(2, (0.2, 0.0, 0.9), 1000), _object(3, (-0.2, 0.1, 1.1), 300)]
 
 
-def test_the_rule_decides() -> None:
-    def check(config: TargetConfig, ids: list[int]) -> None:
+def test_the_rule_decides_and_no_target_is_explained() -> None:
+    def check(config: TargetConfig, ids: list[int], why: str = "") -> None:
         chosen, reason = select_targets(OBJECTS, config)
-        assert [obj.id for obj in chosen] == ids
-        assert reason == ""
+        assert ([obj.id for obj in chosen], reason) == (ids, why)
 
+    far = "no object within 0.03 m of the point (0, 0, 1): the nearest is 0.200 m away"
     cases = [
         (TargetConfig(), [1]),
         (TargetConfig(mode="largest"), [2]),
         (TargetConfig(mode="all"), [1, 2, 3]),
+        (TargetConfig(mode="all", max_objects=2), [1, 2], "the 2 nearest of 3 objects (target.max_objects)"),
         (TargetConfig(mode="point", point=(-0.2, 0.1, 1.1)), [3]),
         (TargetConfig(mode="point", point=(0.24, 0.0, 0.9)), [2]),
+        (TargetConfig(mode="point", point=(0.0, 0.0, 1.0)), [], far),
     ]
     every_case(cases, check)
-
-
-def test_no_target_is_explained() -> None:
-    assert select_targets([], TargetConfig()) == ([], "there is no object")
-    assert select_targets([], TargetConfig(mode="all")) == ([], "there is no object")
-    far = "no object within 0.03 m of the point (0, 0, 1): the nearest is 0.200 m away"
-    assert select_targets(OBJECTS, TargetConfig(mode="point", point=(0.0, 0.0, 1.0))) == ([], far)
+    for mode in ("nearest", "all"):
+        assert select_targets([], TargetConfig(mode=mode)) == ([], "there is no object")
+    with pytest.raises(ConfigError, match="2 numbers are not x, y, z"):
+        TargetConfig(mode="point", point=(1.0, 2.0))
+    with pytest.raises(ConfigError, match="mode point needs x, y, z"):
+        TargetConfig(mode="point")
 
 
 def test_of_equal_objects_the_most_central_is_selected_and_named() -> None:
@@ -82,7 +83,7 @@ def test_of_equally_central_objects_the_leftmost_is_selected() -> None:
     assert why.endswith("object 2 is the leftmost of those nearest to the optical axis")
 
 
-def test_of_equal_objects_the_previous_target_is_kept() -> None:
+def test_of_objects_equal_within_the_margin_the_previous_target_is_kept() -> None:
     pair = [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)]
     found, why = select_targets(pair, TargetConfig(), previous=np.array([0.052, 0.001, 0.8]))
     assert [obj.id for obj in found] == [2]
@@ -90,21 +91,4 @@ def test_of_equal_objects_the_previous_target_is_kept() -> None:
     assert select_targets(pair, TargetConfig(), previous=np.array([0.3, 0.0, 0.8]))[0] == [pair[0]]
     nearer = [_object(1, (0.0, 0.0, 0.78), 500), pair[1]]
     assert select_targets(nearer, TargetConfig(), previous=pair[1].centroid) == ([nearer[0]], "")
-
-
-def test_all_is_limited_to_the_nearest() -> None:
-    found, why = select_targets(OBJECTS, TargetConfig(mode="all", max_objects=2))
-    assert [obj.id for obj in found] == [1, 2]
-    assert why == "the 2 nearest of 3 objects (target.max_objects)"
-
-
-def test_the_margin_is_a_setting() -> None:
-    pair = [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)]
     assert select_targets(pair, TargetConfig(margin_m=0.0))[0] == [pair[0]]
-
-
-def test_a_point_is_three_numbers() -> None:
-    with pytest.raises(ConfigError, match="2 numbers are not x, y, z"):
-        TargetConfig(mode="point", point=(1.0, 2.0))
-    with pytest.raises(ConfigError, match="mode point needs x, y, z"):
-        TargetConfig(mode="point")

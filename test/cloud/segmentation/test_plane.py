@@ -35,24 +35,17 @@ def test_a_known_plane_is_found_with_its_normal_towards_the_camera(rng: np.rando
     every_case(product([(0, 0, -1), (0, -0.6, -0.8), (0.5, -0.5, -0.7), (0, 1, 0)], [0.3, 0.6, 1.0]), check)
 
 
-def test_noise_is_measured_on_the_plane(rng: np.random.Generator) -> None:
-    fit = fit_plane(_scene(rng, np.array([0.0, 0.0, -1.0]), 1.2, 1.0), PlaneConfig())
-    assert fit.rms_m == pytest.approx(0.001, rel=0.1)
-    assert fit.noise_per_m == pytest.approx(0.001 / 1.2**2, rel=0.1)
-
-
-def test_the_plane_moves_with_the_points(rng: np.random.Generator) -> None:
+def test_the_plane_moves_with_the_points_and_noise_is_measured_on_it(rng: np.random.Generator) -> None:
     xyz = _scene(rng, np.array([0.0, -0.5, -0.8]), 1.0, 0.7).astype(np.float64)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    first, second = (
-        fit_plane(xyz.astype(np.float32), PlaneConfig()),
-        fit_plane((xyz @ turn.T).astype(np.float32), PlaneConfig()),
-    )
-    assert first.plane is not None
-    assert second.plane is not None
+    first, second = (fit_plane(one.astype(np.float32), PlaneConfig()).plane for one in (xyz, xyz @ turn.T))
+    assert first is not None
+    assert second is not None
     # The same samples are drawn, so only the rounding to float32 differs.
-    np.testing.assert_allclose(second.plane.normal, turn @ first.plane.normal, atol=1e-4)
-    np.testing.assert_allclose(second.plane.offset, first.plane.offset, atol=1e-4)
+    np.testing.assert_allclose(second.normal, turn @ first.normal, atol=1e-4)
+    np.testing.assert_allclose(second.offset, first.offset, atol=1e-4)
+    fit = fit_plane(_scene(rng, np.array([0.0, 0.0, -1.0]), 1.2, 1.0), PlaneConfig())
+    assert (fit.rms_m, fit.noise_per_m) == pytest.approx((0.001, 0.001 / 1.2**2), rel=0.1)
 
 
 def test_what_is_no_plane_is_named(rng: np.random.Generator) -> None:

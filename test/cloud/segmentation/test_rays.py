@@ -39,7 +39,7 @@ def test_one_damaged_coordinate_does_not_move_the_table() -> None:
     def check(xyz: Float32, axis: int, value: float) -> None:
         expected = _strictly(Cloud(xyz)).plane.coefficients
         index = np.argwhere((xyz[..., 2] > 0.2) & (xyz[..., 2] < 2.0))
-        for chosen in index[:: len(index) // 20]:
+        for chosen in index[:: len(index) // 6]:
             damaged = xyz.copy()
             damaged[(*chosen, axis)] = value
             found = _strictly(Cloud(damaged))
@@ -73,7 +73,7 @@ def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table() ->
     every_case(product((0, 1), (1e20, -1e30, 3e38)), check)
 
 
-def test_every_damaged_pixel_of_the_sample_and_of_the_objects_is_counted() -> None:
+def test_damaged_pixels_of_sample_objects_or_anywhere_are_counted(rng: np.random.Generator) -> None:
     xyz = _scene()
     whole = segment(Cloud(xyz))
     pixels = np.concatenate([one.pixels[::50] for one in whole.objects])
@@ -84,17 +84,13 @@ def test_every_damaged_pixel_of_the_sample_and_of_the_objects_is_counted() -> No
     assert len(found.objects) == len(whole.objects)
     assert not np.isin(np.concatenate([one.pixels for one in found.objects]), pixels).any()
     assert max(np.abs(one.cloud.xyz).max() for one in found.objects) < 3.0
-
-
-def test_a_share_of_damaged_pixels_leaves_the_rays_and_the_table(rng: np.random.Generator) -> None:
     for share in (0.05, 0.3):
-        xyz = _scene()
-        expected = segment(Cloud(xyz)).plane.coefficients
+        damaged = xyz.copy()
         bad = rng.random(xyz.shape[:2]) < share
-        xyz[bad, rng.integers(0, 2, bad.sum())] = 10.0 ** rng.uniform(1, 38, bad.sum())
-        found = _strictly(Cloud(xyz))
+        damaged[bad, rng.integers(0, 2, bad.sum())] = 10.0 ** rng.uniform(1, 38, bad.sum())
+        found = _strictly(Cloud(damaged))
         assert found.plane is not None
-        np.testing.assert_allclose(found.plane.coefficients, expected, atol=3e-3)
+        np.testing.assert_allclose(found.plane.coefficients, whole.plane.coefficients, atol=3e-3)
         assert found.counts["off_ray"] > 100
 
 

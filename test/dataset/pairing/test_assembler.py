@@ -54,11 +54,14 @@ class Session:
 
     def plan(self, number: int, *grasps: SimpleNamespace, frame_id: str = "camera") -> None:
         at = interval(number).start - SECOND // 2
-        cloud = Cloud(np.full((5, 3), number, np.float32), frame_id="camera", stamp_ns=at)
-        message = cloud_fields(cloud)
+        self.look(number, at)
+        self.assembler.matcher.add_plan(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
+
+    def look(self, number: float, at: int) -> None:
+        """Add the cloud of a grasp, taken at a time [ns]."""
+        message = cloud_fields(Cloud(np.full((5, 3), number, np.float32), frame_id="camera", stamp_ns=at))
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
         self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
-        self.assembler.matcher.add_plan(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
 
     def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
         times = {
@@ -97,30 +100,31 @@ def test_samples_hold_their_own_cloud_touch_and_candidates() -> None:
 
 
 def test_reasons_of_messages_that_cannot_become_samples() -> None:
-    session = Session(6)
+    session = Session(7)
     session.plan(0, grasp("g-0"), grasp("bad", rotation=np.full(9, 2.0)))
     session.plan(1, grasp("g-1"), frame_id="base")
     session.plan(2, grasp("g-2", g2=point(0.1, 0, 1)))
     for number in (3, 4, 5):
         session.plan(number)
-    for number in (0, 1, 2, 3, 5):
+    at = interval(6).start - SECOND // 2
+    session.look(np.nan, at)
+    session.assembler.matcher.add_plan(at, "camera", [grasp("g-6")])
+    for number in (0, 1, 2, 3, 5, 6):
         session.report(number)
     session.report(4, success=False, touched=False)
-    assert session.reasons() == ["bad_grasp", "frame_differs", "bad_grasp", "recorded", "recorded", "grasp_failed"]
+    recorded = ["recorded", "recorded", "object_unknown", "grasp_failed"]
+    assert session.reasons() == ["bad_grasp", "frame_differs", "bad_grasp", *recorded]
     assert session.assembler.results["bad_grasp"] == 2
 
 
-def test_a_failed_grasp_is_a_sample_unless_only_successes_count_and_its_time_is_taken_in_any_case() -> None:
+def test_a_failed_grasp_is_a_sample_unless_only_successes_count_and_later_plans_replace_none() -> None:
     for only, expected in ((False, ["recorded", "overlap"]), (True, ["grasp_failed", "overlap"])):
         session = Session(1, successes_only=only)
         session.plan(0)
         session.report(0, success=False)
         session.report(0, "g-0 second")
         assert session.reasons() == expected
-
-
-def test_grasps_planned_later_on_the_same_cloud_do_not_replace_those_before() -> None:
-    session = Session(1)
+    session = Session(1)  # grasps planned later on the same cloud do not replace those before
     session.plan(0, grasp("first"))
     session.plan(0, grasp("second"))
     session.report(0, "first")
@@ -134,7 +138,7 @@ def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> 
     for number in range(4):
         session.plan(number)
     session.report(1)
-    session.assembler.add("cloud", _cloud_without_grasps(), received_ns=0, now_s=0.0)
+    session.look(9, interval(9).start)  # without grasps
     touched, *others = session.results()
     assert touched.record.sample.grasp.id == "g-1"
     assert [one.record.sample.grasp.id for one in others] == ["g-0", "g-2"]  # 6 s apart
@@ -142,23 +146,19 @@ def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> 
     assert session.assembler.clouds_without_grasps == 1
 
 
-def _cloud_without_grasps() -> SerializedCloud:
-    message = cloud_fields(Cloud(np.zeros((1, 3), np.float32), frame_id="camera", stamp_ns=interval(9).start))
-    return SerializedCloud(bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2")), lambda: message)
-
-
 def test_labels_and_contacts_without_a_report() -> None:
     session = Session(0, watch_sensors=True)
     for number in (0, 1):
         session.plan(number)
-    assert (
-        session.assembler.matcher.add_label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1]
-        == "waits for its contact"
+    _, text = session.assembler.matcher.add_label(
+        Label(grasp_id="g-1", object="cup", discard=True, outcome="failure"), 0.0
     )
+    assert text == "waits for its contact"
     for reading in stream(2):
         session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
     assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}
     (one,) = session.assembler.poll(3.0)
+    assert one.record.outcome == "failure"  # type: ignore[union-attr]
     assert (one.record.sample.object, one.record.flags) == ("cup", ("detected_interval", "discarded"))  # type: ignore[union-attr]
     assert set(session.assembler.sensor_states(9.0).values()) == {"no data"}
 
@@ -198,12 +198,9 @@ def test_a_grasp_counts_by_its_quaternion_where_the_matrix_is_nine_zeros() -> No
     np.testing.assert_array_equal(decode_grasp(zeros).rotation, np.diag([-1.0, -1.0, 1.0]))
     with pytest.raises(GraspError, match=r"is not that of pose\.orientation"):
         decode_grasp(grasp("g", pose=turned))
+    unset = SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0))
     with pytest.raises(GraspError, match="pose: no orientation"):
-        decode_grasp(
-            grasp(
-                "g", rotation=np.zeros(9), pose=SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0))
-            )
-        )
+        decode_grasp(grasp("g", rotation=np.zeros(9), pose=unset))
 
 
 def test_a_stamp_in_the_far_future_hides_no_contact() -> None:

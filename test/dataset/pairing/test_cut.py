@@ -25,12 +25,6 @@ def filled(readings: list[TouchReading]) -> TouchBuffer:
     return buffer
 
 
-def reason(readings: list[TouchReading], when: Interval | None = None, **options: object) -> str:
-    with pytest.raises(PairingError) as info:
-        cut_touch(filled(readings), when or interval(0), CONFIG, **options)  # type: ignore[arg-type]
-    return info.value.reason
-
-
 def test_touch_and_tare_are_those_of_hold_and_rest() -> None:
     cut = cut_touch(filled(stream(1)), interval(0), CONFIG)
     np.testing.assert_allclose(cut.touch.vector(), level(0), atol=4.0)
@@ -59,27 +53,31 @@ def _check_touches(seed: int) -> None:
         assert PERIOD <= cut.error_ns <= CONFIG.tolerance_s * SECOND
 
 
-def test_holes_beyond_the_tolerance_are_counted_out() -> None:
-    when = interval(0)
-    hole = [
-        r for r in stream(1) if not when.contact + 2 * SECOND // 10 < r.stamp_ns < when.contact + 35 * SECOND // 100
+def test_what_cannot_be_cut_is_refused_with_its_reason() -> None:
+    when, tenth = interval(0), SECOND // 10
+    one, two = stream(1), stream(2)
+    hole = [r for r in one if not when.contact + 2 * tenth < r.stamp_ns < when.contact + 35 * tenth // 10]
+    late = [replace(r, received_ns=r.received_ns + SECOND + k % 7 * tenth) for k, r in enumerate(two)]
+
+    def check(reason: str, readings: list[TouchReading], when: Interval) -> None:
+        with pytest.raises(PairingError) as info:
+            cut_touch(filled(readings), when, CONFIG)
+        assert info.value.reason == reason
+
+    cases = [
+        ("pairing_error", hole, when),
+        ("no_tactile", [r for r in one if not when.contact < r.stamp_ns < when.release], when),
+        ("no_tactile", [], when),
+        ("no_tare", [r for r in one if r.stamp_ns > when.start], when),
+        ("clock_offset", stream(2, FaultConfig(skew_s=-0.4)), interval(1)),
+        ("clock_offset", stream(2, FaultConfig(skew_s=0.4)), interval(1)),
+        ("late_readings", late, interval(1)),  # of a busy computer, not blamed on the clocks
+        ("bad_interval", one, replace(when, release=when.contact)),
+        ("bad_interval", one, replace(when, start=0)),
+        ("short_hold", one, replace(when, release=when.contact + SECOND // 5)),
     ]
-    assert reason(hole) == "pairing_error"
-    assert reason([r for r in stream(1) if not when.contact < r.stamp_ns < when.release]) == "no_tactile"
-    assert reason([r for r in stream(1) if r.stamp_ns > when.start]) == "no_tare"
-    assert reason([]) == "no_tactile"
-
-
-def test_a_clock_that_is_off_is_noticed_from_the_time_of_reception() -> None:
-    for skew in (-0.4, 0.4):
-        assert reason(stream(2, FaultConfig(skew_s=skew)), interval(1)) == "clock_offset"
-
-
-def test_readings_that_a_busy_computer_receives_late_are_not_blamed_on_the_clocks() -> None:
-    readings = stream(2)
-    late = [replace(r, received_ns=r.received_ns + SECOND + k % 7 * SECOND // 10) for k, r in enumerate(readings)]
-    assert reason(late, interval(1)) == "late_readings"
-    steady = [replace(r, received_ns=r.received_ns + SECOND) for r in readings]
+    every_case(cases, check)
+    steady = [replace(r, received_ns=r.received_ns + SECOND) for r in two]
     with pytest.raises(PairingError, match=r"by 1\.\d* s: the clocks differ, or a computer is overloaded"):
         cut_touch(filled(steady), interval(1), CONFIG)
 
@@ -97,21 +95,13 @@ def test_a_tare_neither_reaches_into_the_grasp_before_nor_is_taken_while_somethi
     assert info.value.reason == "restless_tare"
 
 
-def test_intervals_that_cannot_be() -> None:
-    when = interval(0)
-    assert reason(stream(1), replace(when, release=when.contact)) == "bad_interval"
-    assert reason(stream(1), replace(when, start=0)) == "bad_interval"
-    assert reason(stream(1), replace(when, release=when.contact + SECOND // 5)) == "short_hold"
-
-
 def test_sensors_that_are_absent_or_frozen_are_refused_by_name() -> None:
     readings = stream(1)
     absent = REST.copy()
     absent[2:26] = 0
+    dead = filled([replace(r, counts=np.where(absent == 0, 0, r.counts)) for r in readings])
     with pytest.raises(PairingError, match="e_th: all 24 electrodes are 0") as info:
-        cut_touch(
-            filled([replace(r, counts=np.where(absent == 0, 0, r.counts)) for r in readings]), interval(0), CONFIG
-        )
+        cut_touch(dead, interval(0), CONFIG)
     assert info.value.reason == "sensor_fault"
     middle = np.r_[1, 26:50]
 
@@ -124,7 +114,7 @@ def test_sensors_that_are_absent_or_frozen_are_refused_by_name() -> None:
         cut_touch(filled([stuck(r) for r in readings]), interval(0), CONFIG)
 
 
-def test_a_stream_that_freezes_for_a_while_and_a_finger_that_feels_nothing_are_flagged() -> None:
+def test_a_frozen_stream_an_idle_finger_and_stamps_that_come_twice_are_flagged() -> None:
     when = interval(0)
     readings = [replace(r, counts=level(0)) if when.contact <= r.stamp_ns < when.release else r for r in stream(1)]
     assert cut_touch(filled(readings), when, CONFIG).flags == ("frozen_TH", "frozen_MF")
@@ -137,11 +127,6 @@ def test_a_stream_that_freezes_for_a_while_and_a_finger_that_feels_nothing_are_f
         return replace(reading, counts=counts)
 
     assert cut_touch(filled([idle(r) for r in stream(1)]), when, CONFIG).flags == ("no_contact_TH",)
-
-
-def test_every_reading_is_kept_where_stamps_come_twice() -> None:
-    readings = stream(1)
-    twice = [r for r in readings for _ in range(2)]
-    cut = cut_touch(filled(twice), interval(0), CONFIG)
+    cut = cut_touch(filled([r for r in stream(1) for _ in range(2)]), when, CONFIG)  # each stamp twice
     assert cut.flags == ("duplicate_stamps",)
-    assert len(cut.window) == 2 * len(cut_touch(filled(readings), interval(0), CONFIG).window)
+    assert len(cut.window) == 2 * len(cut_touch(filled(stream(1)), when, CONFIG).window)

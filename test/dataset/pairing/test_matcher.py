@@ -62,11 +62,6 @@ class Session:
         return [r.reason if isinstance(r, RejectedGrasp) else "recorded" for r in results]
 
 
-def test_no_pair_is_wrong_however_messages_come() -> None:
-    """Jitter of 20 ms, skew of 50 ms, 5 % of the readings lost, clouds and reports lost and in any order."""
-    every_case(range(3), _check_pairs)
-
-
 def _check_pairs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count = 20
@@ -90,6 +85,11 @@ def _check_pairs(seed: int) -> None:
     reasons = [result.reason for result in results if isinstance(result, RejectedGrasp)]
     assert len(results) == len(reported)
     assert reasons.count("grasp_unknown") == len(set(reported) - set(known))
+
+
+def test_no_pair_is_wrong_however_messages_come() -> None:
+    """Jitter of 20 ms, skew of 50 ms, 5 % of the readings lost, clouds and reports lost and in any order."""
+    every_case(range(3), _check_pairs)
 
 
 def test_a_grasp_waits_for_what_is_on_its_way_but_not_forever() -> None:
@@ -143,21 +143,10 @@ def test_an_id_on_two_clouds_two_clouds_of_one_stamp_and_a_cloud_that_is_gone() 
     assert early.reasons() == ["bad_interval"]
 
 
-def test_the_operators_label_takes_the_contact_that_nobody_reports() -> None:
-    world = Session(2)
-    for number in (0, 1):
-        world.plan(number)
-    assert world.matcher.add_label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1] == "waits for its contact"
-    world.feel()
-    (one,) = world.matcher.poll(2.0)
-    assert isinstance(one, MatchedGrasp)
-    assert (one.executed.grasp_id, one.label.object, one.label.discard) == ("g-1", "cup", True)  # type: ignore[union-attr]
-    assert one.executed.flags == ("detected_interval",)
-    np.testing.assert_allclose(one.cut.touch.vector(), level(1), atol=5.0)
-
-
-def test_a_label_waits_for_the_report_of_its_grasp() -> None:
+def test_a_label_waits_for_the_report_of_its_grasp_unless_it_has_times_itself() -> None:
     world = Session(1)
+    with pytest.raises(PairingError, match="there is no grasp to label: none was planned"):
+        world.matcher.add_label(Label(interval=interval(0)), 0.0)
     world.plan(0)
     world.matcher.add_label(Label(object="cup"), 0.0)
     world.feel()
@@ -171,17 +160,12 @@ def test_a_label_waits_for_the_report_of_its_grasp() -> None:
         world.matcher.add_label(Label(grasp_id="g-0"), 3.0)
     with pytest.raises(PairingError, match="g-9: was not planned"):
         world.matcher.add_label(Label(grasp_id="g-9"), 3.0)
-
-
-def test_a_label_with_times_needs_no_report() -> None:
-    world = Session(1)
-    with pytest.raises(PairingError, match="there is no grasp to label: none was planned"):
-        world.matcher.add_label(Label(interval=interval(0)), 0.0)
-    world.feel()
-    world.plan(0)
-    world.matcher.add_label(Label(interval=interval(0)), 0.0)
-    assert world.matcher.add_label(Label(object="cup"), 0.0) == ("g-0", "its touch is being recorded")
-    (one,) = world.matcher.poll(3.0)
+    timed = Session(1)
+    timed.feel()
+    timed.plan(0)
+    timed.matcher.add_label(Label(interval=interval(0)), 0.0)
+    assert timed.matcher.add_label(Label(object="cup"), 0.0) == ("g-0", "its touch is being recorded")
+    (one,) = timed.matcher.poll(3.0)
     assert isinstance(one, MatchedGrasp)
     assert one.executed.flags == ("labelled_interval",)
 
@@ -207,14 +191,12 @@ def test_at_the_end_everything_has_an_outcome() -> None:
     world.report(0)
     world.matcher.add_label(Label(grasp_id="g-1 second"), 0.0)
     world.readings.clear()
-    outcomes = [
-        r.reason if isinstance(r, RejectedGrasp) else r.executed.grasp_id for r in world.matcher.poll(0.0, ending=True)
-    ]
-    assert outcomes == ["g-0", "g-1 second"]
+    results = world.matcher.poll(0.0, ending=True)
+    assert [one.executed.grasp_id for one in results if isinstance(one, MatchedGrasp)] == ["g-0", "g-1 second"]
     assert not world.matcher.pending
     idle = Session(1)
     idle.plan(0)
     idle.matcher.add_label(Label(grasp_id="g-0"), 0.0)
-    (result,) = idle.matcher.poll(0.0, ending=True)
-    assert isinstance(result, RejectedGrasp)
-    assert result.reason == "no_contact"
+    assert [one.reason for one in idle.matcher.poll(0.0, ending=True) if isinstance(one, RejectedGrasp)] == [
+        "no_contact"
+    ]

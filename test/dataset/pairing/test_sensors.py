@@ -15,7 +15,7 @@ def noisy(rng: np.random.Generator) -> np.ndarray:
     return np.round(REST + rng.normal(0, 1, 50) * np.r_[0.5, 0.5, np.full(48, 4.4)]).astype(np.float32)
 
 
-def test_working_sensors_are_alive_and_silence_is_noticed() -> None:
+def test_working_sensors_are_alive_silence_is_noticed_and_the_finger_at_fault_is_named() -> None:
     health, rng = SensorHealth(), np.random.default_rng(0)
     assert set(health.states.values()) == {"no data"}
     for _ in range(4000):
@@ -23,10 +23,6 @@ def test_working_sensors_are_alive_and_silence_is_noticed() -> None:
         assert set(health.states.values()) == {"alive"}
     health.silence()
     assert health.states == {"TH": "no data", "MF": "no data"}
-
-
-def test_the_finger_at_fault_is_named() -> None:
-    health, rng = SensorHealth(), np.random.default_rng(0)
     counts = noisy(rng)
     counts[26:] = 0
     health.update(counts)

@@ -40,8 +40,7 @@ def spans(path: Path) -> list[tuple[int, int]]:
 def numbers(path: Path) -> list[int]:
     """The numbers of the samples in a file, each of which equals the recorded one."""
     found = []
-    dataset = RecordedDataset(path)
-    for stored in dataset:
+    for stored in RecordedDataset(path):
         found.append(int(stored.record.sample.grasp.id.removeprefix("grasp-")))
         points = stored.record.sample.cloud.size
         assert_same_sample(stored.record.sample, record(found[-1], points=points).sample)
@@ -83,12 +82,18 @@ def check_repaired(path: Path, kept: Iterable[int]) -> None:
     report.original.unlink()
 
 
-def test_a_clean_file_is_left_alone(file: Path) -> None:
+def test_a_clean_file_is_left_alone_and_each_original_of_a_repair_is_kept(file: Path) -> None:
     before = file.read_bytes(), file.stat().st_mtime_ns
     assert verify(file).clean
     assert not repair(file).changed
     assert (file.read_bytes(), file.stat().st_mtime_ns) == before
     assert [p.name for p in file.parent.glob("session*")] == [file.name]
+    for _ in range(3):
+        file.write_bytes(file.read_bytes()[:-30])
+        assert repair(file).changed
+    kept = sorted(p.name for p in file.parent.glob("*.before-repair*"))
+    assert kept == [f"{file.name}.before-repair", f"{file.name}.before-repair-2", f"{file.name}.before-repair-3"]
+    assert numbers(file) == list(range(COUNT))
 
 
 def test_every_flipped_bit_is_found_and_costs_at_most_the_sample_it_is_in(file: Path, rng: np.random.Generator) -> None:
@@ -136,13 +141,9 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
     with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, its index declares {COUNT}"):
         RecordedDataset(file)
     check_repaired(file, range(COUNT))
-
-
-def test_damage_in_the_declaring_chunk_loses_no_message_of_other_chunks(file: Path) -> None:
-    """A finished file repeats its topics in the summary."""
-    good = bytearray(file.read_bytes())
-    good[good.index(b"foretouch_msgs/msg/BiotacAll")] ^= 1
-    file.write_bytes(good)
+    changed = bytearray(good)  # in the declaring chunk; a finished file repeats its topics in the summary
+    changed[good.index(b"foretouch_msgs/msg/BiotacAll")] ^= 1
+    file.write_bytes(changed)
     assert repair(file).changed
     assert verify(file).messages == {"/foretouch/samples": COUNT, TACTILE: 2 * (COUNT - 1)}
 
@@ -222,29 +223,18 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
         verify_dataset(tmp_path / "nothing")
 
 
-def test_an_id_in_two_sessions_is_a_fault(file: Path) -> None:
-    file.with_name("session-0002.mcap").write_bytes(file.read_bytes())
+def test_an_id_in_two_sessions_and_any_changed_byte_of_the_manifest_are_found(file: Path) -> None:
+    second = file.with_name("session-0002.mcap")
+    second.write_bytes(file.read_bytes())
     reports = verify_dataset(file.parent)
     assert reports[0].clean
     assert any("id ball/000001 is in session-0001.mcap too" in line for line in reports[1].fault_lines())
-
-
-def test_every_byte_of_the_manifest_counts(file: Path) -> None:
     manifest = file.parent / "manifest.json"
     good = manifest.read_bytes()
     for place in range(len(good)):
         manifest.write_bytes(good[:place] + bytes([good[place] ^ 1]) + good[place + 1 :])
         with pytest.raises(FileError):
             verify_dataset(file.parent)
-
-
-def test_the_original_of_an_earlier_repair_is_kept_too(file: Path) -> None:
-    for _ in range(3):
-        file.write_bytes(file.read_bytes()[:-30])
-        assert repair(file).changed
-    kept = sorted(p.name for p in file.parent.glob("*.before-repair*"))
-    assert kept == [f"{file.name}.before-repair", f"{file.name}.before-repair-2", f"{file.name}.before-repair-3"]
-    assert numbers(file) == list(range(COUNT))
 
 
 def test_a_sample_of_another_version_is_not_repaired_away(file: Path) -> None:

@@ -27,7 +27,7 @@ def write_and_repair(folder: Path) -> list[Path]:
     return [finished, repaired]
 
 
-def test_mcap_reads_recordings_and_all_their_checksums_hold(tmp_path: Path) -> None:
+def test_mcap_and_rosbags_read_recordings_all_checksums_hold_and_samples_are_decoded(tmp_path: Path) -> None:
     def check(file: Path) -> None:
         with file.open("rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
@@ -43,11 +43,6 @@ def test_mcap_reads_recordings_and_all_their_checksums_hold(tmp_path: Path) -> N
         assert kinds[-1] == "Footer"
         assert kinds.count("Chunk") == 10  # five of a sample, five of the messages before it
 
-    every_case(write_and_repair(tmp_path), check)
-
-
-def test_rosbags_reads_recordings_and_decodes_the_samples(tmp_path: Path) -> None:
-    def check(file: Path) -> None:
         with AnyReader([file]) as reader:
             connections = [c for c in reader.connections if c.topic == SAMPLE_TOPIC]
             decoded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]

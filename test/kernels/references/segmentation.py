@@ -12,7 +12,6 @@ from scipy import ndimage
 from foretouch.cloud.segmentation.clusters import Clusters, _pixel_pitch
 from foretouch.cloud.segmentation.crop import in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.types import Cloud
 
 Array = np.ndarray[Any, Any]
 
@@ -61,12 +60,8 @@ def segments(flat, window, width: int, plane) -> Iterator[tuple[int, ObjectSegme
             part = flat.take(pixels)
             columns = part.xyz.T.astype(np.float64, order="C")
             bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
-            cloud = Cloud(part.xyz, part.rgb, flat.frame_id, flat.stamp_ns)
-            yield (
-                label,
-                ObjectSegment(0, cloud, pixels, columns.mean(axis=1), bounds),
-                _heights(plane.coefficients.astype(np.float32), part.xyz).max(),
-            )
+            top = _heights(plane.coefficients.astype(np.float32), part.xyz).max()
+            yield label, ObjectSegment(0, part, pixels, columns.mean(axis=1), bounds), top
 
 
 def write_ids(image, window, ids) -> int:

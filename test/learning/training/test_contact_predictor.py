@@ -12,6 +12,7 @@ from contact_model_builders import FEW_TREES, labels_of, with_tares
 from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
+from recording_builders import read_folder
 
 from foretouch.errors import DatasetError
 from foretouch.learning.evaluation.metrics import mean_over_objects
@@ -81,13 +82,6 @@ def test_labels_and_tares_of_predicted_samples_are_not_used(tared) -> None:
     assert_array_equal(tared.predict(blind), tared.predict(TARED[40:]))
 
 
-def test_neighbours_have_no_influence(tared) -> None:
-    touched, remaining = TARED[40:43], TARED[43:]
-    together = tared.predict_after(touched, remaining, tare=True)
-    alone = [tared.predict_after(touched, [sample], tare=True)[0] for sample in remaining]
-    assert_array_equal(together, alone)
-
-
 def test_touches_of_a_new_object_help_on_its_other_grasps(bare) -> None:
     """Touches measure the lasting offsets of the objects."""
     touched, remaining = BARE[40:43], BARE[43:]
@@ -142,11 +136,6 @@ def test_new_objects_are_held_out_whole_known_ones_in_stretches_of_time() -> Non
     assert sorted(np.concatenate([fold.test for fold in few["known"][0]])) == list(range(12))
 
 
-def test_the_same_seed_gives_the_same_bits(bare) -> None:
-    again = ContactPredictor(BARE[:40], labels_of(BARE[:40]), FEW_TREES)
-    assert_array_equal(again.predict(BARE), bare.predict(BARE))
-
-
 def test_a_tare_that_was_not_taken_is_missed_by_name(tared) -> None:
     lacking = [replace(TARED[45], tare=None)]
     with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
@@ -171,9 +160,7 @@ def test_one_object_alone_predicts_but_cannot_be_calibrated() -> None:
 
 @pytest.mark.real_data
 def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_data) -> None:
-    from foretouch.dataset.vision2tactile import read_sample, sample_folders
-
-    samples = [read_sample(folder) for folder in sample_folders(real_data / "vision2tactile")[::9]]
+    samples = read_folder(real_data / "vision2tactile")[::9]
     held = max({sample.object for sample in samples}, key=[sample.object for sample in samples].count)
     train, remaining = ([s for s in samples if (s.object == held) is inside] for inside in (False, True))
     fitted = ContactPredictor(train, labels_of(train), FEW_TREES)

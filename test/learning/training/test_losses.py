@@ -12,16 +12,14 @@ from foretouch.errors import DatasetError
 from foretouch.learning.training.losses import (
     Features,
     SrganLossConfig,
+    _safe_root,
     discriminator_loss,
-    generator_loss,
     gradient_penalty,
     labeled_loss,
-    safe_root,
+    matching_loss,
 )
 
 F64 = torch.float64
-CONTRASTS = ("sqrt", "log", "abs", "ratio")
-DISTANCES = ("per_sample", "batch_mean")
 ZERO = torch.tensor(0.0)
 
 # Two samples, two features.
@@ -49,7 +47,7 @@ def test_root_mean_square_by_hand() -> None:
 
 def test_the_root_is_exact_where_errors_are_real_and_zero_at_zero() -> None:
     squares = torch.tensor([0.0, 1.0001e-12, 1e-8, 0.3, 7e6], dtype=F64)
-    assert torch.equal(safe_root(squares), squares.sqrt())
+    assert torch.equal(_safe_root(squares), squares.sqrt())
 
 
 def test_a_perfect_batch_has_a_finite_gradient() -> None:
@@ -77,8 +75,6 @@ def test_contrast_by_hand() -> None:
     assert found["unlabeled"] == pytest.approx(3.0)
     assert found["fake"] == pytest.approx(-sum(roots) / 4)
     assert found["total"] == pytest.approx(0.5 + 30 - 0.1 * 7 / 4)
-    others = {"log": -(math.log(4) + math.log(9)) / 4, "abs": -11 / 4, "ratio": -(3 / 4 + 8 / 9) / 4}
-    assert {kind: parts(SrganLossConfig(contrast=kind))["fake"] for kind in others} == pytest.approx(others)
 
 
 def test_original_srgan_by_hand() -> None:
@@ -86,17 +82,15 @@ def test_original_srgan_by_hand() -> None:
     found = parts(config)
     assert found["unlabeled"] == pytest.approx((1.5 + 0.5) / 2)
     assert found["fake"] == pytest.approx(-(math.sqrt(2.5) + math.sqrt(5)) / 2)
-    assert float(generator_loss(FAKE, U, config)) == pytest.approx(2.75)
-    generator_loss(FAKE, U[:1], config)  # by means
+    assert float(matching_loss(FAKE, U, config)) == pytest.approx(2.75)
+    matching_loss(FAKE, U[:1], config)  # by means
 
 
 def test_generator_by_hand() -> None:
     config = SrganLossConfig(loss_variant="as_printed")
-    assert float(generator_loss(FAKE, U, config)) == pytest.approx((9 + 64) / 2)
-    assert float(generator_loss(FAKE, U, config.replace(distance="batch_mean"))) == pytest.approx(1.5**2 + 4**2)
-    assert float(generator_loss(FAKE, U, SrganLossConfig(loss_variant="srgan", distance="per_sample"))) == 11 / 4
+    assert float(matching_loss(FAKE, U, config)) == pytest.approx((9 + 64) / 2)
     with pytest.raises(DatasetError, match="2 and 1 samples cannot be compared in pairs"):
-        generator_loss(FAKE, U[:1], SrganLossConfig())
+        matching_loss(FAKE, U[:1], SrganLossConfig())
 
 
 def test_gradients_agree_with_finite_differences() -> None:
@@ -104,39 +98,36 @@ def test_gradients_agree_with_finite_differences() -> None:
     features = [torch.randn(3, 4, dtype=F64, generator=generator).requires_grad_() for _ in range(3)]
     labels = torch.randn(3, 2, dtype=F64, generator=generator).requires_grad_()
 
-    def check(variant: str, distance: str, contrast: str) -> None:
-        config = SrganLossConfig(loss_variant=variant, distance=distance, contrast=contrast)
+    def check(variant: str) -> None:
+        config = SrganLossConfig(loss_variant=variant)
 
         def total(y: torch.Tensor, *f: torch.Tensor) -> torch.Tensor:
             labeled = labeled_loss(y, torch.zeros(3, 2, dtype=F64), [2])
             loss = discriminator_loss(labeled, Features(*f), config)["total"]
-            return loss + 3 * generator_loss(f[2], f[1], config)
+            return loss + 3 * matching_loss(f[2], f[1], config)
 
         assert torch.autograd.gradcheck(total, (labels, *features))
 
-    every_case(product(("as_printed", "contrast", "srgan"), DISTANCES, CONTRASTS), check)
+    every_case(("as_printed", "contrast", "srgan"), check)
 
 
 def test_the_contrast_stays_bounded_for_huge_features() -> None:
-    def check(contrast: str, distance: str, size: float) -> None:
-        config = SrganLossConfig(contrast=contrast, distance=distance, weight_unlabeled=0.0)
+    def check(variant: str, size: float) -> None:
+        config = SrganLossConfig(loss_variant=variant, weight_unlabeled=0.0)
         fake = torch.full((5, 4), size, requires_grad=True)
         total = discriminator_loss(ZERO, Features(torch.zeros(5, 4), torch.zeros(5, 4), fake), config)["total"]
         total.backward()
         assert torch.isfinite(fake.grad).all()
         assert float(fake.grad.abs().sum()) <= 0.1 + 1e-6  # w_F times a slope of at most one, shared out
         assert math.isfinite(float(total.detach()))
-        if contrast == "ratio":
-            assert -0.1 - 1e-6 <= float(total.detach()) <= 0.0
 
-    every_case(product(CONTRASTS, DISTANCES, (0.0, 1.0, 1e6, 1e18, 1e30)), check)
+    every_case(product(("contrast", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)
 
 
 def test_contrast_falls_as_features_part() -> None:
-    for contrast in CONTRASTS:
-        gaps = (0.0, 0.5, 2.0, 50.0)
-        found = [parts(SrganLossConfig(contrast=contrast), Features(U, U, U + gap))["total"] for gap in gaps]
-        assert found == sorted(set(found), reverse=True)
+    gaps = (0.0, 0.5, 2.0, 50.0)
+    found = [parts(SrganLossConfig(), Features(U, U, U + gap))["total"] for gap in gaps]
+    assert found == sorted(set(found), reverse=True)
 
 
 def test_the_penalty_is_one_sided_and_worked_by_hand() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from foretouch.errors import ConfigError, DatasetError, ModelError
+from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data import TrainingSet
 from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.losses import SrganLossConfig
@@ -184,15 +184,6 @@ def test_killed_and_resumed_is_uninterrupted(samples, small, method: str) -> Non
     assert resumed.epoch == 2
     steps(resumed, 2)
     assert equal(weights(whole), weights(resumed))
-
-
-def test_a_state_of_another_architecture_is_refused(samples, small, data) -> None:
-    tensors, plain = make(data).snapshot()
-    wide = TrainingSet.build(samples, small.replace(head_widths=(40, 16)))
-    with pytest.raises(
-        ModelError, match=r"net/head.0.linear.weight: \(32, 49\) is not \(40, 49\), so it is of another"
-    ):
-        make(wide).restore(tensors, plain)
 
 
 def test_a_loss_that_is_not_finite_names_batch_and_sample(data) -> None:

@@ -41,19 +41,7 @@ def test_it_learns_what_can_be_learned_and_beats_the_mean(samples, small) -> Non
     assert np.mean((predicted - actual) ** 2) < 0.5 * np.mean((data.labels[:45].mean(axis=0) - actual) ** 2)
 
 
-def test_the_same_seed_gives_the_same_weights(samples, small) -> None:
-    data = TrainingSet.build(samples, small)
-    short = QUICK.replace(epochs=2)
-    torch.manual_seed(1)
-    one = train_network(data, np.arange(40), short).state_dict()
-    torch.manual_seed(2)
-    two = train_network(data, np.arange(40), short).state_dict()
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    other = train_network(data, np.arange(40), short.replace(seed=5)).state_dict()
-    assert not torch.equal(one["output.weight"], other["output.weight"])
-
-
-def test_dropout_too_follows_the_seed_and_leaves_the_global_generator(samples, small) -> None:
+def test_the_seed_decides_dropout_too_and_leaves_the_global_generator(samples, small) -> None:
     data = TrainingSet.build(samples, small.replace(head_dropout=0.5))
     short = QUICK.replace(epochs=2)
     state = torch.random.get_rng_state()
@@ -62,6 +50,8 @@ def test_dropout_too_follows_the_seed_and_leaves_the_global_generator(samples, s
     torch.rand(3)
     two = train_network(data, np.arange(40), short).state_dict()
     assert all(torch.equal(one[key], two[key]) for key in one)
+    other = train_network(data, np.arange(40), short.replace(seed=5)).state_dict()
+    assert not torch.equal(one["output.weight"], other["output.weight"])
 
 
 def test_training_does_not_see_the_held_out_labels(samples, small) -> None:
@@ -134,12 +124,6 @@ def test_every_modality_counts_alike() -> None:
         # One modality at sqrt(4 + 5), three at sqrt(5).
         rooted = (3.0 + 3.0 * 5.0**0.5) / 4.0
         assert float(labeled_loss(scaled, target, SIZES, "rmse", epsilon=5.0)) == pytest.approx(rooted, abs=1e-5)
-
-
-def test_the_root_has_a_finite_slope_at_zero() -> None:
-    scaled = torch.zeros(4, 50, requires_grad=True)
-    labeled_loss(scaled, torch.zeros(4, 50), SIZES, "rmse").backward()
-    assert torch.isfinite(scaled.grad).all()
 
 
 def test_bad_samples_are_named(samples, small) -> None:

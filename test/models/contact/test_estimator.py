@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from foretouch.errors import CloudError, ModelError
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import CHECKED, CONDITIONS, HandFrameFeatures
-from foretouch.models.contact.novelty import NoveltyDetector
-from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, columns
+from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
+from foretouch.tactile import MODALITIES, P2_RANGES, columns
 from foretouch.types import Cloud
 
 SAMPLES = make_samples(5, 10)
@@ -72,15 +71,6 @@ def test_it_predicts_its_training_samples(estimator) -> None:
     assert all(skill[columns([name])].mean() > 0.2 for name in MODALITIES)
 
 
-def test_tensors_give_it_back_to_the_bit(estimator) -> None:
-    again = ContactEstimator.from_tensors(estimator.to_tensors(), P1_RANGES)
-    assert again.ranges is P1_RANGES
-    for one in SAMPLES[::9]:
-        before, after = (which.estimate(one.cloud, [one.grasp]) for which in (estimator, again))
-        assert_array_equal(after.counts, before.counts)
-        assert_array_equal(after.in_distribution, before.in_distribution)
-
-
 def test_damage_is_refused_by_part_and_name(estimator) -> None:
     def check(rule: str, name: str, value: Any) -> None:
         tensors = dict(estimator.to_tensors())
@@ -113,13 +103,6 @@ def test_damage_is_refused_by_part_and_name(estimator) -> None:
         ],
         check,
     )
-
-
-def test_grasps_of_one_call_do_not_depend_on_each_other(estimator) -> None:
-    cloud, grasps = SAMPLES[7].cloud, [sample.grasp for sample in SAMPLES]
-    together = estimator.estimate(cloud, grasps).counts
-    assert_array_equal(together, np.concatenate([estimator.estimate(cloud, [one]).counts for one in grasps]))
-    assert len(np.unique(together[:, 0])) > 10  # it looks at the grasp
 
 
 def test_a_roll_and_a_shift_change_neither_prediction_nor_flag(estimator) -> None:
@@ -157,15 +140,6 @@ def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
         flagged["as trained"] += not estimator.estimate(one.cloud, [one.grasp]).in_distribution[0]
     assert flagged.pop("as trained") <= 2
     assert set(flagged.values()) == {10}
-
-
-def test_scores_of_rows_are_those_of_each(estimator) -> None:
-    rows = describe_samples(SAMPLES)
-    detector = NoveltyDetector.fit(rows, [one.object for one in SAMPLES])
-    one_by_one = np.concatenate([detector.scores(row[None]) for row in rows])
-    assert_array_equal(detector.scores(rows), one_by_one)
-    assert detector.low[0] > 0.0  # distance
-    assert CHECKED[:2] == CONDITIONS
 
 
 def test_copies_of_half_the_points_are_learnt_too() -> None:

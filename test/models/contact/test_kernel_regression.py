@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.metrics.pairwise import laplacian_kernel
@@ -76,30 +77,26 @@ def test_a_column_that_varies_by_rounding_alone_is_constant() -> None:
     assert scale[1] == rows[:, 1].std()
 
 
-def test_tensors_give_it_back_to_the_bit(kernel, rows) -> None:
-    assert_array_equal(KernelRegression.from_tensors(kernel.to_tensors()).predict(rows), kernel.predict(rows))
+def test_damage_is_refused_by_name(kernel, rows) -> None:
+    tensors = kernel.to_tensors()
+    assert_array_equal(KernelRegression.from_tensors(tensors).predict(rows), kernel.predict(rows))
 
+    def check(rule: str, name: str, value: Any) -> None:
+        with pytest.raises(ModelError, match=rule):
+            KernelRegression.from_tensors({**tensors, name: value})
 
-@pytest.mark.parametrize(
-    ("name", "value", "rule"),
-    [
-        ("weight", None, "weight: is missing"),
-        ("known", np.full((60, 7), np.nan, np.float32), "known: holds a value that is not finite"),
-        ("decay", np.array(np.inf), "decay: holds a value that is not finite"),
-        ("known", np.zeros((59, 7), np.float32), "do not fit together"),
-        ("known", np.zeros((60, 6), np.float32), "do not fit together"),
-        ("weight", np.zeros(60, np.float32), "do not fit together"),
-        ("weight", np.array(0.0, np.float32), "do not fit together"),
-        ("centre", np.zeros((1, 7)), "do not fit together"),
-        ("scale", np.ones(6), "do not fit together"),
-        ("decay", np.ones(1), "do not fit together"),
-        ("scale", np.array([1.0, 1, 1, 0, 1, 1, 1]), "scale, decay: a value is not above 0"),
-        ("decay", np.array(-2.0), "scale, decay: a value is not above 0"),
-    ],
-)
-def test_damage_is_refused_by_name(kernel, name: str, value: Any, rule: str) -> None:
-    tensors = kernel.to_tensors() | {name: value}
-    if value is None:
-        del tensors[name]
-    with pytest.raises(ModelError, match=rule):
-        KernelRegression.from_tensors(tensors)
+    unfit, low = "do not fit together", "scale, decay: a value is not above 0"
+    cases = [
+        ("known: holds a value that is not finite", "known", np.full((60, 7), np.nan, np.float32)),
+        ("decay: holds a value that is not finite", "decay", np.array(np.inf)),
+        *((unfit, "known", np.zeros(shape, np.float32)) for shape in ((59, 7), (60, 6))),
+        *((unfit, "weight", np.zeros(shape, np.float32)) for shape in (60, ())),
+        (unfit, "centre", np.zeros((1, 7))),
+        (unfit, "scale", np.ones(6)),
+        (unfit, "decay", np.ones(1)),
+        (low, "scale", np.array([1.0, 1, 1, 0, 1, 1, 1])),
+        (low, "decay", np.array(-2.0)),
+    ]
+    every_case(cases, check)
+    del tensors["weight"]
+    check("weight: is missing", "known", tensors["known"])

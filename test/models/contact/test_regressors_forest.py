@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
@@ -31,20 +31,12 @@ def forest_of(model: Any) -> Forest:
     return Forest.from_trees([tree.tree_ for tree in model.estimators_])
 
 
-@pytest.mark.parametrize("kind", [ExtraTreesRegressor, RandomForestRegressor])
-@pytest.mark.parametrize("outputs", [1, 5])
-def test_predictions_are_scikit_learn_s_but_for_the_rounding_of_leaves(outputs: int, kind: Any, rng) -> None:
-    model, rows = fitted(outputs, kind)
-    asked = np.concatenate([rows, 2.0 * rng.normal(size=(300, 6))])
-    largest = max(np.abs(tree.tree_.value).max() for tree in model.estimators_)
-    found = forest_of(model).predict(asked)
-    assert found.shape == (500, outputs)
-    assert_allclose(found, model.predict(asked).reshape(500, outputs), rtol=0.0, atol=HALF * largest)
-
-
 def test_every_row_reaches_scikit_learn_s_leaf(rng) -> None:
-    model, _ = fitted(3)
-    asked = rng.normal(size=(100, 6))
+    for outputs in (1, 3):
+        reaches_the_leaf(fitted(outputs)[0], 2.0 * rng.normal(size=(300, 6)))
+
+
+def reaches_the_leaf(model: Any, asked: np.ndarray) -> None:
     leaves = model.apply(asked)
     values = [tree.tree_.value[leaves[:, k], :, 0].astype(np.float16) for k, tree in enumerate(model.estimators_)]
     assert_allclose(forest_of(model).predict(asked), np.mean(values, axis=0, dtype=np.float64), atol=1e-14)
@@ -76,79 +68,39 @@ def test_a_stump_of_one_leaf_predicts_its_mean() -> None:
     assert_array_equal(forest_of(model).predict(np.zeros((2, 60))), [[29.5], [29.5]])
 
 
-def test_tensors_give_the_forest_back_to_the_bit() -> None:
-    model, rows = fitted(5)
-    forest = forest_of(model)
-    again = Forest.from_tensors(forest.to_tensors())
-    assert again.output_size == forest.output_size == 5
-    assert_array_equal(again.predict(rows), forest.predict(rows))
+def test_damage_is_refused_by_name() -> None:
+    whole = forest_of(fitted(2)[0]).to_tensors()
+    node, leaf = np.flatnonzero(whole["feature"] >= 0)[3], np.flatnonzero(whole["feature"] < 0)[0]
 
+    def put(name: str, index: Any, value: float) -> dict[str, np.ndarray]:
+        array = whole[name].copy()
+        array[index] = value
+        return {name: array}
 
-def inner_node(tensors: dict[str, np.ndarray]) -> int:
-    return int(np.flatnonzero(tensors["feature"] >= 0)[3])
+    def check(rule: str, change: dict[str, np.ndarray]) -> None:
+        with pytest.raises(ModelError, match=rule):
+            Forest.from_tensors({**whole, **change})
 
-
-def back(tensors: dict[str, np.ndarray]) -> None:
-    node = inner_node(tensors)
-    tensors["children"][node, 0] = node - 1
-
-
-def circle(tensors: dict[str, np.ndarray]) -> None:
-    node = inner_node(tensors)
-    tensors["children"][node, 1] = node
-
-
-def beyond(tensors: dict[str, np.ndarray]) -> None:
-    tensors["children"][inner_node(tensors), 1] = len(tensors["feature"])
-
-
-def a_leaf_goes_on(tensors: dict[str, np.ndarray]) -> None:
-    tensors["children"][np.flatnonzero(tensors["feature"] < 0)[0]] += 1
-
-
-def put(name: str, index: Any, value: float) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(tensors: dict[str, np.ndarray]) -> None:
-        tensors[name][index] = value
-
-    return change
-
-
-def become(name: str, made: Callable[[np.ndarray], np.ndarray]) -> Callable[[dict[str, np.ndarray]], None]:
-    def change(tensors: dict[str, np.ndarray]) -> None:
-        tensors[name] = made(tensors[name])
-
-    return change
-
-
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        (back, "children: a node leads outside the tree, or back"),
-        (circle, "children: a node leads outside the tree, or back"),
-        (beyond, "children: a node leads outside the tree, or back"),
-        (a_leaf_goes_on, "children: a node leads outside the tree, or back"),
-        (put("leaf", 0, -1), "leaf: names no value"),
-        (put("leaf", -1, 60_000), "leaf: names no value"),
-        (put("roots", 0, -1), "roots, value: a root is no node"),
-        (put("roots", -1, 10**6), "roots, value: a root is no node"),
-        (put("value", (0, 0), np.nan), "a value is not finite"),
-        (put("value", (0, 0), np.inf), "a value is not finite"),
-        (put("threshold", 0, np.nan), "a threshold is not finite"),
-        (become("roots", lambda x: x[:0]), "there is no tree"),
-        (become("roots", lambda x: x[:, None]), "arrays do not fit together"),
-        (become("feature", lambda x: x[:, None]), "arrays do not fit together"),
-        (become("feature", lambda x: x[:-1]), "arrays do not fit together"),
-        (become("threshold", lambda x: x[:-1]), "arrays do not fit together"),
-        (become("children", lambda x: x[:, :1]), "arrays do not fit together"),
-        (become("value", lambda x: x[:, 0]), "arrays do not fit together"),
-        (become("feature", lambda x: np.array(3, np.int16)), "arrays do not fit together"),
-        (become("children", lambda x: x.astype(np.int64)), "children: dtype int64 is not int32"),
-        (become("value", lambda x: x.astype(np.float32)), "value: dtype float32 is not float16"),
-        (lambda tensors: tensors.pop("leaf"), "leaf: is missing"),
-    ],
-)
-def test_damage_is_refused_by_name(change: Callable[[dict[str, np.ndarray]], Any], rule: str) -> None:
-    tensors = {name: array.copy() for name, array in forest_of(fitted(2)[0]).to_tensors().items()}
-    change(tensors)
-    with pytest.raises(ModelError, match=rule):
-        Forest.from_tensors(tensors)
+    astray, unfit = "children: a node leads outside the tree, or back", "arrays do not fit together"
+    cases = [
+        (astray, put("children", (node, 0), node - 1)),
+        (astray, put("children", (node, 1), node)),
+        (astray, put("children", (node, 1), len(whole["feature"]))),
+        (astray, put("children", leaf, leaf + 1)),
+        *(("leaf: names no value", put("leaf", k, value)) for k, value in ((0, -1), (-1, 60_000))),
+        *(("roots, value: a root is no node", put("roots", k, value)) for k, value in ((0, -1), (-1, 10**6))),
+        *(("a value is not finite", put("value", (0, 0), value)) for value in (np.nan, np.inf)),
+        ("a threshold is not finite", put("threshold", 0, np.nan)),
+        ("there is no tree", {"roots": whole["roots"][:0]}),
+        (unfit, {"roots": whole["roots"][:, None]}),
+        (unfit, {"feature": whole["feature"][:, None]}),
+        (unfit, {"feature": np.array(3, np.int16)}),
+        *((unfit, {name: whole[name][:-1]}) for name in ("feature", "threshold")),
+        (unfit, {"children": whole["children"][:, :1]}),
+        (unfit, {"value": whole["value"][:, 0]}),
+        ("children: dtype int64 is not int32", {"children": whole["children"].astype(np.int64)}),
+        ("value: dtype float32 is not float16", {"value": whole["value"].astype(np.float32)}),
+    ]
+    every_case(cases, check)
+    del whole["leaf"]
+    check("leaf: is missing", {})

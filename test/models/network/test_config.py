@@ -13,17 +13,8 @@ def test_p2_widths() -> None:
     assert config.head_widths == (1024, 512, 256)
     assert ModelConfig(outputs=("E_MF",)).output_size == 24
     assert ModelConfig().output_size == 50
-
-
-def test_p1_feeds_features_only() -> None:
-    assert ModelConfig(n_points=500, use_grasp=False, outputs=("E_TH",)).head_size == 1024
-
-
-def test_metric_inputs_add_two() -> None:
+    assert ModelConfig(n_points=500, use_grasp=False, outputs=("E_TH",)).head_size == 1024  # P1 feeds features only
     assert ModelConfig(metric_inputs=True).head_size == 1041
-
-
-def test_channels() -> None:
     assert [ModelConfig(channels=c).channel_count for c in ("xyz", "xyz+rgb", "xyz+normals")] == [3, 6, 6]
 
 
@@ -42,8 +33,3 @@ def test_channels() -> None:
 def test_rules(changes, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         ModelConfig(**changes)
-
-
-def test_roundtrip_through_plain_data() -> None:
-    config = ModelConfig(outputs=("E_TH", "PDC_MF"), tnet=False, n_points=500)
-    assert ModelConfig.from_mapping(config.to_mapping()) == config

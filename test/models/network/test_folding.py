@@ -63,15 +63,11 @@ def test_a_prediction_is_bit_equal_whatever_its_mates(small: ModelConfig, make_n
     folded = fold(make_net(config))
     features = folded.features(torch.randn(config.n_points, 3))
     grasps = torch.randn(3 * BLOCK + 5, config.grasp_size)
+    assert folded.regress(features, grasps[:0]).shape == (0, 50)
     together = folded.regress(features, grasps)
     alone = torch.cat([folded.regress(features, grasp[None]) for grasp in grasps])
     assert torch.equal(together, alone)
     assert torch.equal(folded.regress(features, grasps.flip(0)).flip(0), together)
-
-
-def test_no_grasp_gives_no_row(small: ModelConfig, make_net) -> None:
-    folded = fold(make_net())
-    assert folded.regress(torch.zeros(small.feature_size), torch.zeros(0, small.grasp_size)).shape == (0, 50)
 
 
 def test_the_copy_does_not_follow(small: ModelConfig, make_net) -> None:

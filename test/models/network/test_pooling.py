@@ -22,22 +22,6 @@ def test_the_winner_is_the_largest(monkeypatch, size: int, entries: int) -> None
     assert torch.equal(winners(x, weight), (x @ weight.T).argmax(dim=1))
 
 
-@pytest.mark.parametrize("size", [7, 60, 113])
-def test_value_and_gradient_are_the_plain_ones(size: int) -> None:
-    inputs = [value.requires_grad_() for value in made(size, torch.float64)]
-    x, weight, bias = inputs
-    plain = torch.relu(x @ weight.T + bias).amax(dim=1)
-    quick = pooled_affine(x, weight, bias)
-    torch.testing.assert_close(quick, plain)
-    slopes = torch.randn_like(plain)
-    for one, two in zip(
-        torch.autograd.grad((quick * slopes).sum(), inputs),
-        torch.autograd.grad((plain * slopes).sum(), inputs),
-        strict=True,
-    ):
-        torch.testing.assert_close(one, two)
-
-
 def test_a_coarse_search_takes_a_near_equal_point_and_tells_its_exact_value() -> None:
     x, weight, bias = made(750)
     every = torch.relu(x @ weight.T + bias)

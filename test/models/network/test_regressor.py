@@ -36,32 +36,18 @@ def test_p2_layers_have_the_widths_of_the_paper() -> None:
 
 
 @EACH
-def test_shapes_are_as_promised(small: ModelConfig, make_net, changes) -> None:
+def test_neither_batch_nor_order_of_points_matters(small: ModelConfig, make_net, changes) -> None:
     config = small.replace(**changes)
     net = make_net(config)
     points, grasp = inputs(config)
-    assert net.features(points).shape == (4, config.feature_size)
-    assert net(points, grasp).shape == (4, config.output_size)
+    together = net(points, grasp)
+    assert (net.features(points).shape, together.shape) == ((4, config.feature_size), (4, config.output_size))
     assert torch.isfinite(net.counts(points, grasp)).all()
-
-
-@EACH
-def test_order_of_points_does_not_matter(small: ModelConfig, make_net, changes) -> None:
-    config = small.replace(**changes)
-    net = make_net(config)
-    points, grasp = inputs(config)
-    shuffled = points[:, torch.randperm(config.n_points)]
     # not bit-equal: the matrix product may sum a row in another order at another place
-    torch.testing.assert_close(net(shuffled, grasp), net(points, grasp), rtol=1e-5, atol=1e-6)
-
-
-@EACH
-def test_batch_equals_single(small: ModelConfig, make_net, changes) -> None:
-    config = small.replace(**changes)
-    net = make_net(config)
-    points, grasp = inputs(config)
+    shuffled = points[:, torch.randperm(config.n_points)]
+    torch.testing.assert_close(net(shuffled, grasp), together, rtol=1e-5, atol=1e-6)
     single = [net(points[i : i + 1], None if grasp is None else grasp[i : i + 1]) for i in range(4)]
-    torch.testing.assert_close(torch.cat(single), net(points, grasp), rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(torch.cat(single), together, rtol=1e-5, atol=1e-6)
 
 
 @EACH
@@ -78,12 +64,6 @@ def test_gradient_reaches_every_parameter(small: ModelConfig, changes) -> None:
             continue  # batch norm takes its mean away again: no gradient by construction
         assert parameter.grad is not None, name
         assert parameter.grad.abs().max() > 0, name
-
-
-def test_outputs_depend_on_the_grasp(small: ModelConfig, make_net) -> None:
-    net = make_net()
-    points, grasp = inputs(small)
-    assert (net(points, grasp) - net(points, grasp + 0.5)).abs().max() > 1e-3
 
 
 def test_one_batch_can_be_learned_by_heart(small: ModelConfig) -> None:
@@ -115,4 +95,4 @@ def test_transform_starts_as_identity_and_turns_coordinates_only() -> None:
 def test_scaling_is_inverted(make_net) -> None:
     net = make_net()
     counts = torch.linspace(1000, 3000, 100).view(2, 50)
-    torch.testing.assert_close(net.to_counts(net.to_scaled(counts)), counts)
+    torch.testing.assert_close(net.to_scaled(counts) * net.target_scale + net.target_mean, counts)

@@ -170,13 +170,8 @@ def test_requests_and_goals_are_answered_in_the_frame_of_the_robot_from_either_f
     (again,) = load_model(model_card).predict(target.cloud, [Pipeline().grasp_between(target, plan[0].g1, plan[0].g2)])
     assert_allclose(posed.pdc_th.value, again.value.pdc_th, rtol=1e-3)
 
-    client, feedback = graph.action_client(SampleGrasps, "sample_grasps"), []
     goal = SampleGrasps.Goal(cloud=cloud, table=[table], count=5)
-    sent = client.send_goal_async(goal, feedback_callback=lambda m: feedback.append(m.feedback))
-    graph.until(sent.done)
-    future = sent.result().get_result_async()
-    graph.until(lambda: future.done() and feedback)
-    result = future.result().result
+    _, result, feedback = graph.goal(SampleGrasps, "sample_grasps", goal)
     assert result.grasp_state == "success"
     assert {one.header.frame_id for one in (*result.grasp_candidates, *feedback[0].grasp_candidates)} == {"base_link"}
     for one in Pipeline(PipelineConfig(grasp=node.config.grasp.replace(count=5))).plan(target).grasps:

@@ -55,18 +55,6 @@ def send_latest(graph, node, target):
     graph.until(lambda: node.statistics.summary().used == 1)
 
 
-def sample(graph, kind, name, goal):
-    """The status, the result and all feedback of a goal."""
-    client, feedback = graph.action_client(kind, name), []
-    sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback.append(message.feedback))
-    graph.until(sent.done)
-    future = sent.result().get_result_async()
-    graph.until(future.done)
-    status, result = future.result().status, future.result().result
-    graph.until(lambda: feedback or status != GoalStatus.STATUS_SUCCEEDED)
-    return status, result, feedback
-
-
 @pytest.mark.slow
 def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type(
     graph, model_card, planner_type, tmp_path, scene_cloud
@@ -78,13 +66,13 @@ def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type
     (node,) = graph.add("touch_predictor", model=model_card, **frame, **sampling)
     assert node.notes()["sample_grasp_poses"] == "moveit_task_constructor_msgs/SampleGraspPoses"
     goal = planner_type.Goal(action_name="a")
-    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", goal)
+    status, result, feedback = graph.goal(planner_type, "sample_grasp_poses", goal)
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
     send_latest(graph, node, Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0])
-    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", goal)
+    status, result, feedback = graph.goal(planner_type, "sample_grasp_poses", goal)
     assert (status, result.grasp_state, len(feedback)) == (GoalStatus.STATUS_SUCCEEDED, "success", 1)
-    _, own, _ = sample(graph, SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
+    _, own, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
     assert feedback[0].grasp_candidates == own.grasp_candidates
     assert list(feedback[0].costs) == list(own.costs) == sorted(own.costs)
     headers = [(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates]

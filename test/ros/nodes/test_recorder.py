@@ -10,9 +10,8 @@ from rclpy.serialization import serialize_message
 from robot_builders import MS, QUICK, accounts, start
 
 from foretouch.dataset.recording import HOLD, RecordedDataset, TopicCounts, verify_dataset
-from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp
+from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 pytestmark = pytest.mark.ros
@@ -63,17 +62,6 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
         assert one.identity.hand["thumb"] == "TH"
 
 
-def test_what_cannot_be_paired_is_counted_with_the_reason_and_kept_as_messages(graph, tmp_path):
-    node, robot, _ = start(graph, tmp_path / "set")
-    times = robot.grasp("g-0", 0)
-    for name, values in (("unheard of", times), ("g-0", times), ("g-0 too", dict.fromkeys(times, stamp_to_msg(0)))):
-        robot.told.publish(ExecutedGrasp(grasp_id=name, success=bool(values["start"].sec), **values))
-    graph.until(lambda: sum(node.status().outcome_counts) == 4)
-    reasons = ("recorded", "grasp_failed", "grasp_unknown", "told_twice")
-    assert outcomes(node.status()) == dict.fromkeys(reasons, 1)
-    assert accounts(node.status())["executed_grasp"].received == 4
-
-
 def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set", contact__window_s=0.1, contact__lag_s=0.05, pairing__settle_s=0.02)
     graph.until(lambda: node.recording)
@@ -94,18 +82,6 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     assert (record.sample.object, record.note, record.outcome) == ("cup", "slipped", "failure")
     assert record.flags == ("detected_interval",)
     np.testing.assert_allclose(record.sample.touch.vector(), level(1), atol=5.0)
-
-
-def test_clouds_that_were_not_grasped_become_samples_without_a_touch(graph, tmp_path):
-    node, robot, _ = start(graph, tmp_path / "set", unlabelled_s=0.5)
-    for k in range(4):
-        robot.see(f"g-{k}")
-        robot.now += 300 * MS
-    graph.until(lambda: accounts(node.status())["grasps"].received == 4)
-    last = node.end()
-    assert (last.samples, last.unlabelled) == (0, 2)  # the first and the third: 0.6 s apart
-    samples = [one.record.sample for one in stored(tmp_path / "set")]
-    assert [(one.touch, one.grasp.id) for one in samples] == [(None, "g-0"), (None, "g-2")]
 
 
 def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_path):

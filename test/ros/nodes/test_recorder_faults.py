@@ -80,27 +80,6 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     assert [one.sample.grasp.id for one in recorded(tmp_path / "set") if one.sample.touch] == ["before", "after"]
 
 
-def test_a_clock_set_back_and_stamps_that_repeat_make_no_wrong_pair(graph, tmp_path):
-    node, robot, _ = start(graph, tmp_path / "set", pairing__wait_s=0.5, pairing__clock_s=60.0)
-    robot.grasp("g-0", 0)
-    graph.until(lambda: node.status().samples == 1)
-    ended = robot.now
-    robot.now -= 20_000 * MS  # the sensor's clock is set back; what is felt now is stamped before that grasp
-    robot.feel(level(3), 60)
-    graph.until(lambda: node.session_status().anomalies["clock_jump"] == 1)
-    for _ in range(5):  # a driver that repeats a message with its stamp
-        robot.feel(REST, 1)
-        robot.now -= 10 * MS
-    graph.until(lambda: node.session_status().anomalies["duplicate_stamp"] == 4)
-    robot.now = ended + 1000 * MS  # the clock is right again
-    robot.grasp("g-1", 1)
-    graph.until(lambda: sum(outcomes(node.status()).values()) == 2)
-    node.end()
-    assert outcomes(node.status()) == {"recorded": 2}
-    assert_levels(recorded(tmp_path / "set"))
-    assert node.status().received == node.status().used == sum(robot.sent.values())
-
-
 def test_a_disk_that_fails_ends_the_recording_with_the_reason(graph, tmp_path, monkeypatch):
     node, robot, statuses = start(graph, tmp_path / "set")
     robot.grasp("g-0", 0)

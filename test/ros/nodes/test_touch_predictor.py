@@ -43,7 +43,7 @@ class Planner:
 
     def __init__(self, graph, target, grasps, **parameters):
         (self.node,) = graph.add("touch_predictor", **parameters)
-        self.graph, self.target, self.grasps, self.feedback, self.client = graph, target, grasps, [], None
+        self.graph, self.target, self.grasps, self.feedback = graph, target, grasps, []
 
     def request(self, count=1):
         messages, table = [grasp_to_msg(one) for one in self.grasps[:count]], [plane_to_msg(self.target.plane)]
@@ -56,16 +56,9 @@ class Planner:
         table = [plane_to_msg(self.target.plane)]
         return SampleGrasps.Goal(cloud=objects_to_msg([self.target], "cam", 5), table=table, count=5, **fields)
 
-    def send(self, goal):
-        self.client = self.client or self.graph.action_client(SampleGrasps, "sample_grasps")
-        return self.client.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-
     def sample(self, goal=None):
-        sent = self.send(goal or self.goal())
-        self.graph.until(sent.done)
-        result = sent.result().get_result_async()
-        self.graph.until(result.done)
-        return result.result().result
+        _, result, self.feedback = self.graph.goal(SampleGrasps, "sample_grasps", goal or self.goal())
+        return result
 
 
 @pytest.fixture
@@ -206,7 +199,6 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(graph, planner
     first = result.predictions[0]
     share = ((first.pdc_th.value - 2500) / 900 + (first.pdc_mf.value - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
-    graph.until(lambda: planner.feedback)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
     by_score = planner.sample(planner.goal(cost=SampleGrasps.Goal.SCORE))
     plan = Pipeline(PipelineConfig(grasp=GeoGraspConfig(count=5))).plan(target)
@@ -301,7 +293,8 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(graph, planner, monkeypat
 
     monkeypatch.setattr("foretouch.ros.messages.requests.plan_targets", many)
     monkeypatch.setattr(type(planner.node._predictor), "array", slow)
-    planner.send(planner.goal()).add_done_callback(lambda future: handles.append(future.result()))
+    sent = graph.action_client(SampleGrasps, "sample_grasps").send_goal_async(planner.goal())
+    sent.add_done_callback(lambda future: handles.append(future.result()))
     graph.until(lambda: handles)
     future = handles[0].get_result_async()
     graph.until(future.done)

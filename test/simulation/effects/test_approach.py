@@ -55,14 +55,14 @@ def test_the_posture_moves_the_contact_over_the_pad() -> None:
 def test_the_execution_error_moves_both_fingers_as_one_hand() -> None:
     config = scene(BALL, grasps={"error": {"position_m": 0.002, "angle_deg": 3.0}})
     shifts = []
-    for slot in range(30):
+    for slot in range(16):
         before, after = run(scene(BALL), "fingers", slot=slot).fingers, run(config, "fingers", slot=slot).fingers
         width = [np.linalg.norm(a.origin - b.origin) for a, b in (before, after)]
         assert width[0] == pytest.approx(width[1])
         shift = (after[0].origin + after[1].origin - before[0].origin - before[1].origin) / 2.0
         assert abs(shift @ before[0].normal) < 1e-12  # only in the tangent plane
         shifts.append(shift)
-    assert np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))) == pytest.approx(0.002 * np.sqrt(2), rel=0.3)
+    assert np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))) == pytest.approx(0.002 * np.sqrt(2), rel=0.4)
 
 
 def test_a_finger_that_finds_no_hold_is_named() -> None:

@@ -7,7 +7,6 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 
 import struct
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -16,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata, Statistics
 
 from foretouch.checked_files import open_regular
-from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
+from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, recorded_files, session_files
 from foretouch.dataset.recording.records import (
@@ -182,41 +181,15 @@ def _require(path: Path, found: _T | Damage) -> _T:
     return found
 
 
-class SampleIds:
-    """The ids of a dataset: each is used once, and numbers continue those of the session before. Not thread-safe."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._taken = {sample_id for file in session_files(path) for sample_id in _sample_ids(file)}
-        self._last = max(map(id_number, self._taken), default=0)
-
-    def with_id(self, record: SampleRecord) -> SampleRecord:
-        """The record with its id; an empty one becomes `<object>/<number>`, one above the highest.
-
-        Raises a `DatasetError` if the object is no plain name, or the id is taken.
-        """
-        sample = record.sample
-        check_name(sample.object, "object")
-        if not sample.id:
-            sample = replace(sample, id=numbered_id(sample.object, self._last + 1))
-        if sample.id in self._taken:
-            raise DatasetError(
-                f"{self._path}: id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
-            )
-        return replace(record, sample=sample)
-
-    def add(self, sample_id: str) -> None:
-        """Mark an id as used."""
-        self._taken.add(sample_id)
-        self._last = max(self._last, id_number(sample_id))
-
-
-def _sample_ids(path: Path) -> list[str]:
-    """The ids in a file, including those after damage that `repair` would save (raises as `_sample_messages`)."""
-    data = mapped(path)
-    cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-    saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
-    return [_id_of(path, data, message) for message in chain(_sample_messages(path, data), saved)]
+def recorded_ids(path: Path) -> set[str]:
+    """The ids in a dataset, including those after damage that `repair` would save; a `FileError` for other damage."""
+    ids = set()
+    for file in session_files(path):
+        data = mapped(file)
+        cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
+        saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
+        ids |= {_id_of(file, data, message) for message in chain(_sample_messages(file, data), saved)}
+    return ids
 
 
 def _id_of(path: Path, data: memoryview, sample: RecordedMessage) -> str:

@@ -28,7 +28,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Final, Self
 
@@ -37,10 +37,10 @@ from mcap.records import Message
 from foretouch import __version__
 from foretouch.config import Settings, setting
 from foretouch.dataset.files import sync_folder
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import SampleIds
+from foretouch.dataset.recording.reader import recorded_ids
 from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
@@ -124,7 +124,8 @@ class RecordingWriter:
         self._pending_bytes = 0
         with ExitStack() as stack:
             stack.enter_context(opened_to_write(self.path, identity))
-            self._ids = SampleIds(self.path)
+            self._ids = recorded_ids(self.path)  # each is used once, and numbers continue those before
+            self._last_number = max(map(id_number, self._ids), default=0)
             self.file = new_session_path(self.path)
             self.output = McapFile(self.file)
             stack.callback(self.output.abandon)
@@ -210,12 +211,11 @@ class RecordingWriter:
             if late or self._pending_bytes >= _CHUNK_BYTES:
                 self.flush()
 
-    def append(self, record: SampleRecord, log_time_ns: int | None = None) -> str:
+    def append(self, record: SampleRecord) -> str:
         """Write a sample in a chunk of its own, after all messages before it.
 
         Args:
             record: An empty id becomes `<object>/<number>`, the number one above the dataset's highest.
-            log_time_ns: When it was complete [ns]; by default now.
 
         Returns:
             The id. The sample is now as safe as `RecordingConfig` specifies.
@@ -226,11 +226,10 @@ class RecordingWriter:
         """
         with self._guard:
             self._require_open()
-            record = self._ids.with_id(record)
+            record = self._with_id(record)
             data = encode_sample(record, self.identity)
-            now = time.time_ns() if log_time_ns is None else log_time_ns
             sample = record.sample
-            message = self.output.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
+            message = self.output.message(SAMPLE_TOPIC, data, time.time_ns(), sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
             self._write_pending()
             self._pending = [(SAMPLE_TOPIC, message)]
@@ -238,6 +237,7 @@ class RecordingWriter:
             self._write_pending()
             self._unsynced_samples += 1
             self._ids.add(sample.id)
+            self._last_number = max(self._last_number, id_number(sample.id))
             self.samples += 1
             self.labelled += sample.touch is not None
             self._after_write()
@@ -263,6 +263,16 @@ class RecordingWriter:
             self._end("not written when the session ended")
             if self._removal:
                 raise FileError(self.file, self._removal)
+
+    def _with_id(self, record: SampleRecord) -> SampleRecord:
+        sample = record.sample
+        check_name(sample.object, "object")
+        if not sample.id:
+            sample = replace(sample, id=numbered_id(sample.object, self._last_number + 1))
+        if sample.id in self._ids:
+            hint = "`foretouch dataset build` joins datasets with equal ids"
+            raise DatasetError(f"{self.path}: id {sample.id} is taken; {hint}")
+        return replace(record, sample=sample)
 
     def _require_open(self) -> None:
         if self.closed:

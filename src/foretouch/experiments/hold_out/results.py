@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.hold_out.splits import KNOWN, OBJECT_KNOWN, UNITS, CrossTypeSettings, LookalikesSettings
-from foretouch.experiments.shared.figures import Line, draw_series, draw_skill_figure, save_panels
-from foretouch.experiments.shared.p1 import ACROSS, P1, PUBLISHED, draw_errors
+from foretouch.experiments.p1_as_published import ACROSS, P1, PUBLISHED, draw_errors
+from foretouch.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch.experiments.shared.predictors import SHRINKAGE
 from foretouch.experiments.shared.scores import score_table
 from foretouch.experiments.shared.tables import (
@@ -82,14 +82,14 @@ def draw_lookalikes(rows: Rows, folder: Path) -> list[Path]:
     together = select(rows, kind=ALL_OBJECTS)
     predictors = unique(together, "predictor")
 
-    def draw(axes: Axes, own: Rows) -> None:
+    def _draw(axes: Axes, own: Rows) -> None:
         touched = [row for row in own if row["touches"] is not None]
         _by_predictor(axes, touched, x="touches", names=predictors, lowest=-0.2)
         for row in select(own, table=OBJECT_KNOWN):
             axes.axhline(row["skill"], color=f"C{predictors.index(row['predictor'])}", linestyle="--", linewidth=0.8)
 
     label = "skill, 95 % interval\n(dashed: trained on that object alone)"
-    line = Line(3.8, together, draw, "", "touches of the object", label, "right center")
+    line = Line(3.8, together, _draw, "", "touches of the object", label, "right center")
     return save_panels(folder / "lookalikes.png", 13.0, [line], sharey=True, sharex=True)
 
 
@@ -136,13 +136,13 @@ def _error_text(row: Row) -> str:
 
 
 def draw_types(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `rmse.png`, the tables that P1 has too, and `skill.png`, all tables."""
+    """Draw `rmse.png`: the tables that P1 has too."""
     together = select(rows, object=ALL_OBJECTS)
     tables = unique(select(together, predictor=P1), "table")
     draw = partial(draw_errors, tables=tables, predictors=unique(together, "predictor"), values="rmse")
     own = [row for row in together if row["table"] in tables]
     line = Line(3.4, own, draw, y_label="RMSE [counts]", legend="right center")
-    return [*save_panels(folder / "rmse.png", 12.0, [line]), *draw_skill_figure(rows, folder)]
+    return save_panels(folder / "rmse.png", 12.0, [line])
 
 
 def summarise_sizes(rows: Sequence[Row]) -> list[Table]:
@@ -159,7 +159,7 @@ def draw_sizes(rows: Rows, folder: Path) -> list[Path]:
     """Draw `curve.png`: conditions below each other, modalities side by side."""
     predictors = unique(rows, "predictor")
 
-    def draw(axes: Axes, own: Rows) -> None:
+    def _draw(axes: Axes, own: Rows) -> None:
         _by_predictor(axes, own, x="size", names=predictors)
         axes.set_ylim(max(-0.6, axes.get_ylim()[0]), None)
 
@@ -167,7 +167,7 @@ def draw_sizes(rows: Rows, folder: Path) -> list[Path]:
         Line(
             3.0,
             own,
-            draw,
+            _draw,
             name,
             f"training {'grasps per object' if name == KNOWN else 'objects'}",
             "skill, 95 % interval",

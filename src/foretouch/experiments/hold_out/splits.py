@@ -11,8 +11,8 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.hold_out.transfer import TRANSFER_METHODS
+from foretouch.experiments.p1_as_published import ObjectTypes
 from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_objects
-from foretouch.experiments.shared.p1 import ObjectTypes
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
 from foretouch.experiments.shared.scores import labelled
 from foretouch.experiments.shared.simulated_data import (
@@ -114,7 +114,7 @@ class LearningCurveSettings(HoldOutSettings, BothSettings):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TrainTestSplit:
+class _TrainTestSplit:
     """Grasps that predictors are fitted to, and those that they are tested on."""
 
     train: Sequence[GraspSample]
@@ -125,31 +125,31 @@ class TrainTestSplit:
     columns: Row = field(default_factory=dict)  # further columns of the results
 
 
-Splitter = Callable[[Any, Any, int], Iterator[TrainTestSplit]]
+Splitter = Callable[[Any, Any, int], Iterator[_TrainTestSplit]]
 """From settings, data and a seed."""
 
 
 def folds(name: str) -> Splitter:
     """Folds of a named split over all objects, as one table."""
 
-    def split(settings: HoldOutSettings, data: Dataset, seed: int) -> Iterator[TrainTestSplit]:
+    def _split(settings: HoldOutSettings, data: Dataset, seed: int) -> Iterator[_TrainTestSplit]:
         del settings
         samples = labelled(data)
         if not samples:
             raise DatasetError("experiment: no sample is labelled")
         return (_of_fold(samples, fold, name) for fold in make_folds(samples, name, seed))
 
-    return split
+    return _split
 
 
-def objects(settings: TouchSettings, data: Dataset | RealAndSimulated, seed: int) -> Iterator[TrainTestSplit]:
+def objects(settings: TouchSettings, data: Dataset | RealAndSimulated, seed: int) -> Iterator[_TrainTestSplit]:
     """Each real object."""
     del settings, seed
     samples = labelled(data.real if isinstance(data, RealAndSimulated) else data)
     return (_of_fold(samples, fold, "") for fold in make_folds(samples, "object", 0))
 
 
-def types(settings: CrossTypeSettings, data: Dataset, seed: int) -> Iterator[TrainTestSplit]:
+def types(settings: CrossTypeSettings, data: Dataset, seed: int) -> Iterator[_TrainTestSplit]:
     """Five random folds within each type of objects, and one type against the other."""
     samples = labelled(data)
     found = settings.types.indices(samples)
@@ -167,12 +167,12 @@ def types(settings: CrossTypeSettings, data: Dataset, seed: int) -> Iterator[Tra
         yield _of_fold(samples, Fold(found[one], found[other], table), table, columns)
 
 
-def _of_fold(samples: Sequence[GraspSample], fold: Fold, table: str, columns: Row | None = None) -> TrainTestSplit:
+def _of_fold(samples: Sequence[GraspSample], fold: Fold, table: str, columns: Row | None = None) -> _TrainTestSplit:
     train, test = ([samples[k] for k in side] for side in (fold.train, fold.test))
-    return TrainTestSplit(train=train, tested=[test], table=table, part=fold.name, columns=columns or {})
+    return _TrainTestSplit(train=train, tested=[test], table=table, part=fold.name, columns=columns or {})
 
 
-def sizes(settings: LearningCurveSettings, data: RealAndSimulated, seed: int) -> Iterator[TrainTestSplit]:
+def sizes(settings: LearningCurveSettings, data: RealAndSimulated, seed: int) -> Iterator[_TrainTestSplit]:
     """Some of the training grasps or objects of each condition, drawn by the seed.
 
     The reference is the mean of the *full* training side at every size, so that all sizes are comparable.
@@ -181,7 +181,7 @@ def sizes(settings: LearningCurveSettings, data: RealAndSimulated, seed: int) ->
     for condition in settings.test_conditions:
         if condition == SIMULATED:
             train, test = split_objects(labelled(data.simulated), max(settings.simulated_objects), 0)
-            whole = [TrainTestSplit(train=train, tested=[test], part="all")]
+            whole = [_TrainTestSplit(train=train, tested=[test], part="all")]
         else:
             name = "time" if condition == KNOWN else "object"
             whole = list(folds(name)(settings, data.real, 0))
@@ -194,7 +194,7 @@ def sizes(settings: LearningCurveSettings, data: RealAndSimulated, seed: int) ->
                 yield replace(one, train=chosen, mean=mean, table=table, columns=columns)
 
 
-def sessions(settings: LookalikesSettings, data: SimulatedGrasps, seed: int) -> Iterator[TrainTestSplit]:
+def sessions(settings: LookalikesSettings, data: SimulatedGrasps, seed: int) -> Iterator[_TrainTestSplit]:
     """Half of the sessions with each object, each under an object name of its own, since the cloud does not show it.
 
     Fits are to the other half of all objects, or of the tested object alone.
@@ -212,6 +212,6 @@ def sessions(settings: LookalikesSettings, data: SimulatedGrasps, seed: int) -> 
         raise DatasetError(f"{data.collection.name}: too few grasps for a session of {size}")
     every = [sample for own in train.values() for sample in own]
     mean = labels_of(every).mean(axis=0)
-    yield TrainTestSplit(train=every, tested=[one for own in tested.values() for one in own], part="all", mean=mean)
+    yield _TrainTestSplit(train=every, tested=[one for own in tested.values() for one in own], part="all", mean=mean)
     for name, own in train.items():
-        yield TrainTestSplit(train=own, tested=tested[name], table=OBJECT_KNOWN, part=name, mean=mean)
+        yield _TrainTestSplit(train=own, tested=tested[name], table=OBJECT_KNOWN, part=name, mean=mean)

@@ -30,7 +30,7 @@ Changes = Mapping[str, Float64]
 """f by the id of the sample."""
 
 
-def simulated_changes(
+def _simulated_changes(
     simulated: Sequence[GraspSample], real: Sequence[GraspSample], seed: int, trees: int
 ) -> dict[str, Float64]:
     """Predict f for every real grasp: (50,) by id [counts]; labels of the real grasps are not used."""
@@ -55,12 +55,12 @@ def _scaled(changes: Changes, trees: int) -> Baseline:
 def _residual(changes: Changes, trees: int) -> Baseline:
     """Eq. 3."""
 
-    def predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
         predicted = _scaled(changes, trees)(train, labels, [*train, *test], seed)
         residuals = labels - predicted[: len(train)]
         return predicted[len(train) :] + geometry_trees(train, residuals, test, seed, trees=trees)
 
-    return predict
+    return _predict
 
 
 TRANSFER_METHODS: Final[dict[str, Callable[[Changes, int], Baseline]]] = {
@@ -100,13 +100,13 @@ def fit_transfer(name: str, data: RealAndSimulated, training_fraction: float) ->
     """The fit of one of `TRANSFER_METHODS`."""
     trees = max(1, round(training_fraction * TREES))
 
-    def fit(train: Sequence[GraspSample], labels: Float64, seed: int) -> Fitted:
+    def _fit(train: Sequence[GraspSample], labels: Float64, seed: int) -> Fitted:
         method: Any = TRANSFER_METHODS[name](_changes(data, seed, trees), trees)
         return with_offset_correction(method)(train, labels, seed)
 
-    return fit
+    return _fit
 
 
 @lru_cache(maxsize=1)
 def _changes(data: RealAndSimulated, seed: int, trees: int) -> dict[str, Float64]:
-    return simulated_changes(labelled(data.simulated), labelled(data.real), seed, trees)
+    return _simulated_changes(labelled(data.simulated), labelled(data.real), seed, trees)

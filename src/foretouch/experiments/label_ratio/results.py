@@ -29,7 +29,7 @@ from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
 from foretouch.experiments.shared.figures import Line, save_panels
-from foretouch.experiments.shared.tables import findings, grouped, pivot, select, unique
+from foretouch.experiments.shared.tables import SIGNS, findings, grouped, pivot, select, unique
 from foretouch.report.panels import Rows
 from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64
@@ -66,8 +66,7 @@ P2_AVERAGES: Final = {"PDC_TH": 4, "PDC_MF": 4, "E_TH": 3, "E_MF": 1}
 _TAIL: Final = 0.025
 _BARS: Final = (("pointnet", "P: PointNet", "#8d99ae"), ("srgan", "S: SR-GAN", "#00798c"))
 _BASELINES: Final = (("mean", "mean of the labels", "#d1495b"), ("trees", "trees on geometry", "#edae49"))
-_VERDICTS: Final = {"win": ">", "tie": "=", "loss": "<"}
-_COLOURS: Final = {"win": "#2a9d4e", "loss": "#d1495b"}
+_COLOURS: Final = {"better": "#2a9d4e", "worse": "#d1495b"}
 _HALF: Final = 0.38
 _LEAST_SPAN: Final = 5.0  # of the axis of differences to both sides [%]
 
@@ -119,7 +118,7 @@ def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: i
             f"{name}_percent": 100.0 * rmse.mean() / width,
         }
     change, low, high = _change(srgan, pointnet, sizes, draws, seed)
-    verdict = None if low is None or high is None else "win" if high < 0.0 else "loss" if low > 0.0 else "tie"
+    verdict = None if low is None or high is None else "better" if high < 0.0 else "worse" if low > 0.0 else "tie"
     return result | {"change": change, "change_low": low, "change_high": high, "verdict": verdict}
 
 
@@ -161,8 +160,11 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     """Sentences, and tables of the errors of both models, of the baselines, and of the differences."""
     cells = len(rows)
     below = [sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows) for model in MODELS]
+    counts = [sum(row["verdict"] == verdict for row in rows) for verdict in SIGNS]
+    lower = sum(row["change"] < 0.0 for row in rows)
     sentences = [
-        *tally(rows),
+        f"of {cells} cells, the SR-GAN is significantly better in {counts[0]} and significantly worse in {counts[1]}",
+        f"by mean error the SR-GAN is better in {lower} of {cells} cells (P2: {sum(P2_AVERAGES.values())} of 20)",
         f"mean error below that of the mean of the labels: PointNet in {below[0]} of {cells} cells, SR-GAN in {below[1]}",
     ]
     with_trees = [row for row in rows if row["trees_rmse"] is not None]
@@ -170,7 +172,7 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     sentences += [f"trees on geometry have a lower error than both networks in {lower} of {cells} cells"] * bool(lower)
     notes = [
         "difference of the SR-GAN's RMSE from the PointNet's [95 % interval, without correction for the number of cells]",
-        "`>` SR-GAN significantly better, `<` significantly worse, `=` no significant difference",
+        "▲ SR-GAN significantly better, ▼ significantly worse, = no significant difference",
     ]
     columns = ["", *MODALITIES]
     baselines = "Baselines with the same labels: mean of the labels / trees on geometry, RMSE in counts"
@@ -181,19 +183,6 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
         ),
         Table(baselines, columns, _body(rows, _baseline_errors)),
         Table("SR-GAN against PointNet [%]", columns, _body(rows, _change_text), notes),
-    ]
-
-
-def tally(rows: Rows) -> list[str]:
-    """Wins, ties and losses by interval, and by mean error alone, as P2 counts."""
-    verdicts = [row["verdict"] for row in rows]
-    plurals = {"win": "wins", "tie": "ties", "loss": "losses"}
-    counts = ", ".join(f"{verdicts.count(name)} {plural}" for name, plural in plurals.items())
-    counts += f"; {verdicts.count(None)} with a single run" if None in verdicts else ""
-    lower = sum(row["change"] < 0.0 for row in rows)
-    return [
-        f"SR-GAN by 95 % interval: {counts}",
-        f"by mean error the SR-GAN is better in {lower} of {len(rows)} cells (P2: {sum(P2_AVERAGES.values())} of 20)",
     ]
 
 
@@ -214,7 +203,7 @@ def _change_text(row: Row) -> str:
     text = f"{row['change']:+.1f}"
     if row["verdict"] is None:
         return text
-    return f"{text} {_VERDICTS[row['verdict']]}\n[{row['change_low']:+.1f}, {row['change_high']:+.1f}]"
+    return f"{text} {SIGNS[row['verdict']]}\n[{row['change_low']:+.1f}, {row['change_high']:+.1f}]"
 
 
 def draw_models(rows: Rows, folder: Path) -> list[Path]:

@@ -98,7 +98,7 @@ AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class LabelSplit:
+class _LabelSplit:
     """Indices of the samples."""
 
     train: Indices  # (T,) labelled training samples
@@ -117,7 +117,7 @@ def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
     return data
 
 
-def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> LabelSplit:
+def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> _LabelSplit:
     """Split the samples at one of P2's ratios, such as 10 for T10.
 
     With a share `held_out`, this share of the labelled samples is tested on instead of the test samples.
@@ -128,12 +128,12 @@ def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) ->
     (part,) = data.parts(f"labels/T{ratio}")
     train, test, unlabelled = (data.index(ids) for ids in (part.train, part.test, part.unlabelled))
     if held_out == 0.0:
-        return LabelSplit(train, unlabelled, test)
+        return _LabelSplit(train, unlabelled, test)
     count = round(held_out * len(train))
     if count == 0:
         raise DatasetError(f"held_out: {held_out} of {len(train)} samples is none")
     shuffled = np.random.default_rng(seed).permutation(train)
-    return LabelSplit(np.sort(shuffled[count:]), unlabelled, np.sort(shuffled[:count]))
+    return _LabelSplit(np.sort(shuffled[count:]), unlabelled, np.sort(shuffled[:count]))
 
 
 def prepared(data: SimulatedGrasps, model: ModelConfig, count: int) -> PresampledSet:
@@ -239,7 +239,7 @@ class PointnetTrainer(SrganTrainer):
 
 
 def train_and_predict(
-    data: TrainingSet, split: LabelSplit, model: str, config: SrganConfig, *, as_printed: bool = False
+    data: TrainingSet, split: _LabelSplit, model: str, config: SrganConfig, *, as_printed: bool = False
 ) -> tuple[Float64, int]:
     """Train a network, with `as_printed` the PointNet as P2 describes it.
 
@@ -271,7 +271,7 @@ def train_and_predict(
     return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
 
 
-def error_row(data: TrainingSet, split: LabelSplit, predicted: Float64, objects: Sequence[str]) -> Row:
+def error_row(data: TrainingSet, split: _LabelSplit, predicted: Float64, objects: Sequence[str]) -> Row:
     """Squared errors of (J, M) predictions and of the training mean, for each test sample of the (J,) objects.
 
     Returns:

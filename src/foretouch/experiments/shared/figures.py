@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
-from foretouch.report.panels import Rows, mark_off_scale, new_figure, save_small
+from foretouch.report.panels import Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
@@ -115,7 +115,9 @@ def draw_intervals(
         y, value = names.index(row[column]), row[values]
         shown = colour(row) if colour else f"C{y % 10}"
         if value < lowest:
-            mark_off_scale(axes, lowest, y, f"{value:.2f}" if abs(value) < 1.0 else f"{value:.1f}", shown)
+            text = f"{value:.2f}" if abs(value) < 1.0 else f"{value:.1f}"
+            axes.plot(lowest, y, marker="<", color=shown, clip_on=False)
+            axes.annotate(text, (lowest, y), (6, 0), textcoords="offset points", va="center", fontsize=8)
             continue
         axes.plot(value, y, marker="o", color=shown, markersize=5)
         if row[f"{values}_low"] is not None:

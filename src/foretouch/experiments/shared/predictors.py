@@ -41,7 +41,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
     if name not in RECIPES:
         raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
 
-    def predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
         from foretouch.learning.data.training_set import predict_set
         from foretouch.learning.training.run_config import load_run_config
         from foretouch.learning.training.supervised import train_network
@@ -60,7 +60,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
             predicted[:, columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
         return _with_fallback(predicted, train, labels, test) if together else predicted
 
-    return predict
+    return _predict
 
 
 def _with_fallback(

@@ -40,7 +40,7 @@ class SplitPart:
     test: tuple[str, ...]
     unlabelled: tuple[str, ...] = ()  # samples to train on without their labels
 
-    def require_disjoint(self) -> None:
+    def __post_init__(self) -> None:
         """Raise `DatasetError`, with the split and an id, if an id is in two parts."""
         seen: set[str] = set()
         for side in (self.train, self.test, self.unlabelled):
@@ -58,7 +58,9 @@ class DatasetSplits:
     omitted: dict[str, str]  # why there are too few samples for a split
 
 
-def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
+def _label_ratios(
+    groups: Sequence[str], rng: np.random.Generator
+) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
     """P2's label ratios.
 
     Args:
@@ -107,8 +109,6 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
         except DatasetError as err:
             omitted[kind] = str(err)
             continue
-        for part in parts:
-            part.require_disjoint()
         splits[kind] = [_plain(part) for part in parts]
     content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
@@ -137,14 +137,10 @@ def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
             raise FileError(file, f"{content['schema_version']} is not {_VERSION}", field="schema_version")
         kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in content["splits"].items()}
         omitted = {str(kind): str(reason) for kind, reason in content.get("omitted", {}).items()}
+    except DatasetError as err:
+        raise FileError(file, str(err)) from err
     except (ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
-    for parts in kinds.values():
-        for part in parts:
-            try:
-                part.require_disjoint()
-            except DatasetError as err:
-                raise FileError(file, str(err)) from err
     return DatasetSplits(kinds, omitted)
 
 
@@ -169,7 +165,7 @@ def _time(samples: Sequence[SampleFacts], _rng: np.random.Generator) -> Iterator
 def _labels(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     never = tuple(sample.id for sample in samples if not sample.labelled)
-    test, parts = label_ratios([sample.object for sample in labelled], rng)
+    test, parts = _label_ratios([sample.object for sample in labelled], rng)
     for name, (train, without) in parts.items():
         yield SplitPart(name, _ids(labelled, train), _ids(labelled, test), _ids(labelled, without) + never)
 

@@ -168,10 +168,6 @@ class ObjectErrors:
         mean = self.squared.sum(axis=0) / self.counts.sum()
         return {name: float(np.sqrt(mean[columns([name])].mean())) for name in MODALITIES}
 
-    def reference_rmse(self) -> dict[str, float]:
-        """`rmse` of the training mean."""
-        return ObjectErrors(self.objects, self.counts, self.reference, self.reference).rmse()
-
 
 @dataclass(frozen=True)
 class Estimate:

@@ -13,10 +13,10 @@ Its text contradicts eq. 4 (L_fake "tries to make the features of the unlabeled 
 as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the original SR-GAN work"). Hence `loss_variant`:
 
     as_printed  eqs. 3, 4, 5 to the letter: fake clouds enter no loss of the discriminator
-    contrast    eqs. 3 and 5; L_fake pushes f(x_U) and f(x_F) apart by a contrast of bounded slope. The negative of
-                eq. 3's square is not offered: it is unbounded below, and diverged to 65 million within 60 steps
+    contrast    eqs. 3 and 5; L_fake pushes f(x_U) and f(x_F) apart by -mean sqrt(|Δ| + 1) of their differences Δ. The
+                negative of eq. 3's square is unbounded below, and diverged to 65 million within 60 steps
     srgan       Olmschenk et al. 2019, with Δ the difference of the batches' mean features: matching and generator
-                loss mean|Δ|, contrast -mean sqrt(|Δ| + 1). Its labelled loss is replaced by eq. 2, as in P2
+                loss mean|Δ|, the same contrast. Its labelled loss is replaced by eq. 2, as in P2
 
 Shapes: B samples, F features, M outputs.
 """
@@ -42,30 +42,12 @@ class SrganLossConfig(Settings):
     loss_variant: str = setting(
         "contrast", "Variant of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "srgan")
     )
-    distance: str = setting(
-        "loss_variant",
-        "Distance between the i-th samples of both batches (eqs. 3 to 5), or between the batches' means (SR-GAN)",
-        choices=("loss_variant", "per_sample", "batch_mean"),
-    )
-    contrast: str = setting(
-        "sqrt",
-        "Contrast of unlabelled and fake features in the variant `contrast`: -mean sqrt(|Δ| + 1), -mean log(|Δ| + 1), "
-        "-mean |Δ|, or -mean |Δ| / (|Δ| + 1), whose value is bounded, too",
-        choices=("sqrt", "log", "abs", "ratio"),
-    )
     weight_labeled: float = setting(1.0, "w_L", minimum=0.0, maximum=1e6)
     weight_unlabeled: float = setting(10.0, "w_U", minimum=0.0, maximum=1e6)
     weight_fake: float = setting(0.1, "w_F", minimum=0.0, maximum=1e6)
     gradient_penalty: float = setting(
         0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", minimum=0.0, maximum=1e6
     )
-
-    @property
-    def pairs(self) -> bool:
-        """Whether samples are compared in pairs rather than by the batches' means."""
-        if self.distance == "loss_variant":
-            return self.loss_variant != "srgan"
-        return self.distance == "per_sample"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +59,7 @@ class Features:
     fake: Tensor | None = None  # not needed for the variant `as_printed`
 
 
-def safe_root(mean_square: Tensor) -> Tensor:
+def _safe_root(mean_square: Tensor) -> Tensor:
     """The square root, with a finite slope at zero.
 
     Departure from eq. 2, whose slope at zero is infinite and turns a perfect batch into NaN weights: below 1e-6 the
@@ -105,7 +87,7 @@ def labeled_loss(
         kind: `rmse`, or `mse` without the root.
         context: The processes that share the batch. Squares and their number are summed over all of them before the
             root: the mean of each process's own root is a different loss.
-        epsilon: Added to the mean square under the root, as in P1's public code; 0 for `safe_root`.
+        epsilon: Added to the mean square under the root, as in P1's public code; 0 for `_safe_root`.
 
     Raises:
         DatasetError: If there is no sample, or a tensor is not floating.
@@ -119,7 +101,7 @@ def labeled_loss(
     stacked = torch.stack(means)
     if kind == "mse":
         return stacked.mean()
-    return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else safe_root(stacked)).mean()
+    return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else _safe_root(stacked)).mean()
 
 
 def discriminator_loss(
@@ -141,7 +123,7 @@ def discriminator_loss(
     Raises:
         DatasetError: If samples are compared in pairs and the batches differ in size.
     """
-    unlabeled = _matching(features.labeled, features.unlabeled, config, context)
+    unlabeled = matching_loss(features.labeled, features.unlabeled, config, context)
     fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config, context)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
@@ -151,18 +133,17 @@ def discriminator_loss(
     return {**parts, "total": total}
 
 
-def generator_loss(
-    fake: Tensor, unlabeled: Tensor, config: SrganLossConfig, context: DistributedContext = SINGLE_PROCESS
+def matching_loss(
+    a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext = SINGLE_PROCESS
 ) -> Tensor:
-    """Eq. 5, or the SR-GAN's mean|Δ|.
+    """Squared distance of the (B, F) features of two batches, eqs. 3 and 5, or the SR-GAN's mean|Δ|.
 
-    Args:
-        fake: (B, F) features that depend on the generator.
-        unlabeled: (B, F) features of real clouds, detached.
-        config: Variant and distance.
-        context: The processes that share the batch.
+    Eq. 3 is of labelled and unlabelled clouds; eq. 5, the generator's loss, of fake and unlabelled ones.
     """
-    return _matching(fake, unlabeled, config, context)
+    delta = _difference(a, b, config, context)
+    if config.loss_variant == "srgan":
+        return delta.abs().mean()
+    return delta.square().sum(dim=1).mean()
 
 
 def gradient_penalty(
@@ -189,39 +170,23 @@ def gradient_penalty(
     share = context.shard(torch.rand(len(unlabeled) * context.world_size, 1, 1, generator=rng)).to(unlabeled)
     between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
     between.requires_grad_()
-    norms = safe_root(features(between).square().sum(dim=1))
+    norms = _safe_root(features(between).square().sum(dim=1))
     (slopes,) = torch.autograd.grad(norms.sum(), between, create_graph=True)
-    steepness = safe_root(slopes.square().flatten(1).sum(dim=1))
+    steepness = _safe_root(slopes.square().flatten(1).sum(dim=1))
     return (steepness - 1.0).clamp(min=0.0).square().mean()
-
-
-def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
-    """Feature matching of two batches: squared distance (eqs. 3 and 5), or mean|Δ| of the SR-GAN."""
-    delta = _difference(a, b, config, context)
-    if config.loss_variant == "srgan":
-        return delta.abs().mean()
-    return delta.square().sum(dim=1).mean()
 
 
 def _contrast(features: Features, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
     if features.fake is None:
         raise DatasetError(f"losses: the variant {config.loss_variant} requires the features of fake clouds")
-    far = _difference(features.unlabeled, features.fake, config, context).abs()
-    kind = "sqrt" if config.loss_variant == "srgan" else config.contrast
-    if kind == "sqrt":
-        return -(far + 1.0).sqrt().mean()
-    if kind == "log":
-        return -far.log1p().mean()
-    if kind == "abs":
-        return -far.mean()
-    return (1.0 / (far + 1.0)).mean() - 1.0  # -|Δ| / (|Δ| + 1), without inf / inf
+    return -(_difference(features.unlabeled, features.fake, config, context).abs() + 1.0).sqrt().mean()
 
 
 def _difference(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """(B, F) in pairs, or (1, F) of the batches' means."""
     a, b = _wide(a), _wide(b)
-    if config.pairs:
+    if config.loss_variant != "srgan":
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b

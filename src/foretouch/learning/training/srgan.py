@@ -147,7 +147,7 @@ class SrganTrainer(Trainer):
             with torch.no_grad():
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(unlabelled)))
-            loss = loss_terms.generator_loss(made, aim, self.config.loss, self.training_device.context)
+            loss = loss_terms.matching_loss(made, aim, self.config.loss, self.training_device.context)
             self.require_finite({"generator": loss}, number, self.training_device.context.shard(unlabelled), aim)
             self.optimisers["generator"].step(loss)
         return {"generator": float(loss.detach())}

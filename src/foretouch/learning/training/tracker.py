@@ -84,7 +84,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         np.ones(len(MODALITIES)),
     )
     replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)
-    slow, fast, lasting, slow_s, fast_s, tare, noise = replayed.most_likely()[replayed.owner].T
+    slow, fast, lasting, slow_s, fast_s, tare, noise = _most_likely(replayed)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
     fitted = replace(
@@ -125,24 +125,13 @@ class _Replay:
         sizes = np.bincount(self.owner, minlength=len(MODALITIES))
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
-    def most_likely(self) -> Float64:
-        """(4, 7) multiples of the lasting variance, time constants [s], noise of tares, multiple of W, by modality."""
-        from scipy.optimize import minimize
-
-        start = np.tile(_PRIOR[0], (len(MODALITIES), 1))
-
-        def loss(flat: Float64) -> tuple[float, Float64]:
-            logs = flat.reshape(start.shape)
-            # The modalities are independent: one step in the same parameter of all gives four derivatives.
-            steps = _STEP * np.eye(start.shape[1])[:, None]
-            losses = self._losses(np.concatenate([logs[None], logs + steps]))
-            return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
-
-        bounds = np.tile(_LIMITS, (len(MODALITIES), 1))
-        found = minimize(
-            loss, start.reshape(-1), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
-        )
-        return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
+    def __call__(self, flat: Float64) -> tuple[float, Float64]:
+        """The sum of `_losses` for (28,) logarithms, and its slopes."""
+        logs = flat.reshape(len(MODALITIES), -1)
+        # The modalities are independent: one step in the same parameter of all gives four derivatives.
+        steps = _STEP * np.eye(logs.shape[1])[:, None]
+        losses = self._losses(np.concatenate([logs[None], logs + steps]))
+        return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
 
     def with_slopes(self, parameters: TrackerParameters) -> TrackerParameters:
         """The same parameters with the most likely slopes of the electrodes of each finger."""
@@ -216,6 +205,17 @@ def _temperature(tdc: Float64) -> Float64:
         found[k] = np.where(np.isnan(found[k]), found[k - 1], found[k])
     first = [column[np.isfinite(column)][:1].sum() for column in found.T]
     return np.asarray(np.nan_to_num(found - first), np.float64)
+
+
+def _most_likely(replayed: _Replay) -> Float64:
+    """(4, 7) multiples of the lasting variance, time constants [s], noise of tares, multiple of W, by modality."""
+    from scipy.optimize import minimize
+
+    start, bounds = (np.tile(one, (len(MODALITIES), 1)) for one in (_PRIOR[0], _LIMITS))
+    found = minimize(
+        replayed, start.reshape(-1), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
+    )
+    return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
 
 
 def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int, x: Float64 | None) -> Float64:

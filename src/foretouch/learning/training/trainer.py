@@ -55,7 +55,7 @@ def other_default(name: str, default: Any) -> Any:
     return dataclasses.field(default=default, metadata=EpochsConfig.__dataclass_fields__[name].metadata)
 
 
-class ScheduledOptimiser:
+class _ScheduledOptimiser:
     """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
 
     def __init__(
@@ -148,7 +148,7 @@ class Trainer(ABC):
             self.training_device.prepare(module)
         steps, context = config.epochs * self.batch_count, self.training_device.context
         self.optimisers = {
-            name: ScheduledOptimiser(module, config, steps, context) for name, module in self.modules.items()
+            name: _ScheduledOptimiser(module, config, steps, context) for name, module in self.modules.items()
         }
         self.sizes = [modality_size(name) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))

@@ -21,10 +21,10 @@ _AROUND = [k for k, name in enumerate(features.FEATURES) if name.startswith(("g1
 
 def fewer_trees(estimator: ContactEstimator, count: int) -> ContactEstimator:
     """The same model with the first trees of each forest alone: as if it had been fitted with so many."""
-    return replace(estimator, forests={name: first_trees(one, count) for name, one in estimator.forests.items()})
+    return replace(estimator, forests={name: _first_trees(one, count) for name, one in estimator.forests.items()})
 
 
-def first_trees(forest: Forest, count: int) -> Forest:
+def _first_trees(forest: Forest, count: int) -> Forest:
     """The first trees of a forest, with their nodes and values alone."""
     if count >= len(forest.roots):
         return forest

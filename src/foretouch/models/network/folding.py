@@ -32,7 +32,7 @@ BLOCK = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Affine:
+class _Affine:
     """x to x Wᵀ + b."""
 
     weight: Tensor  # (out, in) float32, or bfloat16 in shared layers
@@ -56,12 +56,12 @@ class FoldedNetwork:
         head: The remaining maps; all but the last are followed by a ReLU.
     """
 
-    transform: tuple[tuple[Affine, ...], tuple[Affine, ...]] | None
-    trunk: tuple[Affine, ...]
+    transform: tuple[tuple[_Affine, ...], tuple[_Affine, ...]] | None
+    trunk: tuple[_Affine, ...]
     trunk_relu: bool
-    first: Affine
+    first: _Affine
     first_grasp: Tensor
-    head: tuple[Affine, ...]
+    head: tuple[_Affine, ...]
 
     @torch.inference_mode()
     def features(self, points: Tensor) -> Tensor:
@@ -108,13 +108,13 @@ def fold(net: TouchNet, precision: str | None = None) -> FoldedNetwork:
         transform=None if transform is None else _fold_transform(transform, dtype),
         trunk=_shared(_fold_layers(net.features.layers), dtype),
         trunk_relu=config.trunk_relu,
-        first=Affine(first.weight[:, : config.feature_size].contiguous(), first.bias),
+        first=_Affine(first.weight[:, : config.feature_size].contiguous(), first.bias),
         first_grasp=first.weight[:, config.feature_size :].contiguous(),
         head=tuple(rest),
     )
 
 
-def _pooled(layers: tuple[Affine, ...], points: Tensor, *, relu: bool) -> Tensor:
+def _pooled(layers: tuple[_Affine, ...], points: Tensor, *, relu: bool) -> Tensor:
     x, last = points, layers[-1]
     for layer in layers[:-1]:
         x = torch.relu_(layer(x.to(layer.weight.dtype)))
@@ -128,27 +128,27 @@ def _pooled(layers: tuple[Affine, ...], points: Tensor, *, relu: bool) -> Tensor
     return torch.relu_(values.view(torch.int16).amax(dim=0).view(values.dtype)).float()
 
 
-def _chain(layers: tuple[Affine, ...], x: Tensor) -> Tensor:
+def _chain(layers: tuple[_Affine, ...], x: Tensor) -> Tensor:
     for layer in layers[:-1]:
         x = torch.relu_(layer(x))
     return layers[-1](x)
 
 
-def _shared(layers: list[Affine], dtype: torch.dtype) -> tuple[Affine, ...]:
+def _shared(layers: list[_Affine], dtype: torch.dtype) -> tuple[_Affine, ...]:
     """Layers over the points, all but the first in a precision: that one has three inputs, which are positions."""
-    return (layers[0], *(Affine(layer.weight.to(dtype), layer.bias.to(dtype)) for layer in layers[1:]))
+    return (layers[0], *(_Affine(layer.weight.to(dtype), layer.bias.to(dtype)) for layer in layers[1:]))
 
 
-def _fold_transform(transform: InputTransform, dtype: torch.dtype) -> tuple[tuple[Affine, ...], tuple[Affine, ...]]:
-    matrix = Affine(transform.matrix.weight.detach().clone(), transform.matrix.bias.detach().clone())
+def _fold_transform(transform: InputTransform, dtype: torch.dtype) -> tuple[tuple[_Affine, ...], tuple[_Affine, ...]]:
+    matrix = _Affine(transform.matrix.weight.detach().clone(), transform.matrix.bias.detach().clone())
     return _shared(_fold_layers(transform.points), dtype), (*_fold_layers(transform.cloud), matrix)
 
 
-def _fold_layers(layers: Iterable[nn.Module]) -> list[Affine]:
+def _fold_layers(layers: Iterable[nn.Module]) -> list[_Affine]:
     return [_fold_layer(layer) for layer in layers if isinstance(layer, Layer)]
 
 
-def _fold_layer(layer: Layer) -> Affine:
+def _fold_layer(layer: Layer) -> _Affine:
     weight, bias = layer.linear.weight.detach().double(), layer.linear.bias.detach().double()
     norm = layer.norm
     if norm is not None:
@@ -157,10 +157,10 @@ def _fold_layer(layer: Layer) -> Affine:
         gain = norm.weight.detach().double() / torch.sqrt(norm.running_var.double() + norm.eps)
         weight = weight * gain[:, None]
         bias = (bias - norm.running_mean.double()) * gain + norm.bias.detach().double()
-    return Affine(weight.float().contiguous(), bias.float())
+    return _Affine(weight.float().contiguous(), bias.float())
 
 
-def _fold_output(net: TouchNet) -> Affine:
+def _fold_output(net: TouchNet) -> _Affine:
     scale, mean = net.target_scale.double(), net.target_mean.double()
     weight = net.output.weight.detach().double() * scale[:, None]
-    return Affine(weight.float().contiguous(), (net.output.bias.detach().double() * scale + mean).float())
+    return _Affine(weight.float().contiguous(), (net.output.bias.detach().double() * scale + mean).float())

@@ -76,11 +76,8 @@ class TouchNet(nn.Module):
 
     def counts(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
         """(B, M) predictions [counts]; arguments as in `forward`."""
-        return self.to_counts(self(points, grasp))
-
-    def to_counts(self, scaled: Tensor) -> Tensor:
-        """Scaled (B, M) to counts."""
-        return scaled * self.target_scale + self.target_mean
+        counts: Tensor = self(points, grasp) * self.target_scale + self.target_mean
+        return counts
 
     def to_scaled(self, counts: Tensor) -> Tensor:
         """Counts (B, M) to scaled, the targets of training."""

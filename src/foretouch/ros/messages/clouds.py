@@ -9,6 +9,7 @@ without these fields is one object without an image.
 
 import array
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -66,17 +67,12 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     return message
 
 
+@dataclass(eq=False)
 class TargetCloud:
-    """An `object_cloud` for subscribers of this process, which use the targets themselves.
+    """An `object_cloud` for subscribers of this process, which use the targets themselves."""
 
-    Args:
-        header: Of the scene's cloud.
-        targets: The targets, best first.
-    """
-
-    def __init__(self, header: Header, targets: Sequence[FoundObject]) -> None:
-        self.header = header
-        self.targets = targets
+    header: Header  # of the scene's cloud
+    targets: Sequence[FoundObject]  # best first
 
     @cached_property
     def message(self) -> PointCloud2:
@@ -101,11 +97,7 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
 
 
 def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
-    """The reverse of `objects_to_msg`, in the same order, for objects on a table; also reads any cloud of one object.
-
-    Raises:
-        CloudError: As `decode_cloud`.
-    """
+    """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
     found = message.targets if isinstance(message, TargetCloud) else decode_objects(message)
     return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in found)
 

@@ -2,9 +2,8 @@
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
 import math
-import os
 from collections.abc import Sequence
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -118,14 +117,8 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
     )
 
 
-_UNCHECKED: Final = "_check_fields" in Interval.__slots__ and os.environ.get("ROS_PYTHON_CHECK_FIELDS") != "1"
-"""Whether messages may be made without their constructors, as generated from Jazzy on."""
-
-
 def _prediction(**fields: Any) -> TouchPredictionMsg:
     """A message of these fields, not by its constructor, which makes 50 intervals first, as slow as all else."""
-    if not _UNCHECKED:
-        return TouchPredictionMsg(**fields)
     message = TouchPredictionMsg.__new__(TouchPredictionMsg)
     message._check_fields = False  # noqa: SLF001
     for name, value in {**fields, "model": "", "model_sha256": "", "input_age": Duration()}.items():
@@ -134,9 +127,7 @@ def _prediction(**fields: Any) -> TouchPredictionMsg:
 
 
 def _intervals(rows: Sequence[tuple[float, float, float]]) -> list[Interval]:
-    """Intervals of value, lower and upper bound."""
-    if not _UNCHECKED:
-        return [Interval(value=value, lower=low, upper=high) for value, low, high in rows]
+    """Intervals of value, lower and upper bound, made without their constructor."""
     made = []
     for value, low, high in rows:
         one = Interval.__new__(Interval)

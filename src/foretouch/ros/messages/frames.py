@@ -35,11 +35,7 @@ class FrameTransform:
 
     @classmethod
     def from_quaternion(cls, target: str, source: str, translation: Float64, quaternion_xyzw: Float64) -> Self:
-        """A transform from (3,) a translation [m] and (4,) a quaternion of unit length within 1e-3.
-
-        Raises:
-            GraspError: If a number is not finite or the length is another.
-        """
+        """From (3,) a translation [m] and (4,) a quaternion; a `GraspError` if its length is not 1 within 1e-3."""
         if not np.isfinite(translation).all():
             raise GraspError(f"translation: {translation.tolist()} is not finite")
         return cls(target, source, rotation_from_quaternion(quaternion_xyzw), translation)
@@ -126,12 +122,7 @@ class FrameTransform:
         return MarkerArray(markers=moved)
 
     def answer(self, answer: TouchAnswer, grasps: Sequence[Grasp] | None = None) -> TouchAnswer:
-        """Predictions with their grasps.
-
-        Args:
-            answer: In the frame of the source.
-            grasps: Those of the predictions in the frame of the target, where they are known.
-        """
+        """Predictions, with the `grasps` in the frame of the target where they are known."""
         moved = [self.grasp(one) for one in answer.grasps] if grasps is None else grasps
         return replace(answer, header=self.header(answer.header), grasps=moved)
 

@@ -38,12 +38,7 @@ def status_name(code: int) -> str:
 
 
 class RefusalError(ForetouchError):
-    """An input cannot be answered.
-
-    Args:
-        status: Of `foretouch_msgs/Status`, not OK.
-        reason: Why, as text.
-    """
+    """An input cannot be answered: a status of `foretouch_msgs/Status`, not OK, and the reason as text."""
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
@@ -60,11 +55,7 @@ def _refused_as(status: int) -> Iterator[None]:
 
 
 def read_serialized(data: bytes, kind: type[_M]) -> _M:
-    """Deserialise a message of a raw subscription, whose bytes nobody has checked.
-
-    Raises:
-        DatasetError: If they are not a message of this type.
-    """
+    """Deserialise a message of a raw subscription, whose bytes nobody has checked; or a `DatasetError`."""
     try:
         message: _M = deserialize_message(data, kind)
     except Exception as err:  # rclpy declares no type for it
@@ -73,11 +64,7 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
 
 
 def read_cloud(message: PointCloud2) -> Cloud:
-    """Convert a cloud.
-
-    Raises:
-        RefusalError: BAD_CLOUD, if its sizes do not add up.
-    """
+    """Convert a cloud; a `RefusalError`, BAD_CLOUD, if its sizes do not add up."""
     with _refused_as(Status.BAD_CLOUD):
         return decode_cloud(message)
 
@@ -108,11 +95,7 @@ def _is_within(target: FoundObject, limits: ObjectLimits) -> bool:
 
 
 def read_plane(message: PlaneMsg) -> Plane:
-    """Convert a plane.
-
-    Raises:
-        RefusalError: BAD_PLANE, if a number is not finite or all are zero.
-    """
+    """Convert a plane; a `RefusalError`, BAD_PLANE, if a number is not finite or all are zero."""
     with _refused_as(Status.BAD_PLANE):
         plane = plane_from_msg(message)
     if plane is None:
@@ -140,11 +123,7 @@ def passed_on(name: str, status: int, reason: str) -> RefusalError:
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:
-    """Check that a message, called `name` in the reason, is in the frame of its cloud.
-
-    Raises:
-        RefusalError: UNKNOWN_FRAME.
-    """
+    """A `RefusalError`, UNKNOWN_FRAME, unless a message called `name` is in the frame of its cloud."""
     if header.frame_id != cloud.frame_id:
         raise RefusalError(
             Status.UNKNOWN_FRAME, f"{name}: frame {header.frame_id!r} is not the cloud's, {cloud.frame_id!r}"

@@ -70,10 +70,11 @@ class _Served:
     channel: Any
     input: SerializedInput | None = None
 
-    def unsubscribe(self) -> None:
-        if self.input is not None:
-            self.input.destroy()
-            self.input = None
+
+def _unsubscribe(one: _Served) -> None:
+    if one.input is not None:
+        one.input.destroy()
+        one.input = None
 
 
 class BridgeNode(ForetouchNode[BridgeConfig]):
@@ -134,7 +135,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         logging.getLogger("foxglove").removeHandler(self._reports)
         with self._lock:
             for one in self._served.values():
-                one.unsubscribe()
+                _unsubscribe(one)
         self.url = ""
 
     def _teardown(self) -> None:
@@ -158,7 +159,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             for name, one in self._served.items():
                 wanted = self._server is not None and one.channel.has_sinks()
                 if not wanted:
-                    one.unsubscribe()
+                    _unsubscribe(one)
                 elif one.input is not None:
                     one.input.adapt()
                 else:
@@ -177,11 +178,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
 
 def foxglove_sdk() -> Any:
-    """The package `foxglove`.
-
-    Raises:
-        MissingDependencyError: If it is not installed.
-    """
+    """The package `foxglove`; a `MissingDependencyError` if it is not installed."""
     try:
         import foxglove
     except ImportError as err:

@@ -45,21 +45,13 @@ class NodeView:
 
 @dataclass
 class View:
-    """State of the graph at one moment.
+    """State of the graph at one moment."""
 
-    Attributes:
-        answers: Number of `touch` messages by status.
-        reasons: How often each reason was given.
-        last: The last `touch` message, or None.
-        executed: The last grasp that a hand executed with success: its prediction and its tactile readings.
-        nodes: Last diagnostics by node name.
-    """
-
-    answers: Counter[str] = field(default_factory=Counter)
-    reasons: Counter[str] = field(default_factory=Counter)
-    last: TouchPredictionArray | None = None
-    executed: tuple[TouchPrediction, TouchCut] | None = None
-    nodes: dict[str, NodeView] = field(default_factory=dict)
+    answers: Counter[str] = field(default_factory=Counter)  # number of `touch` messages by status
+    reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
+    last: TouchPredictionArray | None = None  # the last `touch` message
+    executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
+    nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
 
 
 @dataclass(frozen=True, eq=False)

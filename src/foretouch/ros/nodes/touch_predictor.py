@@ -107,7 +107,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         closing.callback(self._predictor.close)
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
-        self._predictor.warm_up()
         if config.latency_budget_ms > 0.0:
             self._predictor.keep_to(config.latency_budget_ms, config, self.get_logger().info)
         self._adapt(self._predictor)
@@ -117,23 +116,22 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         closing.callback(self._threads.close)
         group = ReentrantCallbackGroup()
         self.serve(PredictTouch, "predict_touch", self._predict_touch, group)
-        self.serve(Trigger, "forget_touches", self._forget_touches, group)
-        self.serve(Trigger, "forget_history", self._forget_history, group)
+        self.serve(Trigger, "forget_touches", partial(self._forget, OnlineAdapter.forget, "touches"), group)
+        self.serve(Trigger, "forget_history", partial(self._forget, OnlineAdapter.forget_history, "readings"), group)
         self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, refused_goal)
         if self._planner_action is not None:
-            self._offer(self._planner_action, PLANNER_ACTION, self._sample_grasp_poses, self._planner_failure)
+            refused = partial(planner_result, self._planner_action)
+            self._offer(self._planner_action, PLANNER_ACTION, self._sample_poses, refused)
         self.subscribe(TablePlane, "table", self._remember_table)
         super()._setup()
 
-    def _offer(
-        self, kind: Any, name: str, execute: Callable[[Any], Any], failure: Callable[[RefusalError], Any]
-    ) -> None:
-        """Make the server of an action; a goal with an internal error is aborted."""
+    def _offer(self, kind: Any, name: str, work: Callable[[Any], Any], failure: Callable[[RefusalError], Any]) -> None:
+        """Make the server of an action, whose goals are worked on in a thread; one with an internal error is aborted."""
         action = ActionServer(
             self,
             kind,
             name,
-            self.internal_errors.guarded(name, execute, partial(_aborted, failure)),
+            self.internal_errors.guarded(name, partial(self._execute, work, failure), partial(_aborted, failure)),
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
@@ -257,14 +255,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, grasps, requested=True)
 
-    def _forget_touches(self, _request: Any, response: Any) -> Any:
-        count = self._adapter.forget() if self._adapter else 0
-        response.success, response.message = True, f"{count} touches forgotten"
-        return response
-
-    def _forget_history(self, _request: Any, response: Any) -> Any:
-        count = self._adapter.forget_history() if self._adapter else 0
-        response.success, response.message = True, f"{count} readings forgotten"
+    def _forget(self, forget: Callable[[OnlineAdapter], int], what: str, _request: Any, response: Any) -> Any:
+        count = forget(self._adapter) if self._adapter else 0
+        response.success, response.message = True, f"{count} {what} forgotten"
         return response
 
     # The service.
@@ -305,12 +298,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     # The actions.
 
-    async def _sample_grasps(self, goal_handle: Any) -> Any:
-        work = partial(self._sample, goal_handle, goal_handle.request, goal_handle.publish_feedback)
-        return await self._finished(goal_handle, work, refused_goal)
-
-    async def _sample_grasp_poses(self, goal_handle: Any) -> Any:
-        return await self._finished(goal_handle, partial(self._sample_poses, goal_handle), self._planner_failure)
+    def _sample_grasps(self, goal_handle: Any) -> Any:
+        return self._sample(goal_handle, goal_handle.request, goal_handle.publish_feedback)
 
     def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
@@ -320,13 +309,12 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
         return planner_result(self._planner_action)
 
-    def _planner_failure(self, refusal: RefusalError) -> Any:
-        return planner_result(self._planner_action, refusal)
-
-    async def _finished(self, goal_handle: Any, work: Callable[[], Any], failure: Callable[[RefusalError], Any]) -> Any:
+    async def _execute(
+        self, work: Callable[[Any], Any], failure: Callable[[RefusalError], Any], goal_handle: Any
+    ) -> Any:
         """The result of work on a goal, which then has succeeded, or was aborted or cancelled."""
         try:
-            result = await _configured(self._threads).run(work)
+            result = await _configured(self._threads).run(partial(work, goal_handle))
             end = goal_handle.succeed
         except RefusalError as refusal:
             result, end = failure(refusal), goal_handle.abort

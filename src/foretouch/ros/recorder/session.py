@@ -50,13 +50,8 @@ class SessionStatus:
 class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
-    Args:
-        writer: Open; closed here.
-        queue: Source of the messages.
-        assembler: Assembles the samples.
-        inputs: Role and message class by topic, for the topics that samples are assembled from.
-        losses: Gives the number of messages that the middleware has lost since the session began, by topic.
-        warn: Called with each warning.
+    The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
+    assembled from; `losses` gives the messages that the middleware has lost since the session began, by topic.
 
     Attributes:
         status: The state; replaced as a whole.

@@ -58,14 +58,10 @@ class SerializedMessage:
 
 
 class SerializedInput:
-    """The subscription to one topic.
+    """The subscription of a node to one topic, which begins as `reliable` as asked before it has adapted.
 
-    Args:
-        node: The subscriber.
-        topic: The topic.
-        receive: Called with every message, in a thread of the executor; must return at once.
-        mismatch: Called with topic, `publisher` and event where a publisher offers less than a parameter demands.
-        reliable: What it begins with, before it has adapted.
+    `receive` is called with every message, in a thread of the executor, and must return at once; `mismatch` with topic,
+    `publisher` and event where a publisher offers less than a parameter demands.
 
     Attributes:
         name: Full name of the topic.
@@ -200,13 +196,7 @@ class TopicStatistics:
 class RecorderSubscriptions:
     """All subscriptions of the recorder; without a session, messages are only counted.
 
-    Args:
-        node: The recorder.
-        topics: The topics.
-        mismatch: See `SerializedInput`.
-
-    Attributes:
-        inputs: Subscriptions by full name of the topic.
+    `inputs` are the subscriptions by full name of the topic; for `mismatch` see `SerializedInput`.
     """
 
     def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:

@@ -95,14 +95,11 @@ def _quantiles(values: deque[float]) -> tuple[float, float] | None:
 
 
 class Losses:
-    """Counts the lost messages of one subscription. Thread-safe.
+    """Counts the lost messages of one subscription, and calls `report` with their number at each loss. Thread-safe.
 
     The middleware reports what the network lost. It does not report a message that a newer one has replaced in the
     queue of the subscription, as with a process that does not get to run: only gaps in the sequence numbers of the
     publisher show that.
-
-    Args:
-        report: Called with the number of messages at each loss.
     """
 
     def __init__(self, report: Callable[[int], None] = lambda _: None) -> None:
@@ -113,11 +110,7 @@ class Losses:
         self._gaps = self._events = 0
 
     def arrived(self, info: Any) -> bool:
-        """Count what is missing before a message; False for one that was received before.
-
-        Args:
-            info: What rclpy passes to a callback beside the message.
-        """
+        """Count what is missing before a message, by what rclpy passes beside it; False if it was received before."""
         sequence, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
         if sequence is None or publisher is None:  # the middleware has none
             return True
@@ -161,15 +154,9 @@ def diagnostic_status(
 ) -> DiagnosticStatus:
     """Make the report of one node: a level, one line of text, and all numbers.
 
-    Args:
-        name: Of the node, in full.
-        state: Of its lifecycle.
-        now: Counts of its inputs.
-        before: Those of the report before; what was dropped since is a warning.
-        errors: What keeps it from working, such as a damaged model.
-        warnings: Problems around it, such as incompatible QoS.
-        notes: Further values by key, such as the model's name.
-        silence_s: Longest time without an input before a warning [s]; None for a node without inputs.
+    `state` is that of its lifecycle, `now` and `before` are the counts of its inputs, now and at the last report: what
+    was dropped since is a warning. `errors` keep it from working, `warnings` are problems around it, `notes` are
+    further values by key. No input for longer than `silence_s` is a warning; None for a node without inputs.
     """
     warnings = [*warnings, *(_silence(now, silence_s) if state == "active" else []), *_drops(now, before)]
     if errors:

@@ -88,11 +88,7 @@ def _holds_parameters(node: Mapping[str, Any]) -> bool:
 
 
 def _keep_large_blocks() -> None:
-    """Let the allocator use the memory of a cloud again for the next one.
-
-    By default, glibc returns such a block to the system at once. Getting it again, page by page, made receiving a cloud
-    of 848x480 four times as expensive. Other allocators have no `mallopt`.
-    """
+    """Let glibc keep the memory of a cloud for the next: new pages made receiving four times as expensive."""
     set_limit = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if set_limit is None or any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
         return

@@ -74,22 +74,22 @@ class InternalErrors:
         if inspect.iscoroutinefunction(callback):
 
             @functools.wraps(callback)
-            async def run_async(*arguments: Any) -> Any:
+            async def _run_async(*arguments: Any) -> Any:
                 try:
                     return await callback(*arguments)
                 except Exception as err:  # noqa: BLE001  it would end the process
                     return answer(arguments, self.report(name, err))
 
-            return run_async
+            return _run_async
 
         @functools.wraps(callback)
-        def run(*arguments: Any) -> Any:
+        def _run(*arguments: Any) -> Any:
             try:
                 return callback(*arguments)
             except Exception as err:  # noqa: BLE001  it would end the process
                 return answer(arguments, self.report(name, err))
 
-        return run
+        return _run
 
 
 class GuardedCallbacks:

@@ -194,20 +194,20 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
         losses = self._losses[topic] = Losses(self.statistics.lose)
 
-        def receive(content: Any) -> None:
+        def _receive(content: Any) -> None:
             with self._input_lock:
                 callback(content)
 
-        def take(content: Any, info: Any) -> None:
+        def _take(content: Any, info: Any) -> None:
             if direct is None or not direct.has_received(info):
                 losses.arrived(info)
-                receive(content)
+                _receive(content)
 
         direct: DirectInput | None = None
         subscription = self.create_subscription(
             message,
             topic,
-            take,
+            _take,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
             callback_group=self._input_group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -219,7 +219,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         )
         self._inputs.append(subscription)
         if self.is_direct:
-            direct = DirectInput(subscription, self.internal_errors.guarded(topic, receive))
+            direct = DirectInput(subscription, self.internal_errors.guarded(topic, _receive))
             self._direct_inputs.append(direct)
             self.direct_topics.add(direct)
 

@@ -169,11 +169,7 @@ class OutputFrame:
         return {"output_frame": f"{self.name} ({source})"} if self.name else {}
 
     def camera_frame(self, latest: str) -> str:
-        """The frame of the clouds: that of the latest one, else as the calibration names it, if it does.
-
-        Raises:
-            RefusalError: UNKNOWN_FRAME, `no_transform`, if there is neither a cloud nor a calibration.
-        """
+        """The frame of the clouds: that of the latest, else of the calibration; else a `RefusalError`."""
         if latest:
             return latest
         if self._calibration is None:

@@ -22,12 +22,9 @@ _LIMITS: dict[type, Any] = {int: 2**63 - 1, float: sys.float_info.max}
 
 
 class NodeSettings(Generic[_S]):
-    """The parameters of a node as one frozen `Settings`, `value`.
+    """The parameters of a node, one for each setting of `cls`, as one frozen `Settings`, `value`.
 
-    Args:
-        node: Gets a parameter for every setting of `cls`, nested ones with dotted names.
-        cls: The settings.
-        on_change: Called with the new settings after a change.
+    Nested settings have dotted names. `on_change` is called with the new settings after a change.
 
     Raises:
         ConfigError: If a value given at the start (file or command line) breaks a rule.

@@ -15,7 +15,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -42,52 +42,38 @@ class _StampedSet(NamedTuple):
     arrived: float
 
 
+@dataclass(eq=False)
 class StampSynchronizer:
-    """Collects one message per topic for each stamp. Not thread-safe.
+    """Collects one message per topic for each stamp. Not thread-safe."""
 
-    Args:
-        topics: Names of the topics of a set.
-        depth: Sets that may be incomplete at a time.
-        on_first: Called at the first message of each set; returns its time of arrival.
-        on_drop: Called with the reason for each dropped set: `unpaired` (replaced by newer ones) or
-            `repeated_stamp` (a topic sent a stamp twice; the first message is dropped).
-    """
-
-    def __init__(
-        self, topics: Sequence[str], depth: int, on_first: Callable[[], float], on_drop: Callable[[str], None]
-    ) -> None:
-        self._topics = frozenset(topics)
-        self._depth = depth
-        self._on_first = on_first
-        self._on_drop = on_drop
-        self._waiting: dict[int, _StampedSet] = {}
-
-    def __len__(self) -> int:
-        """Incomplete sets."""
-        return len(self._waiting)
+    topics: frozenset[str]  # of a set
+    depth: int  # sets that may be incomplete at a time
+    on_first: Callable[[], float]  # called at the first message of each set; gives its time of arrival
+    on_drop: Callable[[str], None]  # called for each dropped set: `unpaired` (replaced by newer ones), `repeated_stamp`
+    _waiting: dict[int, _StampedSet] = field(default_factory=dict)
 
     def add(self, topic: str, stamp_ns: int, message: Any) -> _StampedSet | None:
         """Add a message of a topic; returns the set of its stamp if that is now complete."""
         found = self._waiting.get(stamp_ns)
         if found is not None and topic in found.messages:
             del self._waiting[stamp_ns]
-            self._on_drop("repeated_stamp")
+            self.on_drop("repeated_stamp")
             found = None
         if found is None:
-            found = self._waiting[stamp_ns] = _StampedSet({}, self._on_first())
+            found = self._waiting[stamp_ns] = _StampedSet({}, self.on_first())
         found.messages[topic] = message
-        if found.messages.keys() == self._topics:
+        if found.messages.keys() == self.topics:
             return self._waiting.pop(stamp_ns)
-        if len(self._waiting) > self._depth:
+        if len(self._waiting) > self.depth:
             del self._waiting[next(iter(self._waiting))]
-            self._on_drop("unpaired")
+            self.on_drop("unpaired")
         return None
 
     def clear(self, reason: str) -> None:
         """Drop all incomplete sets."""
         while self._waiting:
             self._waiting.popitem()
-            self._on_drop(reason)
+            self.on_drop(reason)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +102,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         super().__init__(name, config_class, **options)
         self._topics = tuple(inputs)
         self._lock = threading.Lock()
-        names = [topic for _, topic in inputs]
+        names = frozenset(topic for _, topic in inputs)
         self._synchronizer = StampSynchronizer(names, _INCOMPLETE_SETS, self.statistics.receive, self.statistics.drop)
         self._worker: Worker[_StampedSet] = Worker(
             name,

@@ -52,9 +52,6 @@ class WorkerThread:
     What its own work puts into the queue of another worker comes next, before all that waits: with the nodes of one
     process, a cloud goes through all steps before the next one is begun. Another thread may do some of the work (see
     `helping`), but never two at the same time.
-
-    Args:
-        name: Of the thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -94,11 +91,7 @@ class WorkerThread:
             self._changed.notify_all()
 
     def work(self) -> bool:
-        """Work in the calling thread on what waits longest, with all that follows from it, unless another thread works.
-
-        Returns:
-            Whether there is more for the calling thread to do.
-        """
+        """Work here on what waits longest, with all that follows from it, unless another thread does; is there more?"""
         with self._changed:
             if self._works is not None or not self._calls:
                 return False
@@ -142,12 +135,8 @@ class WorkerThread:
 class Worker(Generic[_T]):
     """Calls `work`, which must not raise, with each item, in order, in one thread.
 
-    Args:
-        name: Of the thread, where none is given.
-        depth: Items that may wait.
-        work: Called with each item.
-        on_drop: Called with each dropped item and the reason, `superseded` or `stopped` (see `BoundedQueue`).
-        thread: To be shared with other workers; None for one of its own.
+    At most `depth` items wait. `on_drop` is called with each dropped item and the reason, `superseded` or `stopped` (see
+    `BoundedQueue`). The thread may be shared with other workers; None makes one of that name.
     """
 
     def __init__(

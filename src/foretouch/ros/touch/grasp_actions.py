@@ -166,11 +166,7 @@ def planner_action_class(type_name: str) -> Any:
 
 
 def planner_feedback(kind: Any, sampled: Any) -> Any:
-    """All grasps of a `SampleGrasps.Result` that have a finite cost, lowest first; MoveIt takes others for failures.
-
-    Raises:
-        RefusalError: NO_GRASP, if no cost is finite.
-    """
+    """The grasps of a `SampleGrasps.Result` with a finite cost, which MoveIt needs; or a `RefusalError`."""
     pairs = zip(sampled.grasp_candidates, sampled.costs, strict=True)
     kept = [(pose, cost) for pose, cost in pairs if math.isfinite(cost)]
     if not kept:

@@ -20,21 +20,10 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
 class HistoryKeeper:
-    """The history of a hand, with its file if the hand has a name.
+    """The history of a hand, with its file in `folder` ("" for the default) if the hand has a name.
 
-    A file that cannot be used does not stop the node: it is set aside, or not written, and `fault` says why.
-
-    Args:
-        model: Whose predictions readings are compared with.
-        hand: Name of the hand; "" keeps nothing.
-        folder: Of the files; "" for the default.
-        info: Called with a line on what was read.
-        warn: Called with a line on each fault.
-
-    Attributes:
-        history: What was read so far.
-        lock: Of the history.
-        fault: Why the file is not written; "" if it is, or if the hand has no name.
+    Readings are compared with the predictions of `model`. A file that cannot be used does not stop the node: it is set
+    aside, or not written, and `fault` says why. `lock` is that of `history`.
 
     Raises:
         ConfigError: If the name of the hand cannot be that of a file.

@@ -81,12 +81,7 @@ class LiveTare:
         return now_s - self._rest_s if self._rest else float("inf")
 
     def exclude(self, contact_ns: int, release_ns: int) -> None:
-        """Reset a tare from within a reported grasp, such as where the stream began in contact.
-
-        Args:
-            contact_ns: When contact was steady [ns].
-            release_ns: When the hand began to open [ns].
-        """
+        """Reset a tare from within a reported grasp [ns, ns), such as where the stream began in contact."""
         if self._rest and contact_ns <= self._rest_ns < release_ns:
             self.reset()
 

@@ -42,13 +42,8 @@ from foretouch_msgs.msg import Grasp as GraspMsg
 class OnlineAdapter:
     """Adapts the predictions of one model, which has a calibration.
 
-    Args:
-        model: The model.
-        reader: Decodes tactile messages.
-        keeper: Of what the hand has read so far.
-        config: Gives the current settings.
-        now_ns: Gives the time of the node's clock [ns].
-        warn: Called with a line for each touch that is refused.
+    `config` gives the current settings, `now_ns` the time of the node's clock [ns]; `warn` is called with a line for each
+    touch that is refused.
     """
 
     def __init__(
@@ -67,9 +62,8 @@ class OnlineAdapter:
         self._config = config
         self._now_ns = now_ns
         self._warn = warn
-        self._input_lock = (
-            threading.Lock()
-        )  # of what callbacks store; taken after that of the history, and never while the model works
+        # Of what callbacks store; taken after that of the history, and never while the model works.
+        self._input_lock = threading.Lock()
         self._assembler = SampleAssembler(
             AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
         )
@@ -112,12 +106,9 @@ class OnlineAdapter:
     def add_grasps(
         self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[GraspMsg], *, requested: bool = False
     ) -> None:
-        """Keep a cloud and the grasps on it, if there is a hand that may execute one.
+        """Keep a cloud and the grasps on it that have an id, if there is a hand that may execute one.
 
-        Args:
-            cloud: With a stamp, by which its grasps are found again.
-            grasps: Grasps without an id are left out, since no report can name them.
-            requested: Whether the cloud came with a request; one from the topic with the same stamp is then used.
+        Instead of a cloud that was `requested`, one from the topic with the same stamp is used.
         """
         stamp, named = stamp_ns(cloud.header.stamp), [grasp for grasp in grasps if grasp.id]
         if not self._config().use_touches or not self._received or not stamp or not named:

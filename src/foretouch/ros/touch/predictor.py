@@ -68,10 +68,7 @@ class Predictor:
                 self.model, self.flags = load_model(fallback), ("fallback_model",)
             except ForetouchError as err:
                 self.fault = f"{self.fault}; fallback_model: {err}"
-
-    def warm_up(self) -> None:
-        """Predict once, so that the first real cloud does not wait for torch."""
-        if self.model is not None:
+        if self.model is not None:  # predict once, so that the first real cloud does not wait for torch
             pipeline = Pipeline()
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
@@ -210,10 +207,7 @@ class Predictor:
 def _posed(
     messages: Sequence[GraspMsg], target: FoundObject, config: TouchPredictorConfig, posing: GeoGraspConfig | None
 ) -> list[Grasp | Refusal]:
-    """The grasp of each message, or why there is none.
-
-    Missing orientations are computed as `Pipeline.grasp_between` does, with one search for the object's axis.
-    """
+    """The grasp of each message, posed as by `Pipeline.grasp_between` where it must be, or why there is none."""
     axis: Float64 | None = None
     found: list[Grasp | Refusal] = []
     for decoded, message in zip(decode_grasps(messages), messages, strict=True):

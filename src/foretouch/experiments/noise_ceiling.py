@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much of a touch can be predicted from cloud and grasp at all, and how much of that do predictors reach?
 
-Test grasps are repeated with everything that no camera sees redrawn (`repeats`). With y_r the n repeats of grasp i, m
+Test grasps are repeated with everything that no camera sees redrawn (`Repeater`). With y_r the n repeats of grasp i, m
 their mean, s² their variance (n - 1), p a prediction and µ the mean of the training labels, each per value,
 
     of the best prediction, the mean of all repeats:   S_i = s²                                (1)
@@ -21,16 +21,15 @@ grasps of the same objects in the same scene.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from foretouch.config import setting
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError, DatasetError, SimulationError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.noise_ceiling.repeats import CAUSES, NEW_OBJECT, Repeater
 from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
 from foretouch.experiments.shared.simulated_data import (
@@ -42,12 +41,30 @@ from foretouch.experiments.shared.simulated_data import (
 from foretouch.experiments.shared.tables import findings, grouped, listed, pivot, select, span, unique
 from foretouch.learning.data import labels_of
 from foretouch.report.panels import Rows
-from foretouch.tactile import MODALITIES, P2_RANGES, columns
+from foretouch.simulation.effects import EFFECTS
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.world import SampleKey
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CAUSES: Final = {
+    "command": frozenset({"targets"}),
+    "posture": frozenset({"posture"}),
+    "placement": frozenset({"execution_error"}),
+    "sensor": frozenset({"slip", "drift", "noise", "scan_hold"}),
+}
+"""Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads
+makes contact; where the hand lands and how exactly it reaches its target; what the sensor adds over time."""
+
+NEW_OBJECT: Final = "new_object"
+"""Also unknown of an object that was never touched: its day, and its material, that of any object of the scene."""
+
+_MATERIAL: Final = ("young_pa", "thickness_m", "friction")
+_TRIES: Final = 10  # per requested repeat
 _BLOCK: Final = 10  # grasps per cell
 _CEILING: Final = "ceiling"
 _TAIL: Final = 0.025
@@ -141,6 +158,76 @@ def _repeated(repeater: Repeater, grasps: Sequence[GraspSample], count: int, mea
         }
 
 
+@dataclass(frozen=True, eq=False)
+class _Repeats:
+    """Repeats of one grasp."""
+
+    touches: Float64  # (n, 50) [counts]
+    tares: Float64  # (n, 50) [counts]
+
+
+class Repeater:
+    """Repeats grasps of one scene.
+
+    Args:
+        scene: The scene.
+        causes: Those of `CAUSES` and `NEW_OBJECT` that are redrawn; the others are those of the sample.
+
+    Raises:
+        ConfigError: If the scene has a campaign, in which no moment comes twice.
+    """
+
+    def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:
+        if scene.campaign is not None:
+            raise ConfigError("scene: campaign: grasps are repeated at one moment; give a scene without a campaign")
+        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {NEW_OBJECT}))
+        self._new_object = NEW_OBJECT in causes
+        if self._new_object:
+            again |= {"sessions"}
+        effects = [replace(effect, again=effect.name in again) for effect in EFFECTS]
+        self._engine = Engine(scene, effects, ("touch", "tare"))
+
+    def repeat(self, slot: int, attempt: int, count: int) -> _Repeats:
+        """Execute one grasp again.
+
+        Args:
+            slot: Slot of the sample.
+            attempt: Attempt that made it.
+            count: Number of repeats; a grasp that fails too often gives fewer.
+
+        Raises:
+            SimulationError: If fewer than two succeed.
+        """
+        touches: list[Float64] = []
+        tares: list[Float64] = []
+        for number in range(1, 1 + _TRIES * count):
+            if len(touches) == count:
+                break
+            try:
+                state = self._engine.run(
+                    SampleKey(self._engine.scene.seed, slot, attempt, number), self._item(slot, number)
+                )
+            except SimulationError:
+                continue
+            if state.tare is not None:  # without a campaign each grasp has one
+                touches.append(state.touch.vector())
+                tares.append(state.tare.vector())
+        if len(touches) < 2:
+            raise SimulationError(f"slot {slot}: {len(touches)} of {_TRIES * count} repeats succeed", "repeats")
+        return _Repeats(np.array(touches), np.array(tares))
+
+    def _item(self, slot: int, number: int) -> ObjectConfig:
+        """Object of a slot, with the material of another object in each repeat if the object is new."""
+        items = self._engine.scene.objects
+        item = items[slot % len(items)]
+        if not self._new_object:
+            return item
+        others = [other for other in items if other.rigid == item.rigid]  # these need the same effects
+        rng = np.random.default_rng([self._engine.scene.seed, slot, number])
+        other = others[int(rng.integers(len(others)))]
+        return item.replace(**{name: getattr(other, name) for name in _MATERIAL})
+
+
 def ceiling_rows(rows: Sequence[Row], draws: int) -> list[Row]:
     """Rows of `results.csv`: one per modality for each ceiling, each single cause and each predictor.
 
@@ -184,8 +271,7 @@ def _score(name: str, squared: Float64, reference: Float64, draws: int, ceiling:
     rows = []
     for k, modality in enumerate(MODALITIES):
         rmse = float(np.sqrt(squared[:, columns([modality])].mean()))
-        low, high = P2_RANGES.of(modality)
-        row = {"name": name, "modality": modality, "grasps": size, "rmse": rmse, "nrmse_p2": rmse / (high - low)}
+        row = {"name": name, "modality": modality, "grasps": size, "rmse": rmse}
         rows.append(row | _ends("skill", skill[:, k]) | _ends("share", None if share is None else share[:, k]))
     return rows
 
@@ -202,7 +288,7 @@ def _ends(column: str, drawn: Float64 | None) -> Row:
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    """Skills, the predictors' shares of the ceiling, and errors in percent of P2's ranges."""
+    """Skills, and the predictors' shares of the ceiling."""
     notes = [
         "skill: 0 is the mean of the training labels; [95 % interval by bootstrap over grasps]",
         "only ... hidden: the ceiling if all other causes were known",
@@ -212,12 +298,10 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     sentences = [f"{name}: skills of {listed(own, 'skill')} ({', '.join(MODALITIES)})" for name, own in ceilings]
     shares = grouped(scored, "name")
     sentences += [f"`{name}` reaches {span(row['share'] for row in own)} of the ceiling" for name, own in shares]
-    errors = pivot(rows, "name", lambda row: f"{100.0 * row['nrmse_p2']:.1f}")
     tables = [
         findings(sentences),
         Table(f"noise ceiling: {rows[0]['grasps']} grasps", ["skill", *MODALITIES], _body(rows, "skill"), notes),
         Table("share of the ceiling", ["share", *MODALITIES], _body(scored, "share")),
-        Table("RMSE in percent of P2's ranges", ["rmse", *MODALITIES], errors),
     ]
     return [table for table in tables if table.rows or table.notes]
 
@@ -230,7 +314,7 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
     """Draw `ceiling.png`: modalities side by side, with the predictors' shares of the ceiling."""
     names = unique(rows, "name")
 
-    def draw(axes: Axes, own: Rows) -> None:
+    def _draw_skills(axes: Axes, own: Rows) -> None:
         draw_intervals(axes, own, "name", names, lowest=-0.1, colour=lambda row: "C0" if row["share"] is None else "C1")
         for row in own:
             if row["share"] is not None:
@@ -238,7 +322,7 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
                 axes.annotate(text, (1.0, names.index(row["name"])), ha="right", va="center", fontsize=8)
         axes.set_xlim(-0.1, 1.02)
 
-    line = Line(1.2 + 0.35 * len(names), rows, draw, x_label="skill (0: training mean)")
+    line = Line(1.2 + 0.35 * len(names), rows, _draw_skills, x_label="skill (0: training mean)")
     return save_panels(folder / "ceiling.png", 13.0, [line], sharey=True, sharex=True)
 
 
