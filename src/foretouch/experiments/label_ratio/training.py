@@ -90,10 +90,10 @@ AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
     SRGAN: {
         f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
-        for variant in ("as_printed", "contrast", "srgan")
+        for variant in ("as_printed", "contrast", "batch_means", "srgan")
     },
 }
-"""P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
+"""P2's recipe, which is the defaults of `SrganConfig`, in the four readings of its losses. Its PointNet is trained by
 `SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected."""
 
 
