@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Surfaces whose normals are known, grasps on them, and a small contact model that is really fitted."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each hard case of `test/corpus` is answered right or refused by name: no NaN, no traceback, no warning."""
 
-from __future__ import annotations
-
 import re
 import time
 import tracemalloc

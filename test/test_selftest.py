@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch doctor --self-test`: what it reports of a good machine, and of a broken one."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Absent, stalled, unplugged and back again, on the library's own software device."""
 
-from __future__ import annotations
-
 import logging
 import re
 import time

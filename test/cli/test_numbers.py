@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options that take a number: what no command can use is refused before anything starts."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`predict` with a tare and with touches: equal to the model's predictions, and mistakes reported by name."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`run`, `replay` and `record` as a person calls them: processes of their own, over real DDS."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

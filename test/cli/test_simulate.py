@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch simulate`: a data set of a scene, its plan, its samples again, and mistakes in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`view` writes real Rerun files, which are read back by Rerun."""
 
-from __future__ import annotations
-
 import ctypes.util
 import json
 import os

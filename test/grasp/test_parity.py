@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """GeoGrasp against the original's output and against grasps that a robot executed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

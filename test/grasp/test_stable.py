@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The method `stable`: what small changes of the cloud do to its best grasp, and that it is held in a stream."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Voxel grid, normals and outlier removal against SciPy and plain definitions."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects on tables: against the truth of rendered scenes, and the reported reason if there are none."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
