@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot for the tests of the recorder: it sends what a grasp looks and feels like, with stamps that it chooses."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The queue between threads: what is kept, what is dropped, and who waits."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

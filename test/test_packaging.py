@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds for the package as a whole: one version, a core without ROS, a prompt command line."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

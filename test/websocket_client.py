@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A client of Foxglove's WebSocket protocol, as small as it can be (RFC 6455, subprotocol `foxglove.sdk.v1`)."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deprojection against librealsense, with and without distortion, and by hand."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

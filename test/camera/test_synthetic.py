@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The feeder of the software device: its rate, its thread, its refusals."""
 
-from __future__ import annotations
-
 import threading
 import time
 

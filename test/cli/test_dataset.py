@@ -90,16 +90,14 @@ def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:
     def check(words: tuple[object, ...], line: str) -> None:
         call("dataset", *words).check_refused(f"foretouch: {line}\n")
 
-    every_case(
-        [
-            *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),
-            (("import", dataset, "-o", tmp_path / "x", "--hand", "serial"), "serial: is not NAME=VALUE"),
-            (("show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7"), f"{dataset}: holds no sample ball/7"),
-            ((*edit, "--drop"), "--relabel and --drop need --id"),
-            ((*edit, "--id", "x"), "--id needs --relabel or --drop"),
-        ],
-        check,
-    )
+    cases = [
+        *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),
+        (("import", dataset, "-o", tmp_path / "x", "--hand", "serial"), "serial: is not NAME=VALUE"),
+        (("show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7"), f"{dataset}: holds no sample ball/7"),
+        ((*edit, "--drop"), "--relabel and --drop need --id"),
+        ((*edit, "--id", "x"), "--id needs --relabel or --drop"),
+    ]
+    every_case(cases, check)
 
 
 def test_predictions_are_the_same_from_folder_dataset_and_store(call, dataset, tmp_path) -> None:

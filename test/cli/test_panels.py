@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What stands on the live screens of `run` and `record`, whole at 60 and at 80 columns by 24 lines."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

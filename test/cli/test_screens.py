@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables, live screens and progress bars: whole on terminals of any width, without remains of earlier frames."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty

@@ -69,19 +69,17 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
         with pytest.raises(GraspError, match=match):
             decode_grasp(message)
 
-    every_case(
-        [
-            (r"g1: .*nan.* is not finite", lambda m: setattr(m.g1, "x", math.nan)),
-            (r"g2: .*inf.* is not finite", lambda m: setattr(m.g2, "z", math.inf)),
-            (r"g1, g2: both contacts are at", lambda m: setattr(m, "g2", m.g1)),
-            (r"orientation: length 5.* is not 1", lambda m: setattr(m.pose.orientation, "w", 5.0)),
-            (r"orientation: length nan", lambda m: setattr(m.pose.orientation, "x", math.nan)),
-            (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, 0.5))),
-            (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, math.nan))),
-            (r"rotation: is not that of pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
-        ],
-        check,
-    )
+    cases = [
+        (r"g1: .*nan.* is not finite", lambda m: setattr(m.g1, "x", math.nan)),
+        (r"g2: .*inf.* is not finite", lambda m: setattr(m.g2, "z", math.inf)),
+        (r"g1, g2: both contacts are at", lambda m: setattr(m, "g2", m.g1)),
+        (r"orientation: length 5.* is not 1", lambda m: setattr(m.pose.orientation, "w", 5.0)),
+        (r"orientation: length nan", lambda m: setattr(m.pose.orientation, "x", math.nan)),
+        (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, 0.5))),
+        (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, math.nan))),
+        (r"rotation: is not that of pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
+    ]
+    every_case(cases, check)
     message = grasp_to_msg(UNIT)
     assert has_orientation(message)
     message.rotation, message.pose.orientation.w = np.zeros(9), 0.0

@@ -30,15 +30,13 @@ def test_a_table_that_was_not_found_is_refused_with_a_reason():
             read_table(TablePlane(header=HEADER, plane=Plane(), status=status, reason=reason), HEADER)
         assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
 
-    every_case(
-        [
-            (Status.NO_PLANE, "no plane", Status.NO_PLANE, "no plane"),
-            (Status.NO_PLANE, "", Status.NO_PLANE, "table: status no_plane without a reason"),
-            (250, "", Status.BAD_REQUEST, "table: status 250 is unknown"),
-            (Status.NO_OBJECT, "a\nb", Status.NO_OBJECT, r"a\nb"),
-        ],
-        check,
-    )
+    cases = [
+        (Status.NO_PLANE, "no plane", Status.NO_PLANE, "no plane"),
+        (Status.NO_PLANE, "", Status.NO_PLANE, "table: status no_plane without a reason"),
+        (250, "", Status.BAD_REQUEST, "table: status 250 is unknown"),
+        (Status.NO_OBJECT, "a\nb", Status.NO_OBJECT, r"a\nb"),
+    ]
+    every_case(cases, check)
 
 
 def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
