@@ -60,7 +60,7 @@ class DoubleDevice(TrainingDevice):
 
 
 def trained_gradients(data: TrainingSet, method: str) -> torch.Tensor:
-    """All gradients of one step, whose batch of 20 the processes share."""
+    """All gradients of one step, whose batch of 20 the processes share, and the running statistics after it."""
     if method == "supervised":
         config = TrainConfig(epochs=1, batch_size=20, loss="rmse", optimiser="sgd", device="cpu")
         trainer: Trainer = SupervisedTrainer(data, np.arange(20), config)
@@ -73,7 +73,8 @@ def trained_gradients(data: TrainingSet, method: str) -> torch.Tensor:
     in_double(trainer)  # batch norm of few rows makes much of a rounding: in float32 both ways are 1e-6 to 7e-6 apart
     trainer.run_epoch()
     parameters = [parameter for module in trainer.modules.values() for parameter in module.parameters()]
-    return torch.cat([parameter.grad.double().flatten() for parameter in parameters])
+    buffers = [buffer for module in trainer.modules.values() for buffer in module.buffers()]
+    return torch.cat([one.double().flatten() for one in (*(parameter.grad for parameter in parameters), *buffers)])
 
 
 def train_rank(rank: int, folder: str, data: TrainingSet) -> None:
