@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What no camera sees and no hand holds is refused by name; every recorded object is accepted."""
+"""What no camera sees and no hand holds is refused by name."""
 
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,13 +57,3 @@ def test_tables_that_no_camera_sees_are_named() -> None:
     every_refusal(CloudError, cases, check)
     seen = [(0, 0, 1, -1.27), (0, 0, -1, 1.27), (0, 1, 0, 0), (1, 0, 0, 0), (0, -1, 0, 0.4), (0, 1, 0, 0.4)]
     every_case([*seen, (0, -0.9, -0.4, 1.2)], check)
-
-
-@pytest.mark.real_data
-def test_every_recorded_object_is_accepted(real_data: Path) -> None:
-    from foretouch.cloud.io.files import read_cloud
-
-    paths = sorted(real_data.glob("vision2tactile/*/*/cloud-object.pcd"))
-    assert len(paths) >= 400
-    for path in paths:
-        check_object(read_cloud(path).xyz)
