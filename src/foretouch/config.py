@@ -23,7 +23,6 @@ import yaml
 from foretouch.checked_files import read_bytes
 from foretouch.errors import ConfigError, FileError, quoted, shown
 
-_YAML_LIMIT: Final = 100_000  # bytes; the largest file of the package has 5000
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_VALUES: Final = 100_000
 
@@ -76,8 +75,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
-            value = _checked(info, getattr(self, info.name), type(self).__name__)
-            object.__setattr__(self, info.name, value)
+            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name), type(self).__name__))
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
@@ -126,7 +124,7 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
 def load_yaml(path: str | Path) -> dict[str, Any]:
     """Load one YAML mapping safely; a `ConfigError` if the file cannot be read or is not a mapping."""
     try:
-        content = read_bytes(path, _YAML_LIMIT)
+        content = read_bytes(path, 100_000)  # the largest file of the package has 5000
     except FileError as err:
         raise ConfigError(str(err)) from err
     try:

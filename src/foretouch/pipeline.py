@@ -188,9 +188,8 @@ class Pipeline:
         """
         if not grasps:
             return []
-        limits, reach = self.config.limits, self.config.reach
         predictions = (model or self.model).predict(
-            target.cloud, grasps, tare=tare, history=history, limits=limits, reach=reach
+            target.cloud, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )
         if not target.flags:
             return predictions
@@ -205,7 +204,6 @@ class Pipeline:
         """
         ms: dict[str, float] = {}
         scene: SegmentedScene | None = None
-        targets: tuple[FoundObject, ...]
         results: list[TargetResult] = []
         if plane is not None:
             targets = (FoundObject("1", cloud, plane),)

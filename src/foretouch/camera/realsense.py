@@ -5,8 +5,6 @@ Threads: the thread that reads also opens, waits and reopens; any thread may rea
 whole and never changed.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import Counter
@@ -21,9 +19,7 @@ from foretouch.camera.stream import FilterChain, FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
-_LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
-_START_OF_PLAY_S = 1.0
 _BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
 
 CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
@@ -232,8 +228,7 @@ class RealSenseCamera:
         return self.config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
-        frames = stream.wait(timeout_s)
-        now = time.monotonic()
+        frames, now = stream.wait(timeout_s), time.monotonic()
         if frames is None:
             self._on_silence(now, "no frame")
             return None
@@ -260,13 +255,14 @@ class RealSenseCamera:
     def _on_silence(self, now: float, what: str) -> None:
         """Handle the lack of a cloud; `what` describes it in the reason."""
         silent_s = self._watchdog.silent_s(now)
-        # A recording may not be playing yet just after its start.
+        # A recording may not be playing yet in the first second.
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
-        if ended and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
+        if ended and (self._last_number is not None or silent_s > 1.0):
             self._release()
-            repeat = self.config.repeat
-            state: CameraState = "reconnecting" if repeat else "ended"
-            self._set_state(state, "the recording restarts" if repeat else "the recording has ended")
+            if self.config.repeat:
+                self._set_state("reconnecting", "the recording restarts")
+            else:
+                self._set_state("ended", "the recording has ended")
             return
         decision = self._watchdog.decide(now)
         reason = f"{what} for {silent_s:.1f} s"
@@ -305,4 +301,4 @@ class RealSenseCamera:
 
 def _log(status: CameraStatus) -> None:
     level = logging.INFO if status.is_ok else logging.WARNING
-    _LOG.log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")
+    logging.getLogger(__name__).log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")

@@ -153,8 +153,7 @@ def plan_targets(
     """
     plans = []
     for target in targets:
-        before = None if held is None else held.find(target.cloud)
-        plan = pipeline.plan(target, held=before, hold=margin)
+        plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=margin)
         plans.append((target, plan))
         if held is not None and plan.grasps and plan.axis is not None:
             held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))
