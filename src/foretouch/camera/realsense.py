@@ -143,8 +143,7 @@ class RealSenseCamera:
         """Apply new filters and timeouts, from any thread; other settings need a new camera."""
         self.config = self.config.replace(filters=config.filters, timeouts=config.timeouts)
         self._watchdog.config = config.timeouts
-        stream = self._stream
-        if stream is not None:
+        if (stream := self._stream) is not None:
             stream.filters = FilterChain(config.filters)
 
     @property
@@ -154,13 +153,9 @@ class RealSenseCamera:
         return replace(self._status, since_frame_s=None if last is None else time.monotonic() - last)
 
     def read(self, timeout_s: float) -> Cloud | None:
-        """Return the next cloud.
+        """Return the next cloud; None if there was none in time, for the reason that `status` gives.
 
-        Args:
-            timeout_s: Longest wait; opening a device may take longer [s].
-
-        Returns:
-            The cloud, or None if there was none in time: `status` gives the reason.
+        Opening a device may take longer than `timeout_s` [s].
 
         Raises:
             CameraError: If the camera does not offer what the settings ask for.
@@ -171,10 +166,8 @@ class RealSenseCamera:
             left = deadline - time.monotonic()
             if self._stream is None:
                 self._try_to_open(max(0.0, left))
-            else:
-                cloud = self._wait(self._stream, min(_SLICE_S, max(0.001, left)))
-                if cloud is not None:
-                    return cloud
+            elif (cloud := self._wait(self._stream, min(_SLICE_S, max(0.001, left)))) is not None:
+                return cloud
             if time.monotonic() >= deadline:
                 break
         return None
@@ -182,8 +175,7 @@ class RealSenseCamera:
     def __iter__(self) -> Iterator[Cloud]:
         """Clouds until the recording ends or the camera is closed."""
         while self._status.state not in {"ended", "closed"}:
-            cloud = self.read(_SLICE_S)
-            if cloud is not None:
+            if (cloud := self.read(_SLICE_S)) is not None:
                 yield cloud
 
     def close(self) -> None:

@@ -133,8 +133,7 @@ class FrameStream:
             left_s = give_up - time.monotonic()
             if colour is not None or left_s <= 0.0 or is_past:
                 return colour
-            frame = self._colour_queue.get(left_s)
-            if frame is not None:
+            if (frame := self._colour_queue.get(left_s)) is not None:
                 self._colours.add(frame)
 
     def _drain_colour(self) -> None:
@@ -279,5 +278,7 @@ def _find_profile(device: Any, stream: Any, pixel_format: Any, config: RealSense
             sizes.append("{}x{}@{}".format(*size))
     if config is None or not sizes:
         raise CameraError(f"{stream.name} stream: the device has none of format {pixel_format.name}")
-    wanted = f"{config.width}x{config.height}@{config.fps}"
-    raise CameraError(f"{stream.name} stream: {wanted} is not offered; offered: {', '.join(sorted(set(sizes)))}")
+    raise CameraError(
+        f"{stream.name} stream: {config.width}x{config.height}@{config.fps} is not offered; "
+        f"offered: {', '.join(sorted(set(sizes)))}"
+    )

@@ -75,8 +75,7 @@ class TouchAnswer:
         tails: dict[Any, bytes] = {}
         for outcome, names, numbers in zip(self.outcomes, *self._fixed, strict=True):
             key = outcome if isinstance(outcome, Refusal) else (outcome.flags, outcome.reference, outcome.evidence)
-            tail = tails.get(key)
-            if tail is None:
+            if (tail := tails.get(key)) is None:
                 tail = tails[key] = self._tail(outcome)
             gap = -(at + len(names)) % 8  # doubles begin at multiples of their size
             parts += (names, bytes(gap), numbers, tail)
@@ -130,8 +129,13 @@ def middleware_reads_cdr() -> bool:
     """Whether the middleware of this process reads what `TouchAnswer.encoded` writes; tried once."""
     touch = Touch.from_vector(np.arange(float(TOUCH_SIZE)))
     grasps = [GraspMsg(id="x" * k, score=0.5, reason="y") for k in range(3)]
-    evidence = Evidence(1, 2.5, 3, 4.5)
-    known = TouchPrediction(None, touch, touch, touch, "touches", ("a",), evidence=evidence)  # type: ignore[arg-type]
+    known = TouchPrediction(
+        None,  # type: ignore[arg-type]
+        *(touch, touch, touch),
+        reference="touches",
+        flags=("a",),
+        evidence=Evidence(1, 2.5, 3, 4.5),
+    )
     answer = TouchAnswer(Header(frame_id="cam"), grasps, [known] * len(grasps), ("late",), Duration(sec=5), "m", "s")
     try:
         return bool(deserialize_message(answer.encoded(), TouchPredictionArray) == answer.message)

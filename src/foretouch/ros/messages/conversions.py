@@ -145,8 +145,7 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     """
     rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
-    reference = _REFERENCE_NAMES.get(message.reference)
-    if reference is None:
+    if (reference := _REFERENCE_NAMES.get(message.reference)) is None:
         raise ModelError(f"reference: {message.reference} is none of {', '.join(REFERENCE_CODES)}")
     refused = bool(np.isnan(value).any())
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"

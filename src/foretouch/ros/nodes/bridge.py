@@ -165,13 +165,17 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
                     one.input.adapt()
                 else:
                     offered = {end.qos_profile.reliability for end in self.get_publishers_info_by_topic(name)}
-                    reliable = ReliabilityPolicy.BEST_EFFORT not in offered
-                    one.input = SerializedInput(self, one.topic, self._forward, self._mismatch, reliable=reliable)
+                    one.input = SerializedInput(
+                        self,
+                        one.topic,
+                        self._forward,
+                        self._mismatch,
+                        reliable=ReliabilityPolicy.BEST_EFFORT not in offered,
+                    )
 
     def _forward(self, message: SerializedMessage) -> None:
         arrived = self.statistics.receive()
-        one = self._served.get(message.topic)
-        if one is None or self._server is None:
+        if (one := self._served.get(message.topic)) is None or self._server is None:
             self.statistics.drop("stopped")
             return
         one.channel.log(message.data, log_time=message.received_ns)

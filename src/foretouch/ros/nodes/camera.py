@@ -114,28 +114,24 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         """Apply new filters, timeouts and message faults while it streams."""
         if self._faults is not None:
             self._faults.config = config.faults
-        camera = self._camera
-        if camera is not None:
+        if (camera := self._camera) is not None:
             camera.reconfigure(config.camera.replace(**self._size))
 
     def has_ended(self) -> bool:
         """Whether a recording was played to its end."""
-        camera = self._camera
-        return camera is not None and camera.status.state == "ended"
+        return (camera := self._camera) is not None and camera.status.state == "ended"
 
     def errors(self) -> tuple[str, ...]:
         """State and reason of a camera that is absent, stalled or being reopened."""
         if self._failure:
             return (self._failure,)
-        camera = self._camera
-        if camera is None or camera.status.is_ok:
+        if (camera := self._camera) is None or camera.status.is_ok:
             return ()
         return (f"{camera.status.state}: {camera.status.reason}",)
 
     def notes(self) -> dict[str, str]:
         """The camera's state and counts."""
-        camera = self._camera
-        if camera is None:
+        if (camera := self._camera) is None:
             return {"source": self.config.source, "camera": "closed"}
         status = camera.status
         return {

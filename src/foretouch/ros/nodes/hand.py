@@ -266,8 +266,7 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _send(self, number: int, start_ns: int, period_ns: int) -> None:
         counts = self._fingers(number)
-        stamp = self._faults.stamp(start_ns + number * period_ns)
-        if stamp is not None:
+        if (stamp := self._faults.stamp(start_ns + number * period_ns)) is not None:
             self._tactile.publish(biotac_all_to_msg(counts, "rh_tactile", stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.trajectory.counts) - 1:

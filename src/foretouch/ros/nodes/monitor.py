@@ -131,10 +131,8 @@ class MonitorNode(GuardedCallbacks, Node):
             answers = [] if found else list(self._drawable)
         for answer in reversed(answers):
             one = answer.predictions[0]
-            if _is_unfamiliar(one) not in found:
-                drawn = self._drawn(one)
-                if drawn is not None:
-                    found[_is_unfamiliar(one)] = drawn
+            if _is_unfamiliar(one) not in found and (drawn := self._drawn(one)) is not None:
+                found[_is_unfamiliar(one)] = drawn
         return [found[key] for key in sorted(found)]
 
     def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:

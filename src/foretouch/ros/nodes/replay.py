@@ -69,8 +69,7 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
 
 def _message_class(topic: Topic) -> tuple[type | None, str]:
     """The class of a topic's messages if this machine has it with the same fields; else None and the reason."""
-    match = re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)
-    if match is None:
+    if (match := re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)) is None:
         return None, f"type {topic.type or 'mixed'} is not a message type"
     package, name = match.groups()
     # A recording may name any module: only what is installed as ROS interfaces is imported.
@@ -206,8 +205,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
         self._matching = Matching(self, config.discovery_s, config.wait_for)
-        reports = self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH)
-        self._closing.callback(self.destroy_subscription, reports)
+        self._closing.callback(
+            self.destroy_subscription,
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH),
+        )
 
     def _start(self) -> None:
         self._stopping.clear()
@@ -372,7 +373,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _report_outcome(self, outcome: str, reason: str = "") -> None:
         self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
-        values = {**self.notes(), "unreadable": str(self.unreadable)}
+        values = self.notes() | {"unreadable": str(self.unreadable)}
         self._status.publish(
             DiagnosticStatus(
                 level=DiagnosticStatus.ERROR if self.has_failed else DiagnosticStatus.OK,

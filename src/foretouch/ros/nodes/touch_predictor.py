@@ -122,22 +122,24 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             refused_goal,
         )
         if self._planner_action is not None:
-            refused = partial(planner_result, self._planner_action)
-            self._offer(self._planner_action, PLANNER_ACTION, self._sample_poses, refused)
+            self._offer(
+                self._planner_action, PLANNER_ACTION, self._sample_poses, partial(planner_result, self._planner_action)
+            )
         self.subscribe(TablePlane, "table", self._remember_table)
         super()._setup()
 
     def _offer(self, kind: Any, name: str, work: Callable[[Any], Any], failure: Callable[[RefusalError], Any]) -> None:
         """Make the server of an action, whose goals are worked on in a thread; one with an internal error is aborted."""
-        action = ActionServer(
-            self,
-            kind,
-            name,
-            self.internal_errors.guarded(name, partial(self._execute, work, failure), partial(_aborted, failure)),
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
+        self._closing.callback(
+            ActionServer(
+                self,
+                kind,
+                name,
+                self.internal_errors.guarded(name, partial(self._execute, work, failure), partial(_aborted, failure)),
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=ReentrantCallbackGroup(),
+            ).destroy
         )
-        self._closing.callback(action.destroy)
 
     def _teardown(self) -> None:
         self._frame = self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
@@ -225,8 +227,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
         with self._latest_lock:
-            table = self._tables.get(stamp_ns(message.header.stamp))
-            if table is not None:
+            if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
                 self._latest = Latest(message, table)
 
     # Online adaptation.
@@ -291,8 +292,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         targets = read_targets(asked.cloud, table or ASSUMED_TABLE, config.limits)
         if not asked.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
-        posing = config.grasp if table else None
-        message, answer = self._predict(targets, asked.grasps, asked.cloud.header, posing, arrived)
+        message, answer = self._predict(
+            targets, asked.grasps, asked.cloud.header, config.grasp if table else None, arrived
+        )
         self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
             message = asked.transform.answer(message, None if asked.grasps is request.grasps else request.grasps)
@@ -303,8 +305,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
-        count = min(self.config.planner_action_count, self.config.max_grasps)
-        goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
+        goal = SampleGrasps.Goal(
+            action_name=goal_handle.request.action_name,
+            count=min(self.config.planner_action_count, self.config.max_grasps),
+        )
         sampled = self._sample(goal_handle, goal, lambda _: None)
         goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
         return planner_result(self._planner_action)

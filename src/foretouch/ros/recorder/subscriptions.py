@@ -137,15 +137,15 @@ class SerializedInput:
 
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
     """The topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
-    topics = [
+    return [
         InputTopic(config.tactile_topic, tactile_class(config.tactile.type), depth),
         InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
         InputTopic("table", TablePlane, depth),
         InputTopic(GRASPS_TOPIC, GraspArray, depth),
         InputTopic("touch", TouchPredictionArray, depth),
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
+        *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]
-    return topics + [InputTopic("points", PointCloud2, points_depth)] * bool(points_depth)
 
 
 class MessageQueue(BoundedQueue[SerializedMessage]):
@@ -262,6 +262,5 @@ class RecorderSubscriptions:
 
     def _receive(self, message: SerializedMessage) -> None:
         self._arrived[message.topic] += 1
-        queue = self._queue
-        if queue is not None:
+        if (queue := self._queue) is not None:
             queue.put(message)

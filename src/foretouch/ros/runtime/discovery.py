@@ -124,8 +124,7 @@ class Matching:
         """How many ends a node's end of a topic must match, as far as discovery shows."""
         ends = self._node.get_publishers_info_by_topic(topic), self._node.get_subscriptions_info_by_topic(topic)
         mine, others = ends if is_publisher else ends[::-1]
-        one = next((end for end in mine if _node_of(end) == name), None)
-        if one is None:
+        if (one := next((end for end in mine if _node_of(end) == name), None)) is None:
             return 0
         pairs = ((one, end) if is_publisher else (end, one) for end in others if end.topic_type == one.topic_type)
         checks = (qos_check_compatible(sent.qos_profile, heard.qos_profile)[0] for sent, heard in pairs)

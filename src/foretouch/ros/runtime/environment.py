@@ -74,8 +74,10 @@ def _check_parameter_file(path: str) -> None:
 
     for name, value in load_yaml(path).items():
         if not isinstance(value, Mapping) or not _holds_parameters(value):
-            form = "NODE: {ros__parameters: {NAME: VALUE}}"
-            raise ConfigError(f"{path}: {name}: holds no ros__parameters; a parameter file is {form}")
+            raise ConfigError(
+                f"{path}: {name}: holds no ros__parameters; a parameter file is "
+                "NODE: {ros__parameters: {NAME: VALUE}}"
+            )
 
 
 def _holds_parameters(node: Mapping[str, Any]) -> bool:

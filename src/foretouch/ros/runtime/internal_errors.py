@@ -126,8 +126,9 @@ class GuardedCallbacks:
         """See rclpy's `Node`."""
         if srv_type in (SetParameters, SetParametersAtomically):
             callback = functools.partial(_with_known_types, callback)
-        guarded = self.internal_errors.guarded(srv_name, callback, _failed_service)
-        return super().create_service(srv_type, srv_name, guarded, **options)  # type: ignore[misc]
+        return super().create_service(  # type: ignore[misc]
+            srv_type, srv_name, self.internal_errors.guarded(srv_name, callback, _failed_service), **options
+        )
 
     def add_on_set_parameters_callback(self, callback: Any) -> None:
         """See rclpy's `Node`."""

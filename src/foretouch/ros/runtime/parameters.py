@@ -50,8 +50,7 @@ class NodeSettings(Generic[_S]):
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence["Parameter[Any]"]) -> None:
-        changed = self._changed(parameters)
-        if changed is not None:
+        if (changed := self._changed(parameters)) is not None:
             self.value = changed
             self._on_change(changed)
 

@@ -100,9 +100,8 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         super().__init__(name, config_class, **options)
         self._topics = tuple(inputs)
         self._lock = threading.Lock()
-        names = frozenset(topic for _, topic in inputs)
         self._synchronizer = StampSynchronizer(  # 64 are more than all queues upstream hold together
-            names, 64, self.statistics.receive, self.statistics.drop
+            frozenset(topic for _, topic in inputs), 64, self.statistics.receive, self.statistics.drop
         )
         self._worker: Worker[_StampedSet] = Worker(
             name,

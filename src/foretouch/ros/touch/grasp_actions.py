@@ -138,9 +138,8 @@ def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> fl
     if rule == SCORE:
         cost = -prediction.grasp.score
     elif prediction.status == Status.OK:
-        values = {"PDC_TH": prediction.pdc_th.value, "PDC_MF": prediction.pdc_mf.value}
-        limits = [ranges.of(name) for name in values]
-        shares = [(value - low) / (high - low) for value, (low, high) in zip(values.values(), limits, strict=True)]
+        pressures = ((prediction.pdc_th, ranges.of("PDC_TH")), (prediction.pdc_mf, ranges.of("PDC_MF")))
+        shares = [(pressure.value - low) / (high - low) for pressure, (low, high) in pressures]
         cost = max(shares) if rule == HARDER_FINGER else float(np.mean(shares))
     return cost if math.isfinite(cost) else math.inf
 

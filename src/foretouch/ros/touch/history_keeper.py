@@ -60,8 +60,8 @@ class HistoryKeeper:
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
         found = {"history.readings": str(read.readings), "history.age_s": age}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
-        path = "" if self._file is None else str(self._file.path)
-        return found | {name: text for name, text in (("history.file", path), ("history.fault", self.fault)) if text}
+        found |= {"history.file": str(self._file.path)} if self._file else {}
+        return found | ({"history.fault": self.fault} if self.fault else {})
 
     def close(self) -> None:
         """Write what is not written yet, and let other processes use the file."""

@@ -244,14 +244,10 @@ def _outcome(prediction: Prediction) -> Prediction | Refusal:
 
 def _refusal_of(err: ForetouchError) -> Refusal:
     """What an error keeps from being predicted."""
-    status = Status.REFUSED
     if isinstance(err, RefusalError):
-        status = err.status
-    elif isinstance(err, CloudError):
-        status = Status.BAD_CLOUD if isinstance(err, LimitError) else Status.TOO_FEW_POINTS
-    elif isinstance(err, GraspError):
-        status = Status.BAD_GRASP
-    return Refusal(status, str(err))
+        return Refusal(err.status, err.reason)
+    statuses = {LimitError: Status.BAD_CLOUD, CloudError: Status.TOO_FEW_POINTS, GraspError: Status.BAD_GRASP}
+    return Refusal(next((code for kind, code in statuses.items() if isinstance(err, kind)), Status.REFUSED), str(err))
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:
