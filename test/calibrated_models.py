@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small calibrated models: their predictions are arbitrary, their adaptation to tare and touches is real."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a command returned and printed, for tests of the command line."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test shares: where the recordings of others are, and a seed."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Made-up grasps whose labels follow from object, time and place of the grasp."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

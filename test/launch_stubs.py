@@ -4,8 +4,6 @@
 The stubs keep what they are given and perform substitutions, so that a test can read the nodes that a file describes.
 """
 
-from __future__ import annotations
-
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import NamedTuple

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A stream of tactile readings in which every grasp can be told from every other by its counts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

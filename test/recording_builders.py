@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small recorded samples and datasets for the tests of recording, reading and conversion."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace

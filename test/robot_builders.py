@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot for the tests of the recorder: it sends what a grasp looks and feels like, with stamps that it chooses."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any
@@ -95,6 +93,10 @@ def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[A
     (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
     assert node.state_name == "active"
     return node, Robot(graph), told
+
+
+def outcomes(status: Any) -> dict[str, int]:
+    return dict(zip(status.outcomes, status.outcome_counts, strict=True))
 
 
 def accounts(status: Any) -> dict[str, Any]:

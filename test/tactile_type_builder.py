@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A made-up type of tactile messages: one file and one line in the table of types."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

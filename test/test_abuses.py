@@ -6,8 +6,6 @@ process behind. What holds must hold at whatever instant a signal comes, however
 rviz2 is in `test/ros/test_launch_files.py`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource
@@ -257,13 +255,3 @@ def test_a_mistake_or_a_fault_outside_is_told_in_one_line(kind, start, tmp_path)
         check_end(abuse, process, out or b"", err.decode())
 
     every_case({one.name: one for one in MISTAKES[kind]}, check)
-
-
-@pytest.mark.ros
-def test_a_second_graph_in_the_namespace_is_named(start, tmp_path) -> None:
-    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    abuse = Abuse("two graphs", "replay @/recording --no-wait --rate 8 --json", {0})
-    ends = [process.communicate(timeout=PATIENCE_S) for process in [start(abuse, tmp_path) for _ in range(2)]]
-    named = [json.loads(out)["conflicts"] for out, _ in ends]
-    assert any("2 nodes are named /foretouch/replay" in text for found in named for text in found), named
-    assert any("a second graph or source runs in the namespace" in err.decode() for _, err in ends)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The few numbers on hand-written pages, held against the committed tables; pages of results are written from theirs."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

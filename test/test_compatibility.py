@@ -1,60 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of earlier releases are read with the same numbers, and files of another format version are refused by name."""
+"""Files of another format version are refused by name."""
 
 import json
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from compatibility_files import EXPECTED, make, read
 from every_case import every_case
+from recording_builders import write_grasps
 
+from foretouch.dataset.editing import relabel
 from foretouch.dataset.files import sealed
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, verify_dataset
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, Store
+from foretouch.dataset.store_writer import build_store
 from foretouch.errors import FileError
-from foretouch.learning.data.splits import read_splits
-
-RELEASES = sorted((Path(__file__).parent / "data").glob("from_*"))
+from foretouch.learning.data.splits import SPLITS_FILE, make_splits, read_splits
 
 
-@pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of this version."""
-    folder = tmp_path_factory.mktemp("compatibility") / "files"
-    make(folder)
-    return folder
-
-
-@pytest.mark.committed_numbers
-def test_files_of_releases_are_read_with_the_same_numbers(files: Path, tmp_path: Path) -> None:
-    """Keys may be added, but none may be missing and no value may differ."""
-
-    def check(folder: Path) -> None:
-        expected = json.loads((folder / EXPECTED).read_text(encoding="utf-8"))
-        differences = list(_differences(expected, read(folder, tmp_path / folder.name)))
-        assert not differences, "\n".join(differences[:10])
-
-    every_case([files, *RELEASES], check)
-
-
-def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        for key, value in old.items():
-            yield from _differences(value, new.get(key, "absent"), f"{where}.{key}")
-    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        for k, (one, other) in enumerate(zip(old, new, strict=True)):
-            yield from _differences(one, other, f"{where}[{k}]")
-    elif type(old) is not type(new) or old != new:
-        yield f"{where}: {new!r}, not {old!r}"
-
-
-def test_other_format_versions_are_refused_by_name(files: Path, tmp_path: Path) -> None:
-    recording, store = (Path(shutil.copytree(files / name, tmp_path / name)) for name in ("recording", "store"))
+def test_other_format_versions_are_refused_by_name(tmp_path: Path) -> None:
+    recording, store = tmp_path / "recording", tmp_path / "store"
+    write_grasps(recording)
+    relabel(recording, ["cheezit/0"], "cup")
+    build_store([recording], store, attach=lambda samples: {SPLITS_FILE: make_splits(samples, 3)})
 
     def check(path: Path, version: object, *readers: Any) -> None:
         kept = path.read_text()

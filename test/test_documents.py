@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documents: links and files exist, words are those of the field, the reference is complete, the site builds."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import re

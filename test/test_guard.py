@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The guard of `make bench`: what it calls lost, that it measures again, and that its cases can be told apart."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals wait for the end of an import and of a clean-up, and processes of a pool never see them."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -5,8 +5,6 @@ Fenced blocks: `sh` is run by one bash for the whole page, `text` holds lines of
 line `# NAME.py` is saved under that name, `console` needs a robot and is not run. In a quoted line, `~1.5` is any number and `…` any text.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

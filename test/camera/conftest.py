@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A small synthetic camera on librealsense's own software device, and short timeouts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib.util import find_spec
 

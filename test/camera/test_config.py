@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings that contradict each other are refused by name."""
 
-from __future__ import annotations
-
 from every_case import every_refusal
 
 from foretouch.camera import RealSenseConfig

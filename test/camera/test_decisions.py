@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is decided from times alone: which colour frame belongs to a depth frame, and when a camera is opened again."""
 
-from __future__ import annotations
-
 import pytest
 from every_case import every_case
 

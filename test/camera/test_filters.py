@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each filter, through the library's own software device, does what its name says."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Beside ROS, the process must end cleanly: tried in a fresh interpreter."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded by the library's own recorder and played back through the same code."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

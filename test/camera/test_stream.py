@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames to clouds on the software device: bit-equal points, colour, stamps, refusals."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

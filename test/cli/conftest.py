@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene and one of its objects, as files, and a way to call commands."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

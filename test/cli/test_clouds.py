@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`segment`, `grasp` and `predict` on files."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from typing import Any

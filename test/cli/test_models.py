@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`models`: skill, coverage and limits of each, and verification of every file."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch train` and `evaluate` on a small simulated dataset, and the folder of a run wherever a model is taken."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings in all containers, and what becomes of damaged ones."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

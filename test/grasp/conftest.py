@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small objects seen from above."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

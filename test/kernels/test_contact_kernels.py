@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled functions of the models against NumPy, SciPy and hard inputs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

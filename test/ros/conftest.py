@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real nodes over real DDS. The tests of a worker share one participant; each destroys the nodes that it made."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import itertools

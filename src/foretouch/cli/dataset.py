@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch dataset`: inspect, verify, repair, edit and convert datasets."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping

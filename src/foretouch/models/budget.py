@@ -10,8 +10,6 @@ How long each level takes here is measured once and kept in the user's cache fol
 show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import os

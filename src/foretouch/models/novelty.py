@@ -12,8 +12,6 @@ Gross errors (a house instead of a can, metres mistaken for millimetres, a grasp
 fallback, because its kernel fades to the mean by itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, Self
 

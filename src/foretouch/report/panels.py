@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from foretouch.errors import FileError
 from foretouch.types import Float64, Touch
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     from matplotlib.figure import Figure
+
+
+Axes: TypeAlias = "matplotlib.axes.Axes"
 
 
 Rows = Sequence[Mapping[str, Any]]

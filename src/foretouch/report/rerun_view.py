@@ -8,8 +8,6 @@
 /answer                                         the same as text, with flags and reasons
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

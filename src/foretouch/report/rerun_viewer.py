@@ -4,8 +4,6 @@
 Rerun is started with its usage statistics turned off, in a configuration folder of its own, and listens on 127.0.0.1 alone.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

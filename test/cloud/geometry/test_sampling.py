@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixed-size sampling and the unit sphere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from every_case import every_case, every_refusal

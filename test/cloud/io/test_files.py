@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading back what was written, what Open3D wrote, and naming what is broken."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """PointCloud2 bytes: against a reader by `struct`, and by hand."""
 
-from __future__ import annotations
-
 import array
 import struct
 from itertools import product

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Selection of the target object, and ambiguous cases."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from every_case import every_case

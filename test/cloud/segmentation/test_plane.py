@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dominant plane: against known planes, against Open3D, and under rotation."""
 
-from __future__ import annotations
-
 import re
 from itertools import product
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings whose stamps repeat, come in the wrong order or from a clock that is set; clouds bounded in time and memory."""
 
-from __future__ import annotations
-
 import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which grasp gets which cloud and which touch: ids and stamps decide, in whatever order messages come."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `layer.c` computes: constrained conjugate gradients (Polonsky & Keer 1999), with NumPy's FFT."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foretouch.simulation.contact import layer as layers

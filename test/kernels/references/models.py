@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the kernels of `forest.c`, `contact.c` and `nearest.c` compute, in NumPy and SciPy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

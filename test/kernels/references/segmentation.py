@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the kernels of `crop.c`, `plane.c` and `clusters.c` compute, in NumPy and SciPy. Float32 stays float32."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

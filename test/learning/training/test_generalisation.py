@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gain of a kernel on new objects: shares known by hand, and that heavy objects do not decide."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

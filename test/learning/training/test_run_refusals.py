@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of a run name file, field and rule, and no earlier result is lost."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

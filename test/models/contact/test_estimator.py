@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model: forests on known objects, the kernel and its gain on new ones, and what it calls unfamiliar."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Features in the hand's frame: what neither the camera nor the density of points changes, and what is known by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from contact_model_builders import HAND, cylinder, lines_sheets_and_repeated_points, moved, patch, sphere

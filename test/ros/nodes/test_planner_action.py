@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action of MoveIt Task Constructor, of its own type, over DDS; and costs by the rules of the parameter."""
+"""The action of MoveIt Task Constructor over DDS, with the type of another action; and costs by the rules of the parameter.
 
-import importlib
+The type of MoveIt has three fields of ours: `grasp_state` of the result, `grasp_candidates` and `costs` of the feedback.
+"""
+
 import math
-import os
 import sys
 
 import numpy as np
-import planner_type_builder
 import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
@@ -24,23 +24,10 @@ from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import GraspArray, Interval, Status, TablePlane, TouchPrediction
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("planner_action")]
+pytestmark = pytest.mark.ros
 
 CAMERA = "camera_depth_optical_frame"
-
-
-@pytest.fixture(scope="module")
-def planner_type():
-    """The action class of a package that is built once, outside of the tree."""
-    try:
-        root = planner_type_builder.build()
-        planner_type_builder.load(root)
-    except (RuntimeError, OSError) as err:
-        pytest.skip(str(err))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(root), os.environ.get("AMENT_PREFIX_PATH", "")]))
-        patch.syspath_prepend(planner_type_builder.python_path(root))
-        yield importlib.import_module(f"{planner_type_builder.PACKAGE}.action").SampleGraspPoses
+TYPE = "foretouch_msgs/SampleGrasps"
 
 
 def send_latest(graph, node, target):
@@ -55,28 +42,25 @@ def send_latest(graph, node, target):
     graph.until(lambda: node.statistics.summary().used == 1)
 
 
-@pytest.mark.slow
-def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type(
-    graph, model_card, planner_type, tmp_path, scene_cloud
-):
+def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(graph, model_card, tmp_path, scene_cloud):
     path = tmp_path / "hand_eye.yaml"
     path.write_text("translation: [0.4, 0.0, 0.9]\nrotation: [1, 0, 0, 0]\n")
     frame = {"output_frame": "base_link", "hand_eye": str(path)}
-    sampling = {"planner_action_count": 5, "sample_cost": "harder_finger"}
+    sampling = {"planner_action_count": 5, "sample_cost": "harder_finger", "planner_action_type": TYPE}
     (node,) = graph.add("touch_predictor", model=model_card, **frame, **sampling)
-    assert node.notes()["sample_grasp_poses"] == "moveit_task_constructor_msgs/SampleGraspPoses"
-    goal = planner_type.Goal(action_name="a")
-    status, result, feedback = graph.goal(planner_type, "sample_grasp_poses", goal)
+    assert node.notes()["sample_grasp_poses"] == TYPE
+    status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
     send_latest(graph, node, Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0])
-    status, result, feedback = graph.goal(planner_type, "sample_grasp_poses", goal)
+    status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, result.grasp_state, len(feedback)) == (GoalStatus.STATUS_SUCCEEDED, "success", 1)
     _, own, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
     assert feedback[0].grasp_candidates == own.grasp_candidates
     assert list(feedback[0].costs) == list(own.costs) == sorted(own.costs)
     headers = [(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates]
     assert headers == [("base_link", 11)] * 5
+    assert not feedback[0].grasps  # no field but those of MoveIt
     assert not node.internal_errors.counts()
 
 
@@ -93,7 +77,7 @@ def test_the_type_is_a_parameter():
     for name in ("SampleGraspPoses", "a/b/c"):
         with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' is not package/Type"):
             planner_action_class(name)
-    assert planner_action_class("foretouch_msgs/SampleGrasps") is SampleGrasps
+    assert planner_action_class(TYPE) is SampleGrasps
     assert planner_action_class("nowhere_msgs/Other") is None
 
 

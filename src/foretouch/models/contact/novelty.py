@@ -6,8 +6,6 @@ between clouds of one object: its pose, and what is seen of it. Conditions under
 are unfamiliar too: another distance of the camera, too few points, another width or direction of the hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Self
