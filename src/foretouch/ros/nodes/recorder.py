@@ -173,10 +173,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session and return the dataset's path; an existing dataset is extended.
 
-        Args:
-            path: Path of the dataset; "" for a name made of the time.
-            label: Label of the object on the table.
-            note: Note for every sample.
+        A `path` of "" stands for a name made of the time. The object's `label` and the `note` are for every sample.
 
         Raises:
             ConfigError: If a session is running.

@@ -34,11 +34,7 @@ _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 
 
 class Predictor:
-    """A model that may be absent: every answer then gives the reason.
-
-    Args:
-        model: Name or path.
-        fallback: Name or path of the model to use if `model` cannot be loaded; "" for none.
+    """A model that may be absent: every answer then gives the reason. `fallback` is used if it cannot be loaded.
 
     Attributes:
         model: None if neither could be loaded.
