@@ -74,8 +74,10 @@ def _dataset_identity(config: RecorderConfig) -> Identity:
     """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
     identity, (thumb, middle) = config.identity, config.tactile.fingers
     hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.type}
-    camera = {"model": identity.camera, "serial": identity.camera_serial}
-    return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
+    return Identity(
+        hand={**hand, "thumb": thumb, "middle_finger": middle},
+        camera={"model": identity.camera, "serial": identity.camera_serial},
+    )
 
 
 def _decode_label(request: Any) -> Label:
