@@ -6,10 +6,9 @@ rounded once to float32) and each frame takes two multiplications per pixel. `li
 the same in float32 throughout; the two differ by float32 rounding only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +38,7 @@ class Deprojector:
     @classmethod
     def of_lens(
         cls, matrix: Float64, width: int, height: int, model: str = "none", coefficients: Sequence[float] = (0.0,) * 5
-    ) -> Deprojector:
+    ) -> Self:
         """Make the deprojector of a lens as librealsense describes it; by default without distortion.
 
         Args:

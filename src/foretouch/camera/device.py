@@ -63,14 +63,12 @@ class _LiveSource(DeviceSource):
     def find(self) -> Any:
         """See `DeviceSource`."""
         devices = {_info(one, realsense().camera_info.serial_number): one for one in self._context.query_devices()}
-        wanted = f"camera {self._serial}" if self._serial else "camera"
         if not devices:
-            raise CameraError(f"{wanted}: no RealSense device is connected")
-        if not self._serial:
-            return next(iter(devices.values()))
-        if self._serial not in devices:
-            raise CameraError(f"{wanted}: is not connected; connected: {', '.join(devices)}")
-        return devices[self._serial]
+            raise CameraError(f"camera {self._serial}".strip() + ": no RealSense device is connected")
+        serial = self._serial or next(iter(devices))
+        if serial not in devices:
+            raise CameraError(f"camera {serial}: is not connected; connected: {', '.join(devices)}")
+        return devices[serial]
 
     def present(self, device: Any) -> bool:
         """See `DeviceSource`."""
@@ -98,10 +96,9 @@ class _FileSource(DeviceSource):
 
     def find(self) -> Any:
         """See `DeviceSource`; a `FileError` if it is not a RealSense recording."""
-        rs = realsense()
         try:
             # Each time a new context: one context refuses to load the same file twice.
-            playback = rs.context().load_device(str(self._path))
+            playback = realsense().context().load_device(str(self._path))
         except RuntimeError as err:
             raise FileError(self._path, f"not a RealSense recording: {err}") from err
         playback.set_real_time(self._real_time)

@@ -1,25 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch simulate`: a data set of simulated grasps, only with the effects that the scene calls for."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from foretouch import __version__
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
-from foretouch.errors import ConfigError, FileError
-
-if TYPE_CHECKING:
-    from foretouch.simulation.scene import SceneConfig
-    from foretouch.simulation.simulate import Simulation
-    from foretouch.types import GraspSample
-
+from foretouch.dataset.store_writer import StoreWriter
+from foretouch.errors import ConfigError, FileError, SimulationError
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.simulate import Simulation, explain_scene, replay
+from foretouch.simulation.world import SampleKey
+from foretouch.types import GraspSample
 
 SHEET = "contact_sheet.png"
 _SHEET_SAMPLES = 12
@@ -66,8 +63,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _scene(arguments: argparse.Namespace) -> SceneConfig:
-    from foretouch.simulation.scene import SceneConfig
-
     scene = SceneConfig.from_mapping(load_yaml(arguments.scene), arguments.scene)
     changes = parse_overrides(arguments.set)
     if arguments.seed is not None:
@@ -76,8 +71,6 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
 
 
 def _explain(scene: SceneConfig, as_json: bool) -> int:
-    from foretouch.simulation.simulate import explain_scene
-
     plans, everyone = explain_scene(scene), len(scene.objects)
     if as_json:
         effects = [
@@ -95,10 +88,6 @@ def _explain(scene: SceneConfig, as_json: bool) -> int:
 
 
 def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
-    from foretouch.errors import SimulationError
-    from foretouch.simulation.simulate import replay
-    from foretouch.simulation.world import SampleKey
-
     slot, _, attempt = which.partition(".")
     if not slot.isdecimal() or (attempt and not attempt.isdecimal()):
         raise ConfigError(f"--replay: {which} is not SLOT or SLOT.ATTEMPT")
@@ -125,13 +114,13 @@ def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
 
 
 def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.store_writer import StoreWriter
-    from foretouch.simulation.simulate import Simulation
-
     simulation = Simulation(scene)
     workers = arguments.workers or len(os.sched_getaffinity(0))
-    made_by = f"foretouch {__version__} simulate"
-    about = {"made_by": made_by, "scene": scene.to_mapping(), "scene_sha256": scene.sha256()}
+    about = {
+        "made_by": f"foretouch {__version__} simulate",
+        "scene": scene.to_mapping(),
+        "scene_sha256": scene.sha256(),
+    }
     shown: list[GraspSample] = []
     start = time.perf_counter()
     with (
@@ -157,8 +146,6 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
 
 
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
-    from foretouch.simulation.simulate import explain_scene
-
     count = arguments.count
     timed = [(plan, simulation.timings[plan.name]) for plan in explain_scene(simulation.scene)]
     if arguments.json:

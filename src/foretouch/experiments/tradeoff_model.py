@@ -206,8 +206,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
 
     run: Any = load_run_config(NETWORK)
     train, tested = ([data.samples[k] for k in side] for side in (fold.train, fold.test))
-    built = TrainingSet.build(train, run.model)
-    net = train_network(built, np.arange(len(train)), run.train.replace(seed=0))
+    net = train_network(TrainingSet.build(train, run.model), np.arange(len(train)), run.train.replace(seed=0))
     fallback = Fallback.fit(describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):
         if variant.values["kind"] == "network":

@@ -46,6 +46,7 @@ _DRAWS: Final = 1000  # of the bootstrap
 _TIMED: Final = 8  # clouds that are timed in turn
 
 _Values = tuple[Any, ...]
+# Step, name of the factor, setting, values of `all`, and those of `few`.
 _FACTORS: Final[tuple[tuple[str, str, str, _Values, _Values], ...]] = (
     (SEGMENTATION, "grid", "grid_rows", (60, 80, 160, 240), (60, 80, 240)),
     (SEGMENTATION, "crop", "crop.max_range_m", (1.5, 4.0), ()),
@@ -62,7 +63,6 @@ _FACTORS: Final[tuple[tuple[str, str, str, _Values, _Values], ...]] = (
     (GRASP, "outliers", "outlier_deviations", (0.5, 2.0, 3.0), ()),
     (GRASP, "slab", "slab_half_width_m", (0.004, 0.01, 0.014), ()),
 )
-"""Step, name of the factor, setting, values of `all`, and those of `few`."""
 
 _PAIRS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
     (SEGMENTATION, "grid x height", {"grid_rows": 80, "clusters.min_height_m": 0.002}),
@@ -124,9 +124,8 @@ class PerceptionData:
     sha256: str
 
 
-def _prepare(settings: PerceptionSettings, source: Path | None, out: Path) -> Path:
+def _prepare(_settings: PerceptionSettings, source: Path | None, _out: Path) -> Path:
     """The folder of recordings if there is one; scenes are generated."""
-    del settings, out
     if source is not None and not source.is_dir():
         raise ConfigError(f"--data: {source}: is no folder of recordings")
     return source or Path() / "no recordings"
@@ -277,9 +276,8 @@ def _scorer(found: FoundObject) -> OriginalScore | None:
     return scorer if scorer is not None and scorer.has_axis else None
 
 
-def _run(cell: Cell, settings: PerceptionSettings, data: PerceptionData) -> list[Row]:
+def _run(cell: Cell, _settings: PerceptionSettings, data: PerceptionData) -> list[Row]:
     """A row for each object."""
-    del settings
     pipeline, jitter_mm = _pipeline(cell.values), cell.values.get("jitter_mm", 0.0)
     before, real_before = _shipped(data)
     rows = []
@@ -313,9 +311,8 @@ def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
     return row
 
 
-def _tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
+def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant: masks of a segmentation, scores of a GeoGrasp, and what both do to grasps and touch."""
-    del settings
     result = []
     for name in dict.fromkeys(row["variant"] for row in rows):
         own = [row for row in rows if row["variant"] == name]
@@ -371,12 +368,11 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     return {key: float(sums.sum() / counts.sum()), f"{key}_low": float(low), f"{key}_high": float(high)}
 
 
-def _timed(variant: Variant, settings: PerceptionSettings, data: PerceptionData) -> Timed:
+def _timed(variant: Variant, _settings: PerceptionSettings, data: PerceptionData) -> Timed:
     """See `Area.timed`: segments scenes, or plans grasps on objects, one after the other.
 
     Answers are the centroid of the nearest object, (3,), or the contacts of the best grasp, (6,) [m].
     """
-    del settings
     pipeline = _pipeline(variant.values)
     clouds = cycle([scene.cloud for scene in data.scenes if scene.view is not None][:_TIMED])
     targets = cycle(_timed_targets(data))

@@ -56,6 +56,7 @@ _DEPTH_EFFECTS: Final = {
     "holes": "camera.holes",
     "depth_steps": "camera.z_step_m",
 }
+# Effects by name, with the setting of the scene whose absence switches each off.
 _OTHER_EFFECTS: Final = {
     "execution_error": "grasps.error",
     "weight": "gravity",
@@ -65,10 +66,9 @@ _OTHER_EFFECTS: Final = {
     "noise": "fingers.noise",
     "scan_hold": "fingers.scan",
 }
-"""Effects by name, with the setting of the scene whose absence switches each off."""
 
+# Changes of all variants of a scene: no training accepts readings with a dead electrode.
 _ALWAYS: Final = {RIGID: {}, SOFT: {}, EVERYTHING: {"fingers.dead": None}}
-"""Changes of all variants of a scene: no training accepts readings with a dead electrode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,9 +100,8 @@ class Scenes:
         return scene.updated(values["changes"]) if values["changes"] else scene
 
 
-def _prepare(settings: SimulationSettings, source: Path | None, out: Path) -> Path:
+def _prepare(_settings: SimulationSettings, source: Path | None, _out: Path) -> Path:
     """The folder of the scenes, which must be there."""
-    del settings, out
     folder = source or _FOLDER
     for name in SCENES:
         if not (folder / f"{name}.yaml").is_file():
@@ -112,8 +111,7 @@ def _prepare(settings: SimulationSettings, source: Path | None, out: Path) -> Pa
     return folder
 
 
-def _load(settings: SimulationSettings, path: Path) -> Scenes:
-    del settings
+def _load(_settings: SimulationSettings, path: Path) -> Scenes:
     return Scenes({name: load_scene(path / f"{name}.yaml") for name in SCENES})
 
 
@@ -220,13 +218,11 @@ def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings)
     predictor = ContactPredictor(train, labels_of(train), ContactConfig(trees=settings.trees))
     labels, predicted = labels_of(test), predictor.predict(test)
     squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
-    rows = zip(test, squared, reference, strict=True)
-    return ObjectErrors.total([(sample.id, 1.0, own, other) for sample, own, other in rows])
+    return ObjectErrors.total([(test[k].id, 1.0, squared[k], reference[k]) for k in range(len(test))])
 
 
-def _tabulate(settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
+def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant; the skill of a pattern is its number of correct decimal digits."""
-    del settings
     result = []
     for row in rows:
         found: Row = {"variant": row["variant"]}
@@ -243,9 +239,8 @@ def _tabulate(settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
     return result
 
 
-def _timed(variant: Variant, settings: SimulationSettings, data: Scenes) -> Timed:
+def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
     """See `Area.timed`: simulates the first grasps that do not fail, one after the other; answers are (50,) counts."""
-    del settings
     scene = data.changed(variant.values)
     engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
     kept = []

@@ -53,14 +53,14 @@ _NETWORKS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
     ("epochs x cloud size", {"train.epochs": 240, "train.points": 128}),
     ("epochs x cloud size", {"train.epochs": 60, "train.points": 64}),
 )
+# Factors that cost time of the robot, with the column of the skill and what is said about it.
 _ROBOT: Final = {
     "labels": ("known", "known objects, more grasps of each"),
     "objects": ("new", "new objects, more objects"),
 }
-"""Factors that cost time of the robot, with the column of the skill and what is said about it."""
 
+# Factors that cost time of the computer, with the column of the skill and the variant in which they are as shipped.
 _COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (_ONE_BLOCK, NETWORK), "cloud size": (_ONE_BLOCK, NETWORK)}
-"""Factors that cost time of the computer, with the column of the skill and the variant in which they are as shipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +96,8 @@ def _variants(settings: TrainingSettings) -> Iterator[Variant]:
         yield Variant(name, factor, {"kind": "network", "changes": changes}, CONTACT, NETWORK)
 
 
-def _cells(settings: TrainingSettings, data: Dataset) -> list[Cell]:
+def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
     """A cell for each variant and split; networks are trained once, for the first block of time."""
-    del data
     made = []
     for number, one in enumerate(_variants(settings)):
         wanted = ("new",) if "objects" in one.values else settings.splits  # fewer objects: a question about new ones

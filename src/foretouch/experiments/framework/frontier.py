@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables, sentences and picture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.report.panels import new_figure, save_small
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from foretouch.report.panels import Axes, new_figure, save_small
 
 _BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _LINE: Final = 0.05  # height of a label, as a share of the axes
@@ -173,8 +168,7 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
     axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
     axes.set_ylabel(meaning)
     axes.set_title(panel.title, fontsize=10)
-    names = {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in line}
-    name_points(axes, names, _LINE)
+    name_points(axes, {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in line}, _LINE)
 
 
 def name_points(axes: Axes, points: Mapping[str, tuple[float, float]], gap: float) -> None:

@@ -35,8 +35,8 @@ from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENTS"]
 
+# Settings that no cell depends on; its predictor and seed are among its values.
 RESUMABLE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
-"""Settings that no cell depends on; its predictor and seed are among its values."""
 
 
 def _cells(split: Splitter, settings: HoldOutSettings, data: Any) -> list[Cell]:
@@ -147,8 +147,7 @@ _PRESETS: Final[dict[str, dict[str, Any]]] = {
     "quick": {},  # all but the networks: minutes
     "smoke": {"seeds": [0], "training_fraction": 0.1},
 }
-_KNOWN_OBJECTS_ONLY: Final = ("object_mean", "object_time_trees")
-"""Predictors that cannot predict a new object."""
+_KNOWN_OBJECTS_ONLY: Final = ("object_mean", "object_time_trees")  # predictors that cannot predict a new object
 
 _NEW_OBJECT: Final = [name for name in PREDICTORS if name not in _KNOWN_OBJECTS_ONLY]
 _TOUCHED: Final = {"seeds": [0], "references": ["training_mean", "geometry_trees"]}

@@ -63,6 +63,8 @@ def _srgan(matching: float, contrast: float, penalty: float, rate: float = 3e-3,
     return {"learning_rate": rate, "weight_decay": decay, "loss": {"loss_variant": "srgan", **loss}}
 
 
+# Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`. Their learning
+# rate is 0.003 unless the name contains another one.
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {
         "rate 0.001": {"learning_rate": 1e-3},
@@ -81,11 +83,10 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
         "0.3/1/1, rate 0.001, decay 0.3": _srgan(0.3, 1.0, 1.0, rate=1e-3, decay=0.3),
     },
 }
-"""Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`.
-
-Their learning rate is 0.003 unless the name contains another one."""
 
 
+# P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
+# `SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected.
 AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
     SRGAN: {
@@ -93,8 +94,6 @@ AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
         for variant in ("as_printed", "contrast", "srgan")
     },
 }
-"""P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
-`SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +229,7 @@ class PointnetTrainer(SrganTrainer):
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         freeze(self.net)
         for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
-            scaled = self.net(self._clouds(batch), self._grasps(batch))
-            error = scaled - self.net.to_scaled(self._labels[batch])
+            error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
             self.require_finite({"labeled": loss}, number, batch, error)
             self.optimisers["net"].step(loss)

@@ -63,8 +63,7 @@ def some_objects(samples: Sequence[GraspSample], count: int, seed: int) -> list[
     groups = by_object(samples)
     if len(groups) < count:
         raise DatasetError(f"training objects: {len(groups)} objects are fewer than {count}")
-    order = np.random.default_rng(seed).permutation(len(groups))
-    return [sample for k in order[:count] for sample in groups[k]]
+    return [sample for k in np.random.default_rng(seed).permutation(len(groups))[:count] for sample in groups[k]]
 
 
 def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:

@@ -16,9 +16,8 @@ from foretouch.tactile import MODALITIES
 from foretouch.types import Float64, GraspSample
 
 
-def load(settings: Settings, path: Path) -> Dataset:
+def load(_settings: Settings, path: Path) -> Dataset:
     """`load` of an experiment: the samples at a path (see `load_dataset`)."""
-    del settings
     return load_dataset(path)
 
 
@@ -109,10 +108,7 @@ def _predictor_rows(
 
 
 def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
-    parts = [row for seed in seeds for row in rows[seed]]
-    return ObjectErrors.total(
-        [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in parts]
-    )
+    return ObjectErrors.of_rows([row for seed in seeds for row in rows[seed]])
 
 
 def _rows(

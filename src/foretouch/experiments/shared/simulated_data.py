@@ -87,9 +87,8 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
     return path
 
 
-def load_simulated(settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
+def load_simulated(_settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
     """Read a store and its scene; a `DatasetError` if it contains no scene."""
-    del settings
     return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
 
 

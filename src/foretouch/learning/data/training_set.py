@@ -57,8 +57,7 @@ class TrainingSet:
             raise DatasetError("training set: no sample")
         clouds, grasps, labels, lengths = [], [], [], []
         for sample in samples:
-            missing = unlabelled and sample.touch is None
-            labels.append(np.full(TOUCH_SIZE, np.nan) if missing else _label(sample))
+            labels.append(np.full(TOUCH_SIZE, np.nan) if (unlabelled and sample.touch is None) else _label(sample))
             try:
                 points, grasp, spans = _prepared(sample, config)
             except (CloudError, ModelError) as err:

@@ -90,12 +90,10 @@ class Baseline(Protocol):
         self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
     ) -> Float64:
         """(T, 50) predictions of the test samples [counts]."""
-        ...
 
 
-def training_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+def training_mean(_train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:
     """The mean of all labels for every sample: skill 0 by definition."""
-    del train, seed
     return np.tile(labels.mean(axis=0), (len(test), 1))
 
 
@@ -104,8 +102,7 @@ def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[Gr
     predicted = training_mean(train, labels, test, seed)
     known = np.array([sample.object for sample in train])
     for name in np.unique(known):
-        here = [i for i, sample in enumerate(test) if sample.object == name]
-        predicted[here] = labels[known == name].mean(axis=0)
+        predicted[[i for i, sample in enumerate(test) if sample.object == name]] = labels[known == name].mean(axis=0)
     return predicted
 
 
@@ -131,7 +128,7 @@ def geometry_trees(
 
 
 def clock(
-    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, *, past_only: bool = False
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int, *, past_only: bool = False
 ) -> Float64:
     """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
 
@@ -141,7 +138,6 @@ def clock(
     With `past_only`, each sample is predicted from the recordings that were made before it, as a robot has to;
     otherwise from those before and after it.
     """
-    del seed
     known, wanted = (np.array([sample.stamp_ns for sample in side]) / _DAY_NS for side in (train, test))
     objects = np.array([sample.object for sample in train])
     predicted = np.tile(labels.mean(axis=0), (len(test), 1))

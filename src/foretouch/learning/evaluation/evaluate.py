@@ -59,15 +59,13 @@ def cross_validate(
     with datasets.fold_workers(workers) as run:
         predicted = {name: datasets.predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
     reference = datasets.predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
-    scores = {name: score(values, labels, reference, ranges) for name, values in predicted.items()}
-    return scores, predicted[MODEL]
+    return {name: score(values, labels, reference, ranges) for name, values in predicted.items()}, predicted[MODEL]
 
 
 def _baseline(
     samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: datasets.Fold
 ) -> Float64:
-    train = [samples[i] for i in fold.train]
-    return baseline(train, labels[fold.train], [samples[i] for i in fold.test], seed)
+    return baseline([samples[i] for i in fold.train], labels[fold.train], [samples[i] for i in fold.test], seed)
 
 
 def evaluate_model(
@@ -166,8 +164,7 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     prepared = datasets.TrainingSet.build(samples, net.config)
     counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
     modalities = [name for name in MODALITIES if name in net.config.outputs]
-    trained_on = frozenset([str(card["data"].get("sha256"))])
-    return _Predictions(counts, None, 0, modalities, net.config.ranges, trained_on)
+    return _Predictions(counts, None, 0, modalities, net.config.ranges, frozenset([str(card["data"].get("sha256"))]))
 
 
 def _fitted(data: datasets.Dataset, parts: Sequence[datasets.SplitPart], baseline: Baseline, seed: int) -> Float64:

@@ -32,9 +32,9 @@ different days, guarantee nothing about another hand, camera or kind of object.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 
@@ -157,6 +157,13 @@ class ObjectErrors:
             squared[row[name]] += own
             reference[row[name]] += mean
         return cls(names, counts, squared, reference)
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> Self:
+        """`total` of rows of the results of an experiment, whose columns have these names."""
+        return cls.total(
+            [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in rows]
+        )
 
     def only(self, name: str) -> ObjectErrors:
         """The errors of one object."""

@@ -310,8 +310,7 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
-        half = fit_group(held_out.take(held_out.objects != name)).half_width
-        inside = np.abs(mine.labels - mine.predicted) <= half
+        inside = np.abs(mine.labels - mine.predicted) <= fit_group(held_out.take(held_out.objects != name)).half_width
         for modality in MODALITIES:
             found[modality][str(name)] = round(float(inside[:, columns([modality])].mean()), 3)
     return {

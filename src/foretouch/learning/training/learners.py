@@ -173,8 +173,7 @@ class NetworkLearner(Learner):
     def predict(self, index: Indices) -> Float64:
         """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""
         predicted = np.full((len(index), TOUCH_SIZE), np.nan)
-        counts = predict_set(self._net, self._prepared, self.split.train[index])
-        predicted[:, columns(self.config.outputs)] = counts
+        predicted[:, columns(self.config.outputs)] = predict_set(self._net, self._prepared, self.split.train[index])
         if not self.config.calibrates:
             return predicted
         return self._fallback().fade(predicted, self._objects[index])[0]

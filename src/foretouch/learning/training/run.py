@@ -108,12 +108,11 @@ def compare_splits(
     results, predicted = {}, {}
     for split in splits:
         start = time.monotonic()
-        folds = _folds(learner, split)
         scores, predicted[split] = cross_validate(
             learner.samples,
             learner.labels,
             learner.predict_fold,
-            folds,
+            _folds(learner, split),
             learner.config.ranges,
             seed=seed,
             workers=workers,

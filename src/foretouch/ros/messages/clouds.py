@@ -61,9 +61,8 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
         row_step=points.nbytes,
         is_dense=True,
     )
-    data = array.array("B")
-    data.frombytes(points.view(np.uint8).data)
-    message.data = data  # an array.array is stored as it is; a NumPy array would be checked byte by byte
+    # An array.array is stored as it is; a NumPy array would be checked byte by byte.
+    message.data = array.array("B", points.tobytes())
     return message
 
 
@@ -82,8 +81,6 @@ class TargetCloud:
 
 def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
-    indices = array.array("I")
-    indices.frombytes(segment.pixels.astype(np.uint32).view(np.uint8).data)
     low, high = segment.bounds
     return Object(
         id=str(segment.id),
@@ -92,7 +89,7 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
         minimum=point_to_msg(low),
         maximum=point_to_msg(high),
         target=target,
-        indices=indices,
+        indices=array.array("I", segment.pixels.astype(np.uint32).tobytes()),
     )
 
 
@@ -123,9 +120,8 @@ def _records(target: FoundObject, *, coloured: bool) -> npt.NDArray[Any]:
 
 def _fields(record: np.dtype[Any]) -> list[PointField]:
     codes = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32, "<u2": PointField.UINT16}
-    fields = []
-    for name, (kind, offset, *_) in (record.fields or {}).items():
-        # PCL and RViz expect packed colours to be declared as floats.
-        datatype = PointField.FLOAT32 if name == "rgb" else codes[kind.str]
-        fields.append(PointField(name=name, offset=offset, datatype=datatype, count=1))
-    return fields
+    floats = {"rgb": PointField.FLOAT32}  # PCL and RViz expect packed colours to be declared as such
+    return [
+        PointField(name=name, offset=offset, datatype=floats.get(name, codes[kind.str]), count=1)
+        for name, (kind, offset, *_) in (record.fields or {}).items()
+    ]

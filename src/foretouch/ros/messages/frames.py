@@ -123,8 +123,9 @@ class FrameTransform:
 
     def answer(self, answer: TouchAnswer, grasps: Sequence[Grasp] | None = None) -> TouchAnswer:
         """Predictions, with the `grasps` in the frame of the target where they are known."""
-        moved = [self.grasp(one) for one in answer.grasps] if grasps is None else grasps
-        return replace(answer, header=self.header(answer.header), grasps=moved)
+        return replace(
+            answer, header=self.header(answer.header), grasps=grasps or [self.grasp(one) for one in answer.grasps]
+        )
 
     def _prediction(self, prediction: TouchPrediction) -> TouchPrediction:
         """A prediction with its grasp."""

@@ -104,11 +104,7 @@ def read_plane(message: PlaneMsg) -> Plane:
 
 
 def read_table(message: TablePlane, header: Header) -> Plane:
-    """Convert the table of the cloud with a header.
-
-    Raises:
-        RefusalError: The status and reason of a table that was not found, BAD_PLANE, or UNKNOWN_FRAME.
-    """
+    """Convert the table of the cloud with a header; refused as the sender has, with BAD_PLANE, or UNKNOWN_FRAME."""
     if message.status != Status.OK:
         raise passed_on("table", message.status, message.reason)
     check_frames("table", message.header, header)
@@ -153,8 +149,7 @@ def plan_targets(
     """
     plans = []
     for target in targets:
-        before = None if held is None else held.find(target.cloud)
-        plan = pipeline.plan(target, held=before, hold=margin)
+        plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=margin)
         plans.append((target, plan))
         if held is not None and plan.grasps and plan.axis is not None:
             held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))
