@@ -10,15 +10,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Self, overload
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, GraspError, TactileError
 
+AnyArray = npt.NDArray[Any]
+Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
+Floating = npt.NDArray[np.floating]
+Index = npt.NDArray[np.intp]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Integer = npt.NDArray[np.integer]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches", "history"]
 

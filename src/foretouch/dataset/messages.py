@@ -16,13 +16,12 @@ from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.messages import stamp_ns
-from foretouch.types import Cloud, Float64, Grasp
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, Index, Int64
 
 _START: Final = 4  # of the fields in CDR
 _NS: Final = 1_000_000_000
@@ -120,7 +119,7 @@ class ObjectCloud(NamedTuple):
 
     id: str
     cloud: Cloud
-    pixels: npt.NDArray[np.int64] | None = None
+    pixels: Int64 | None = None
     image_shape: tuple[int, int] | None = None
 
 
@@ -163,7 +162,7 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
     return tuple(objects)
 
 
-def _by_label(labels: npt.NDArray[Any]) -> list[tuple[Any, npt.NDArray[np.intp]]]:
+def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
     """Each label with its points, in the order of their first points."""
     if (labels == labels[0]).all():  # the usual case
         return [(labels[0], np.arange(len(labels)))]
@@ -263,7 +262,7 @@ def _quaternion(message: Any) -> Float64:
     return np.array([q.x, q.y, q.z, q.w], np.float64)
 
 
-def _integer_field(message: Any, name: str) -> npt.NDArray[Any] | None:
+def _integer_field(message: Any, name: str) -> AnyArray | None:
     """One of the whole-number fields of an unorganised object cloud, or None where it is absent."""
     field = next((f for f in message.fields if f.name == name), None)
     if field is None:

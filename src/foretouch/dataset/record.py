@@ -4,13 +4,10 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
-
-import numpy as np
-import numpy.typing as npt
+from typing import Final, Literal
 
 from foretouch.errors import DatasetError
-from foretouch.types import TOUCH_SIZE, Float32, Grasp, GraspSample
+from foretouch.types import TOUCH_SIZE, AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
 REST: Final = 0
 APPROACH: Final = 1
@@ -51,14 +48,14 @@ class TouchSeries:
         DatasetError: If a shape differs from these.
     """
 
-    stamps_ns: npt.NDArray[np.int64]
+    stamps_ns: Int64
     counts: Float32
-    phases: npt.NDArray[np.uint8]
+    phases: UInt8
     others: Mapping[str, Float32] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         length = len(self.stamps_ns)
-        arrays: dict[str, npt.NDArray[Any]] = {"counts": self.counts, "phases": self.phases}
+        arrays: dict[str, AnyArray] = {"counts": self.counts, "phases": self.phases}
         arrays |= {f"others.{name}": values for name, values in self.others.items()}
         for name, array in arrays.items():
             shape = (length, TOUCH_SIZE) if name == "counts" else (length,)

@@ -7,14 +7,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float32
+from foretouch.types import Cloud, Float32, Int64, Integer
 
 _sort = Kernel("canonical_order", np.float32, int, np.int64)
 
@@ -28,7 +27,7 @@ class FinitePoints:
 
     xyz: Float32  # (N, 3) float32 [m]
     n_dropped: int  # number of points that were not finite
-    pixels: npt.NDArray[np.int64] | None = None  # (N,) int64, flat indices into the image, or None
+    pixels: Int64 | None = None  # (N,) int64, flat indices into the image, or None
     image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
 
     def in_canonical_order(self) -> FinitePoints:
@@ -70,7 +69,7 @@ class FinitePoints:
         return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations)]
 
 
-def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
+def _canonical_order(xyz: Float32) -> Int64:
     order = np.empty(len(xyz), np.int64)
     _sort(np.ascontiguousarray(xyz), len(xyz), order)
     if len(order) and order[0] < 0:
@@ -79,7 +78,7 @@ def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
 
 
 def finite_points(
-    cloud: Cloud, pixels: npt.NDArray[np.integer] | None = None, image_shape: tuple[int, int] | None = None
+    cloud: Cloud, pixels: Integer | None = None, image_shape: tuple[int, int] | None = None
 ) -> FinitePoints:
     """Drop and count the points that are not finite.
 

@@ -30,13 +30,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.simulation.contact import ContactFrame, ContactSolution, PadConfig, PadWindow
 from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
-from foretouch.types import ELECTRODES, Float64
+from foretouch.types import ELECTRODES, Float64, Int64
 
 # The liquid.
 BOTTOMING_M: Final = 3e-4  # displacement b at which the skin meets the core
@@ -162,7 +161,7 @@ def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 
 
-def quantise(counts: Float64) -> npt.NDArray[np.int64]:
+def quantise(counts: Float64) -> Int64:
     """Round and clip to 0..4095 as the 12-bit converter does.
 
     Raises:

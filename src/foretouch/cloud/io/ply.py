@@ -5,10 +5,8 @@ The shape of an organised cloud is in the two `obj_info` lines `num_cols` and `n
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.records import (
@@ -21,7 +19,7 @@ from foretouch.cloud.io.records import (
     whole_number,
 )
 from foretouch.errors import FileError
-from foretouch.types import Cloud
+from foretouch.types import AnyArray, Cloud
 
 _NAMES = [
     "char",
@@ -89,7 +87,7 @@ def write_ply(path: Path, cloud: Cloud) -> None:
     parts: list[tuple[str, str]] = [(name, "<f4") for name in "xyz"]
     if cloud.rgb is not None:
         parts += [(name, "u1") for name in _COLOURS]
-    records: npt.NDArray[Any] = np.empty(cloud.size, parts)
+    records: AnyArray = np.empty(cloud.size, parts)
     for k, (name, _) in enumerate(parts):
         records[name] = (cloud.xyz if k < 3 or cloud.rgb is None else cloud.rgb)[..., k % 3].reshape(-1)
     lines = ["ply", "format binary_little_endian 1.0"]

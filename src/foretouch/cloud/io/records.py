@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import FileError, shown
-from foretouch.types import Cloud, UInt8
+from foretouch.types import AnyArray, Cloud, UInt8
 
-Records = npt.NDArray[Any]  # (N,) of a structured dtype
+Records = AnyArray  # (N,) of a structured dtype
 
 SIZE_LIMIT: Final = 2_000_000_000  # of a file with a cloud [bytes]
 HEADER_LIMIT: Final = 65536  # bytes within which a header must end

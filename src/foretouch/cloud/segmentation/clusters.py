@@ -19,13 +19,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Plane
+from foretouch.types import Bool, Float32, Int32, Int64, Plane
 
 _plane_heights = Kernel("plane_heights", np.float32, int, np.float32, np.float32)
 _grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
@@ -36,8 +35,6 @@ _label_window = Kernel(
 )
 
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
-
-Int32 = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +78,7 @@ class Clusters(NamedTuple):
     """Cluster labels of a window of the cloud."""
 
     labels: Int32  # (h, w) int32, an unorganised cloud in one row; 0 is none
-    solid: npt.NDArray[np.bool_]  # the same shape, bool: labelled, with a reliable depth
+    solid: Bool  # the same shape, bool: labelled, with a reliable depth
     n_labels: int  # the largest label
     rows: int = 0  # first row of the window, 0 if unorganised
     columns: int = 0  # first column of the window, 0 if unorganised
@@ -195,7 +192,7 @@ def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold
     return [Clusters(labels, labels > 0, count)]
 
 
-def _label_voxels(cells: npt.NDArray[np.int64]) -> tuple[Int32, int]:
+def _label_voxels(cells: Int64) -> tuple[Int32, int]:
     """Connected components of occupied cells (n, 3), with 26 neighbours.
 
     Returns:

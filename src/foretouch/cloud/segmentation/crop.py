@@ -4,10 +4,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
+from foretouch.types import Bool, Float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +23,6 @@ class CropConfig(Settings):
             raise ConfigError(f"CropConfig.min_range_m: {self.min_range_m} is not below max_range_m {self.max_range_m}")
 
 
-def in_range(z: npt.NDArray[np.float32], config: CropConfig) -> npt.NDArray[np.bool_]:
+def in_range(z: Float32, config: CropConfig) -> Bool:
     """Whether depths of any shape, float32 [m], are within the range, its ends included; false without depth."""
     return (z >= np.float32(config.min_range_m)) & (z <= np.float32(config.max_range_m))

@@ -10,15 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from foretouch.cloud.segmentation.clusters import (
-    ClusterConfig,
-    HeightThreshold,
-    Int32,
-    label_organised,
-    label_unorganised,
-)
+from foretouch.cloud.segmentation.clusters import ClusterConfig, HeightThreshold, label_organised, label_unorganised
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
@@ -26,7 +19,7 @@ from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, fin
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.timing import timed
-from foretouch.types import Cloud, Float32, Plane
+from foretouch.types import Cloud, Float32, Index, Int32, Plane
 
 SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
@@ -172,9 +165,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
     return "ok", "", fit.plane, objects, labels
 
 
-def _rays(
-    sample: Float32, index: npt.NDArray[np.intp], across: int, stride: int, width: int, config: RayConfig
-) -> RayFilter:
+def _rays(sample: Float32, index: Index, across: int, stride: int, width: int, config: RayConfig) -> RayFilter:
     """The rays of an image, from points of a coarse one by their flat indices in it."""
     rows, columns = (stride * one for one in np.divmod(index, across))
     rays = RayFilter(sample, rows, columns, config)
@@ -192,7 +183,7 @@ def _count_depths(xyz: Float32, config: CropConfig) -> tuple[int, int]:
     return int(counts[0]), int(counts[1])
 
 
-def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, npt.NDArray[np.intp]]:
+def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, Index]:
     """Every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range.
 
     Returns:
@@ -206,7 +197,7 @@ def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, 
     return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
 
 
-def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, npt.NDArray[np.intp]]:
+def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, Index]:
     """Every n-th row and column of an image, and the flat indices of the points in range."""
     coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
     index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from foretouch.types import TOUCH_SIZE, Float32
+from foretouch.types import TOUCH_SIZE, Float32, Int64
 
 _SECOND_NS = 1_000_000_000
 _MB = 1_000_000
@@ -40,10 +39,10 @@ class TouchReading:
 class TouchWindow:
     """Readings between two stamps, in the order of their stamps."""
 
-    stamps_ns: npt.NDArray[np.int64]  # (T,) int64 [ns]
+    stamps_ns: Int64  # (T,) int64 [ns]
     counts: Float32  # (T, 50) float32
     others: Float32  # (T, K) float32
-    received_ns: npt.NDArray[np.int64]  # (T,) int64 [ns]
+    received_ns: Int64  # (T,) int64 [ns]
 
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
         """The readings stamped in [low, high)."""

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, MissingDependencyError, SimulationError, shown
 from foretouch.libusb import ensure_libusb
-from foretouch.types import Float64
+from foretouch.types import Float64, Int64
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
@@ -25,7 +24,7 @@ class TriangleMesh:
     """A closed surface made of triangles, counter-clockwise seen from outside."""
 
     vertices: Float64  # (V, 3) float64 [m], or of unit extent before it is scaled
-    faces: npt.NDArray[np.int64]  # (F, 3) int64, indices into `vertices`
+    faces: Int64  # (F, 3) int64, indices into `vertices`
 
     @property
     def extents(self) -> Float64:
