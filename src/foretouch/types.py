@@ -73,7 +73,7 @@ class Cloud:
         """Number of points, including those without depth."""
         return self.xyz.size // 3
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Cloud:
+    def take(self, index: Index | Bool) -> Cloud:
         """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
@@ -113,7 +113,7 @@ class Plane:
         """(4,) float64: a, b, c, d."""
         return np.append(self.normal, self.offset)
 
-    def height(self, xyz: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    def height(self, xyz: Floating) -> Floating:
         """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
@@ -206,7 +206,7 @@ class Touch:
                 raise TactileError(f"{name}: shape {shape} is not ({ELECTRODES},)")
 
     @classmethod
-    def from_vector(cls, vector: npt.NDArray[np.floating]) -> Touch:
+    def from_vector(cls, vector: Floating) -> Touch:
         """A reading from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
         if vector.shape != (TOUCH_SIZE,):
             raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")

@@ -34,9 +34,8 @@ _SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no 
 
 def read_header(data: bytes) -> tuple[int, str]:
     """Stamp [ns] and frame of a serialised message that begins with a header; a `DatasetError` if it cannot be read."""
-    order = _byte_order(data)
     try:
-        seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", data, _START)
+        seconds, nanoseconds, length = struct.unpack_from(f"{_byte_order(data)}iII", data, _START)
         frame = data[_START + 12 : _START + 12 + length]
         if len(frame) != length:
             raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
@@ -152,14 +151,14 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
     if labels is None:
         finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
         return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
-    shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
-    objects = []
-    for label, members in _by_label(labels):
-        pixels = None
-        if shape is not None and rows is not None and columns is not None:
-            pixels = rows[members].astype(np.int64) * shape[1] + columns[members]
-        objects.append(ObjectCloud(str(label), cloud.take(members), pixels, shape))
-    return tuple(objects)
+    shape = pixels = None
+    if rows is not None and columns is not None:
+        shape = (int(rows.max()) + 1, int(columns.max()) + 1)
+        pixels = rows.astype(np.int64) * shape[1] + columns
+    return tuple(
+        ObjectCloud(str(label), cloud.take(members), None if pixels is None else pixels[members], shape)
+        for label, members in _by_label(labels)
+    )
 
 
 def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
@@ -249,8 +248,8 @@ def _rotation_of(message: Any) -> Float64:
         if not np.any(quaternion):
             raise GraspError("pose: no orientation")
         return rotation_from_quaternion(quaternion)
-    bounded = bool((np.abs(matrix) <= _MAX_UNIT).all())
-    if not bounded or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
+    bounded = (np.abs(matrix) <= _MAX_UNIT).all()
+    if not (bounded and np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT)):
         raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
     if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
         raise GraspError("rotation: is not that of pose.orientation")

@@ -41,8 +41,7 @@ def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
         return
     for item in source:
         try:
-            cloud = item.cloud
-            yield Entry(item.name, CLOUDS, cloud.stamp_ns, serialize_cloud(cloud))
+            yield Entry(item.name, CLOUDS, item.cloud.stamp_ns, serialize_cloud(item.cloud))
         except ForetouchError as err:
             yield Entry(item.name, CLOUDS, 0, b"", refusal=str(err))
 

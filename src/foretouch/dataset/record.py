@@ -18,8 +18,6 @@ DISCARDED: Final = "discarded"
 
 Outcome = Literal["unknown", "success", "failure"]
 
-_FORBIDDEN = re.compile(r"[\x00-\x1f\x7f/\\:]")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
@@ -96,7 +94,7 @@ def check_name(name: str, what: str) -> str:
     Raises a `DatasetError` that names `what` it is if it is empty, longer than 100 characters, `.` or `..`, or holds a
     slash, a colon or a control character.
     """
-    if not name or len(name) > 100 or name.strip(".") == "" or _FORBIDDEN.search(name):
+    if not name or len(name) > 100 or name.strip(".") == "" or re.search(r"[\x00-\x1f\x7f/\\:]", name):
         raise DatasetError(
             f"{what}: {name[:100]!r} is no plain name (1 to 100 characters, no slash, colon or dots alone)"
         )

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Preprocess an object's cloud for GeoGrasp: drop points that are not finite, downsample, remove outliers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -30,13 +28,13 @@ class FinitePoints:
     pixels: Int64 | None = None  # (N,) int64, flat indices into the image, or None
     image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
 
-    def in_canonical_order(self) -> FinitePoints:
+    def in_canonical_order(self) -> "FinitePoints":
         """The same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
         order = _canonical_order(self.xyz)
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
-    def downsampled(self, config: GeoGraspConfig) -> FinitePoints:
+    def downsampled(self, config: GeoGraspConfig) -> "FinitePoints":
         """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
 
         The computing time grows with the square of the density, and a near object is sampled far more densely than

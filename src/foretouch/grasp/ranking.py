@@ -9,8 +9,6 @@ the centroid, pd distance to the grasp plane, k curvature, each scaled to the ra
 the initial points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -117,8 +117,7 @@ class Campaign:
 
     def _exchanges(self, finger: int) -> list[ExchangeConfig]:
         """Of one finger, in order of time."""
-        mine = (each for each in self.config.exchanges if each.finger == _FINGERS[finger])
-        return sorted(mine, key=attrgetter("session"))
+        return sorted((e for e in self.config.exchanges if e.finger == _FINGERS[finger]), key=attrgetter("session"))
 
     def _exchanges_before(self, finger: int, session: int) -> int:
         return sum(each.session <= session for each in self._exchanges(finger))

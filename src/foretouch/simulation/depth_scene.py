@@ -214,8 +214,8 @@ def _in_view(solid: Primitive, view: CameraView) -> bool:
 
 
 def _collide(one: Primitive, other: Primitive) -> bool:
-    distance = float(np.linalg.norm((one.position - other.position)[:2]))
-    return distance < footprint_m(one) + footprint_m(other) + _GAP_M
+    apart = footprint_m(one) + footprint_m(other) + _GAP_M
+    return float(np.linalg.norm((one.position - other.position)[:2])) < apart
 
 
 def _overlap_in_image(one: Primitive, other: Primitive, view: CameraView) -> bool:

@@ -131,8 +131,9 @@ class SimulatedHand:
             config = self.config
             length_s = 2.0 * (config.rest_s + config.approach_s + config.close_s) + config.hold_s
             counts = self.rest(round(length_s * config.rate_hz), repeat, elapsed_s)
-            pose = grasp.midpoint, grasp.rotation
-            return GraspTrajectory(counts, start, None, None, None, *pose, reason=err.reason, message=str(err))
+            return GraspTrajectory(
+                counts, start, None, None, None, grasp.midpoint, grasp.rotation, reason=err.reason, message=str(err)
+            )
         steady = np.flatnonzero(state.load == 1.0)
         midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
         return GraspTrajectory(

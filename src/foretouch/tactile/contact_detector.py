@@ -174,10 +174,10 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactCo
     """
     settings = config or ContactConfig()
     values, resting = np.asarray(counts, np.float64), np.asarray(rest, np.float64)
-    scores = []
-    for index in FINGER_COLUMNS.values():
-        change = values[:, index] - np.median(resting[:, index], axis=0)
-        scores.append(_scores(change / _resting_noise(resting[:, index]), settings))
+    scores = [
+        _scores((values[:, index] - np.median(resting[:, index], axis=0)) / _resting_noise(resting[:, index]), settings)
+        for index in FINGER_COLUMNS.values()
+    ]
     return np.stack(scores, axis=-1)
 
 

@@ -34,9 +34,8 @@ def touch_faults(touch: Touch) -> tuple[str, ...]:
 
 
 def _pdc_faults(name: str, value: float) -> list[str]:
-    if not 0 < value <= FULL_SCALE:  # NaN fails too
-        return [f"{name}: {value:g} is not between 0 and {FULL_SCALE} counts, an absent or dead sensor"]
-    return []
+    text = f"{name}: {value:g} is not between 0 and {FULL_SCALE} counts, an absent or dead sensor"
+    return [] if 0 < value <= FULL_SCALE else [text]  # NaN is a fault too
 
 
 def _electrode_faults(name: str, values: Float64) -> list[str]:

@@ -50,12 +50,11 @@ def read_cloud(path: str | Path) -> Cloud:
     if reader is None:
         raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
     try:
-        cloud: Cloud = reader(path)
+        return reader(path)
     except OSError as err:
         raise FileError(path, err.strerror or str(err)) from err
     except CloudError as err:
         raise FileError(path, str(err)) from err
-    return cloud
 
 
 def write_cloud(path: str | Path, cloud: Cloud) -> None:

@@ -21,25 +21,17 @@ from foretouch.cloud.io.records import (
 from foretouch.errors import FileError
 from foretouch.types import AnyArray, Cloud
 
-_NAMES = [
-    "char",
-    "uchar",
-    "short",
-    "ushort",
-    "int",
-    "uint",
-    "float",
-    "double",
-    "int8",
-    "uint8",
-    "int16",
-    "uint16",
-    "int32",
-    "uint32",
-    "float32",
-    "float64",
-]
-_TYPES = dict(zip(_NAMES, 2 * ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"], strict=True))
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+_TYPES |= {np.dtype(kind).name: kind for kind in _TYPES.values()}  # int8 and so on
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOURS = ("red", "green", "blue")
 

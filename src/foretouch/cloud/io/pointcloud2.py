@@ -13,21 +13,17 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeAlias
 
 import numpy as np
 
 from foretouch.errors import CloudError
 from foretouch.types import AnyArray, Cloud, Float32, UInt8
 
-_Bytes: TypeAlias = "bytes | bytearray | memoryview | array.array[int] | UInt8"
-
 # Codes of sensor_msgs/PointField.
 DATATYPES: dict[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _NAMES = {1: "INT8", 2: "UINT8", 3: "INT16", 4: "UINT16", 5: "INT32", 6: "UINT32", 7: "FLOAT32", 8: "FLOAT64"}
 _UINT8, _FLOAT32, _FLOAT64 = 2, 7, 8
 _PACKED_COLOUR = (5, 6, 7)  # four bytes, regardless of the declared type
-_HOST_IS_BIGENDIAN = sys.byteorder == "big"
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,7 @@ class PointCloud2Layout:
                 raise CloudError(f"{name}: count {field.count} is not 1")
             fields.append(field)
         x, y, z = fields
-        native = self.is_bigendian == _HOST_IS_BIGENDIAN
+        native = self.is_bigendian == (sys.byteorder == "big")
         spacing = y.offset - x.offset
         if native and spacing == z.offset - y.offset and all(f.datatype == _FLOAT32 for f in fields):
             return self._view(data, "f4", x.offset, (3, spacing))
@@ -125,7 +121,9 @@ class PointCloud2Layout:
         return np.stack([self._view(data, "u1", offset) for offset in offsets], axis=-1) if len(offsets) == 3 else None
 
 
-def decode(layout: PointCloud2Layout, data: _Bytes) -> tuple[Float32, UInt8 | None]:
+def decode(
+    layout: PointCloud2Layout, data: bytes | bytearray | memoryview | array.array[int] | UInt8
+) -> tuple[Float32, UInt8 | None]:
     """Coordinates and colours of a message.
 
     Args:

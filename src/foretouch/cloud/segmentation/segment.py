@@ -104,8 +104,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
         status, reason, plane, objects, labels = _segment(cloud, config, counts, ms)
-        frame = "" if status == "ok" else not_optical(cloud.xyz, config.rays)
-        if frame:
+        if status != "ok" and (frame := not_optical(cloud.xyz, config.rays)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
     dropped = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")

@@ -7,8 +7,6 @@ all that follow the readings, such as tare and contact detectors, see those alon
 After a jump back, all readings so far are discarded, since their stamps would be those of readings to come.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections import Counter, OrderedDict
 from collections.abc import Callable
@@ -44,7 +42,7 @@ class TouchWindow:
     others: Float32  # (T, K) float32
     received_ns: Int64  # (T,) int64 [ns]
 
-    def between(self, low_ns: int, high_ns: int) -> TouchWindow:
+    def between(self, low_ns: int, high_ns: int) -> "TouchWindow":
         """The readings stamped in [low, high)."""
         first, last = np.searchsorted(self.stamps_ns, (low_ns, high_ns))
         rows = slice(int(first), int(last))
@@ -138,10 +136,9 @@ class TouchBuffer:
         return before, reading
 
     def _trim(self) -> None:
-        first = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
-        first = max(first, len(self._stamps) - self._max_readings)
-        if first > 0:
-            del self._stamps[:first], self._readings[:first]
+        old = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
+        first = max(old, len(self._stamps) - self._max_readings)  # at least 0
+        del self._stamps[:first], self._readings[:first]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +182,7 @@ class CloudBuffer:
         """Add a cloud by the stamp of its header [ns], and return the clouds that were removed for it."""
         known = self._clouds.get(stamp_ns)
         if known is not None:
-            ambiguous = known.ambiguous or known.message.data != message.data
-            self._clouds[stamp_ns] = replace(known, ambiguous=ambiguous)
+            self._clouds[stamp_ns] = replace(known, ambiguous=known.ambiguous or known.message.data != message.data)
             return []
         self._clouds[stamp_ns] = BufferedCloud(stamp_ns, message, now_s)
         self.bytes += len(message.data)

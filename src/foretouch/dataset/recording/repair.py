@@ -141,8 +141,8 @@ class _Repair:
             file.abandon()
 
     def _declare(self) -> None:
-        definition = sample_types().text(SAMPLE_TYPE)  # the file's own copy may be damaged
-        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, definition)
+        # The file's own copy of the definition may be damaged.
+        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
         for number, channel in sorted(self._declared.channels.items()):
             schema = self._declared.schemas.get(channel.schema_id)
             if schema is None or channel.message_encoding != "cdr" or schema.encoding != "ros2msg":

@@ -16,7 +16,6 @@ from foretouch.types import Float64, Int64
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
 _MOST_FACES: Final = 1_000_000
-_UP_Y: Final = (".glb",)  # glTF has y up, all others as they were drawn: z up here
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +120,7 @@ def _read(path: str, _sha256: str) -> TriangleMesh:
         raise FileError(path, "holds no triangle that can be read")
     if len(faces) > _MOST_FACES:
         raise FileError(path, f"holds {len(faces)} triangles, more than {_MOST_FACES}")
-    if Path(path).suffix.lower() in _UP_Y:
+    if Path(path).suffix.lower() == ".glb":  # glTF has y up, all others as they were drawn: z up here
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     if np.isfinite(vertices).all() and TriangleMesh(vertices, faces).volume() < 0.0:
         faces = faces[:, ::-1]  # it is inside out
