@@ -24,9 +24,7 @@ from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError, shown
-from foretouch.grasp.axis import object_axis
-from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.pose import hand_rotation
+from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.types import ASSUMED_TABLE, ELECTRODES, Cloud, Float64, Grasp, GraspSample, Touch
 
 CLOUD_FILE: Final = "cloud-object.pcd"

@@ -241,8 +241,7 @@ def _local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> 
         (M, 3) float64 unit normals of any sign, and (M,) float64 curvature, 0 ... 1/3.
     """
     normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
-    sizes = (len(centres), radius_m)
-    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
+    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, len(centres), radius_m, normals, curvature)
     return normals, curvature
 
 

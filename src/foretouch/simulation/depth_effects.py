@@ -28,9 +28,8 @@ def add_stereo_noise(depth: Float64, noise_m: float, rng: np.random.Generator) -
     """
     from scipy.ndimage import uniform_filter
 
-    white = rng.standard_normal(depth.shape)
     # The mean of k x k independent values has 1/k of their deviation; wrapping keeps it so at the border.
-    noise = _MATCHING_WINDOW_PX * uniform_filter(white, _MATCHING_WINDOW_PX, mode="wrap")
+    noise = _MATCHING_WINDOW_PX * uniform_filter(rng.standard_normal(depth.shape), _MATCHING_WINDOW_PX, mode="wrap")
     finite = np.isfinite(depth)
     return np.where(finite, depth + noise_m * np.where(finite, depth, 0.0) ** 2 * noise, np.inf)
 

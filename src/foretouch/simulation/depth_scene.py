@@ -145,8 +145,7 @@ def random_scene(
     Raises:
         ConfigError: If so many objects find no place.
     """
-    top = view == "top" or (view == "any" and rng.random() < 0.25)
-    tilt = 0.0 if top else np.radians(rng.uniform(30.0, 55.0))
+    tilt = 0.0 if view == "top" or (view == "any" and rng.random() < 0.25) else np.radians(rng.uniform(30.0, 55.0))
     camera = CameraView.towards_table(width, height, rng.uniform(0.8, 1.2), tilt)
     for _ in range(_ROUNDS):
         placed: list[Primitive] = []

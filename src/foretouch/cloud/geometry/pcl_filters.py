@@ -68,8 +68,7 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
     if not np.prod(size) < 2.0**62:
         raise CloudError(f"xyz: spans {size.tolist()} cells of {leaf_m} m, too many to number")
     i, j, k = ijk.astype(np.int64)
-    key = i + int(size[0]) * (j + int(size[1]) * k)
-    _, cell, counts = np.unique(key, return_inverse=True, return_counts=True)
+    _, cell, counts = np.unique(i + int(size[0]) * (j + int(size[1]) * k), return_inverse=True, return_counts=True)
     return VoxelGrid(cell.reshape(-1), counts, leaf_m)
 
 

@@ -63,8 +63,7 @@ def ascii_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, fi
     size = points * sum(widths)
     words = body.split() if alone else body.split(None, size)[:size]
     if len(words) != size:
-        rule = f"{len(words)} numbers are not {points} points of {sum(widths)} = {size}"
-        raise FileError(path, rule, field=field)
+        raise FileError(path, f"{len(words)} numbers are not {points} points of {sum(widths)} = {size}", field=field)
     try:
         table = np.array(words, np.float64).reshape(points, sum(widths))
     except ValueError as err:

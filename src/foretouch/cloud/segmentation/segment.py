@@ -11,8 +11,14 @@ from typing import Literal
 
 import numpy as np
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, HeightThreshold, label_organised, label_unorganised
-from foretouch.cloud.segmentation.crop import CropConfig, in_range
+from foretouch.cloud.segmentation.clusters import (
+    ClusterConfig,
+    CropConfig,
+    HeightThreshold,
+    in_range,
+    label_organised,
+    label_unorganised,
+)
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
@@ -148,8 +154,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         return "no_plane", fit.reason, None, (), labels
     with timed(ms, "clusters"):
         limits = config.clusters
-        noise_per_m = limits.noise_factor * fit.noise_per_m
-        threshold = HeightThreshold(fit.plane, limits.min_height_m, noise_per_m, _HIGHEST_M)
+        threshold = HeightThreshold(fit.plane, limits.min_height_m, limits.noise_factor * fit.noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
         else:

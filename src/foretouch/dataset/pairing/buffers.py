@@ -93,11 +93,10 @@ class TouchBuffer:
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
         """The readings stamped in [low, high)."""
         rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
-        width = len(rows[0].others) if rows else 0
         return TouchWindow(
             np.array([r.stamp_ns for r in rows], np.int64),
             np.array([r.counts for r in rows], np.float32).reshape(len(rows), TOUCH_SIZE),
-            np.array([r.others for r in rows], np.float32).reshape(len(rows), width),
+            np.array([r.others for r in rows], np.float32).reshape(len(rows), len(rows[0].others) if rows else 0),
             np.array([r.received_ns for r in rows], np.int64),
         )
 

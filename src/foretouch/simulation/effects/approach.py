@@ -17,8 +17,7 @@ from foretouch.simulation.contact import (
     pad_window,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ObjectConfig, SceneConfig, SurfaceConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import ObjectConfig, SceneConfig, SurfaceConfig, draw
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 

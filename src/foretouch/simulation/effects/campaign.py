@@ -6,8 +6,7 @@ import numpy as np
 from foretouch.simulation.campaign import Campaign
 from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import CampaignConfig, ObjectConfig, SceneConfig
-from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig
+from foretouch.simulation.scene import CampaignConfig, DriftTermConfig, ExchangeConfig, ObjectConfig, SceneConfig
 from foretouch.types import ELECTRODES
 
 

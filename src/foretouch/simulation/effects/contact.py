@@ -38,9 +38,8 @@ def _weight(job: Job, state: SampleState) -> None:
 
 def _solve(level: str, job: Job, state: SampleState) -> None:
     scene, item = job.scene, job.item
-    pressed = zip(state.pads, state.relief, strict=True)
     state.contacts = solve_grip(
-        [contact_problem(scene, item, pad, height) for pad, height in pressed],
+        [contact_problem(scene, item, pad, height) for pad, height in zip(state.pads, state.relief, strict=True)],
         [command_of(scene, float(target)) for target in state.targets],
         balanced=scene.grasps.balanced,
         axial_load_n=state.axial_load_n,

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from foretouch.cloud.segmentation.crop import CropConfig, in_range
+from foretouch.cloud.segmentation.clusters import CropConfig, in_range
 from foretouch.cloud.segmentation.segment import _count_depths
 from foretouch.errors import ConfigError
 
