@@ -11,11 +11,17 @@ from typing import Any
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.dataset import editing
 from foretouch.dataset.formats import export_formats, readable_formats
+from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
+from foretouch.dataset.recording import RecordedDataset, is_dataset, repair_dataset, verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
+from foretouch.dataset.store import Store, is_store
+from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
+from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
@@ -119,17 +125,18 @@ def run(arguments: argparse.Namespace) -> int:
 def _info(arguments: argparse.Namespace) -> int:
     found = describe(arguments.path)
     if arguments.json:
-        edges = [None if edge == float("inf") else edge for edge in PAIRING_EDGES_MS]
-        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": edges})
-        return 0
-    print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
+        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": PAIRING_EDGES_MS})
+    else:
+        print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
     return 0
 
 
 def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "kind", found.kind
-    numbers = f"{found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded"
-    yield "samples", f"{found.samples} ({numbers})"
+    yield (
+        "samples",
+        f"{found.samples} ({found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded)",
+    )
     yield "objects", _counts(found.objects)
     yield "outcomes", _counts(found.outcomes)
     yield "flags", _counts(found.flags)
@@ -185,9 +192,6 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 def _verified(path: str) -> Iterator[dict[str, Any]]:
     """One record for each file of a recorded dataset, or one for a training store."""
-    from foretouch.dataset.recording import is_dataset, verify_dataset
-    from foretouch.dataset.store import Store, is_store
-
     empty = {"file": path, "samples": None, "messages": None, "bytes": None}
     try:
         if is_store(path) and not is_dataset(path):
@@ -219,8 +223,9 @@ def _show(arguments: argparse.Namespace) -> int:
     selected = list(_selected(samples, arguments))
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
-    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
-    save_contact_sheet(arguments.out, selected, title)
+    save_contact_sheet(
+        arguments.out, selected, f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+    )
     record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
     return _print_result("drawn", record, as_json=arguments.json)
 
@@ -242,8 +247,6 @@ def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[Gra
 
 
 def _repair(arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.recording import repair_dataset
-
     rows = []
     for path in arguments.paths:
         for report in repair_dataset(path):
@@ -265,9 +268,6 @@ def _repair(arguments: argparse.Namespace) -> int:
 
 def _edit(arguments: argparse.Namespace) -> int:
     """Apply one edit; without one, list the edits."""
-    from foretouch.dataset import editing
-    from foretouch.dataset.recording import RecordedDataset
-
     path, ids = arguments.path, arguments.id
     needs_ids = arguments.relabel is not None or arguments.drop
     if needs_ids != bool(ids):
@@ -290,9 +290,6 @@ def _edit(arguments: argparse.Namespace) -> int:
 
 
 def _build(arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.store_writer import build_store
-    from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
@@ -316,8 +313,6 @@ def _build(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.importing import BagTopics, import_samples
-
     topics = BagTopics(
         clouds=arguments.cloud_topic,
         grasps=arguments.grasp_topic,
@@ -371,9 +366,9 @@ def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> in
     """Print a JSON object, or a table without empty values; exit status 0."""
     if as_json:
         print_json(record)
-        return 0
-    rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
-    print_table(title, ["", "value"], rows)
+    else:
+        rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+        print_table(title, ["", "value"], rows)
     return 0
 
 

@@ -30,15 +30,6 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
-_DIAGNOSED_S = 1.2  # until every node has reported once more
-_SCENE_FILES = (".yaml", ".yml")
-_SCENE_FPS = 5  # so that a small computer has time for the rest of the graph
-_LONGEST_GRASP_S = 10.0
-_TOLERANCE_M = 0.1  # between the middle of a scene's object and its visible part
-_WAITING_S = 5.0  # between two lines about a camera that sends nothing
-_NO_CLOUDS = 3  # exit status where the camera never sent a cloud
-_SERVED = ("127.0.0.1", 8765)
-_MOST_PORTS = 65535
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
 
 
@@ -62,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--serve",
         type=_address,
         nargs="?",
-        const=_SERVED,
+        const=("127.0.0.1", 8765),
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
@@ -92,7 +83,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> 
 def _address(text: str) -> tuple[str, int]:
     """`HOST:PORT` for argparse."""
     host, colon, port = text.rpartition(":")
-    if not (host and colon and port.isdecimal() and int(port) <= _MOST_PORTS):
+    if not (host and colon and port.isdecimal() and int(port) < 2**16):
         raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
     return host.removeprefix("[").removesuffix("]"), int(port)
 
@@ -117,8 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise ForetouchError(f"a node did not start; see its log ({listed})")
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
-        complete = _watch(graph, arguments)
-        return _finish(graph, arguments, complete=complete)
+        return _finish(graph, arguments, complete=_watch(graph, arguments))
 
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -135,7 +125,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-    scene = Path(arguments.source).suffix in _SCENE_FILES
+    scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
         return nodes | {"replay": _replay_parameters(arguments)}
     if arguments.wait_for or arguments.wait_limit is not None:
@@ -153,11 +143,15 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         show = show.replace(dwell_s=arguments.dwell)
     scene = show.load()  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
-    fps = _SCENE_FPS if arguments.rate is None else max(1, round(arguments.rate))
+    # Few, so that a small computer has time for the rest of the graph.
+    fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
     nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown}}
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
-        point = centre_of_objects(scene).tolist()
-        nodes["segmentation"] = {"target.mode": "point", "target.point": point, "target.tolerance_m": _TOLERANCE_M}
+        nodes["segmentation"] = {
+            "target.mode": "point",
+            "target.point": centre_of_objects(scene).tolist(),
+            "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
+        }
     return nodes
 
 
@@ -185,9 +179,11 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
 
 def replay_fault(replay: ReplayNode | None) -> str:
     """Describe why the source was not played completely; "" if it was."""
-    if replay is not None and replay.outcome == "failed":
-        return f"failed: {replay.reason}"
-    return f"{replay.unreadable} entries could not be read" if replay is not None and replay.unreadable else ""
+    if replay is None or (replay.outcome != "failed" and not replay.unreadable):
+        return ""
+    return (
+        f"failed: {replay.reason}" if replay.outcome == "failed" else f"{replay.unreadable} entries could not be read"
+    )
 
 
 def report_conflicts(graph: Graph) -> list[str]:
@@ -203,14 +199,14 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     replay = graph.replay
     draw = None if arguments.json else partial(_panel, graph, arguments.source)
     try:
-        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), _WAITING_S)
+        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), every_s=5.0)
     except KeyboardInterrupt:
         graph.stop_source()  # or answers would still arrive after the counts
         return True
     announce("waiting for the last answers")
     if replay is None or not replay.ended.is_set():
         graph.stop_source()
-    graph.wait_for_hand(_LONGEST_GRASP_S)
+    graph.wait_for_hand(timeout_s=10.0)
     # A live source does not wait for answers: the nodes count what they had to drop.
     return replay is None or graph.wait_for_answers(graph.played())
 
@@ -223,8 +219,8 @@ def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
 
 
 def _panel(graph: Graph, source: str) -> FittedPanel:
-    title = f"foretouch run: {source} (Ctrl-C to end)"
-    return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
+    waiting = f"waiting for the first: {_source_state(graph)}"
+    return live_panel(graph.monitor.view(), f"foretouch run: {source} (Ctrl-C to end)", waiting)
 
 
 def _warn_of_waiting(graph: Graph) -> None:
@@ -240,24 +236,25 @@ def _source_state(graph: Graph) -> str:
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
     """Print the table or the counts, and save the picture."""
-    time.sleep(_DIAGNOSED_S)
+    time.sleep(1.2)  # until every node has reported once more
     view = graph.monitor.close_view()
     answered, played = sum(view.answers.values()), graph.played()
     conflicts = report_conflicts(graph)
     if arguments.json:
-        counts: dict[str, Any] = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
+        counts = {"played": played, "answered": answered, "conflicts": conflicts}
+        counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
-            counts["executed"] = dict(cast("HandNode", graph.nodes["hand"]).executed)
+            counts["executed"] = cast("HandNode", graph.nodes["hand"]).executed
         print_json(counts)
     else:
-        title = f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered"
-        terminal().print(live_panel(view, title))
+        terminal().print(
+            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
+        )
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture)
     if graph.replay is None and not played:
         warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
-        return _NO_CLOUDS
+        return 3
     if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
     if not complete:
@@ -290,8 +287,7 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
     if readings is None:
         return drawn
-    title += "; readings of the simulated hand"
-    return replace(drawn, rest=readings.tare, read=readings.touch, title=title)
+    return replace(drawn, rest=readings.tare, read=readings.touch, title=f"{title}; readings of the simulated hand")
 
 
 class _Printer:

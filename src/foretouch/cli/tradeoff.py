@@ -9,8 +9,6 @@ from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.experiments.framework.tradeoff import find_area, list_areas, measure_times
 from foretouch.models.registry import load_model
 
-_PROFILE_S = 30.0
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
@@ -41,7 +39,7 @@ def _profile(arguments: argparse.Namespace) -> int:
 
     levels = levels_of(load_model(arguments.model))
     with progress_bar("times", hidden=arguments.json) as update:
-        profile = load_profile(levels, seconds=_PROFILE_S, again=True, say=warn, progress=update)
+        profile = load_profile(levels, seconds=30.0, again=True, say=warn, progress=update)
     if arguments.json:
         found = {level.name: {"skill": level.skill, "p95_s": profile.times[level.name]} for level in levels}
         print_json({"status": "done", "levels": found, "state": profile.state, "path": profile.origin})

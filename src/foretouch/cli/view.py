@@ -23,8 +23,6 @@ from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.types import Cloud, Grasp, GraspSample
 
-_CANDIDATES = 10  # grasps that are planned on each cloud
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -71,7 +69,7 @@ class _Steps:
         changes = {"model": arguments.model} if arguments.model else {}
         self.failed = False  # whether an input could not be read
         self._arguments = arguments
-        self._pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": _CANDIDATES}))
+        self._pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": 10}))
         self._adaptation: Adaptation
 
     def __iter__(self) -> Iterator[ViewStep]:
@@ -171,9 +169,8 @@ class _Steps:
         objects = {one.id: one.cloud for one in scene.targets[:1]}
         objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
         found = {"cloud": cloud, "table": scene.segmentation.plane, "objects": objects}
-        if not scene.targets:
-            return {**found, "target": None, "reason": f"{scene.status}: {scene.reason}"}
-        return {**found, "target": scene.targets[0]}
+        refused = {"target": None, "reason": f"{scene.status}: {scene.reason}"}
+        return found | ({"target": scene.targets[0]} if scene.targets else refused)
 
     def _of_answer(self, record: Mapping[str, Any], item: SourceItem | None) -> ViewStep:
         shown: dict[str, Any] = {

@@ -13,8 +13,7 @@ from foretouch.dataset.bag_writer import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
 
-CLOUDS = ""
-"""Stands for the topic of the clouds, which the replay chooses."""
+CLOUDS = ""  # stands for the topic of the clouds, which the replay chooses
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ REST: Final = 0
 APPROACH: Final = 1
 HOLD: Final = 2
 
+#: Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out.
 DISCARDED: Final = "discarded"
-"""Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
 
 Outcome = Literal["unknown", "success", "failure"]
 

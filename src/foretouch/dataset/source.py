@@ -20,8 +20,8 @@ from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError
 from foretouch.types import Cloud, GraspSample
 
+#: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.
 STAMP_STEP_NS = 100_000_000
-"""Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise."""
 
 
 class SourceItem:

@@ -40,7 +40,6 @@ _FINGER_SIZE: Final = ELECTRODES + 5
 _PDC: Final = ELECTRODES + 2
 _NS_PER_S: Final = 1_000_000_000
 _STAMP_END_NS: Final = 2**63  # where stamps of 64 bits end
-_NAME_DIGITS: Final = 20  # more than those of any stamp
 
 
 def _folders_in(root: Path) -> Iterator[Path]:
@@ -80,7 +79,7 @@ def _read_sample(folder: Path) -> GraspSample:
 
 def _stamp_ns(name: str) -> int:
     """The unix time that a folder is named by [ns]; 0 if it is none."""
-    stamp_ns = int(name) * _NS_PER_S if name.isascii() and name.isdecimal() and len(name) < _NAME_DIGITS else 0
+    stamp_ns = int(name) * _NS_PER_S if name.isascii() and name.isdecimal() and len(name) < 20 else 0
     return stamp_ns if stamp_ns < _STAMP_END_NS else 0
 
 

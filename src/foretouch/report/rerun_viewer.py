@@ -17,9 +17,7 @@ from typing import Final
 
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
 
-_STATISTICS_OFF_S: Final = 30.0
 _SCREENSHOT_S: Final = 120.0
-_SETTLED_S: Final = 1.0  # until what was loaded is drawn
 _POLL_S: Final = 0.1
 _NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  # what Rerun prints without a driver
 
@@ -63,7 +61,7 @@ def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
             state = client.get_state()
             if state.active_recording is not None and state.recordings[0].timelines and not state.loading:
                 client.set_time("step", sequence=0, play_state="paused")
-                time.sleep(_SETTLED_S)
+                time.sleep(1.0)  # until what was loaded is drawn
                 client.save_screenshot(str(path))
                 return
         time.sleep(_POLL_S)
@@ -106,11 +104,7 @@ def _viewer_environment() -> Iterator[dict[str, str]]:
     with tempfile.TemporaryDirectory(prefix="foretouch-rerun-") as folder:
         environment = {**os.environ, "XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder, "RERUN_APP_ONLY": "true"}
         done = subprocess.run(  # noqa: S603  Rerun's own viewer
-            [_viewer()[0], "analytics", "disable"],
-            env=environment,
-            capture_output=True,
-            check=False,
-            timeout=_STATISTICS_OFF_S,
+            [_viewer()[0], "analytics", "disable"], env=environment, capture_output=True, check=False, timeout=30.0
         )
         if done.returncode:
             raise ForetouchError("Rerun cannot turn its usage statistics off, so it is not started")

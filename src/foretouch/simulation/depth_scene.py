@@ -16,8 +16,7 @@ from foretouch.types import Cloud, Float64
 
 TABLE: Final = 1  # label of the table; 0 is everything else
 FIRST_OBJECT: Final = 2  # label of the first object
-TABLE_M: Final = np.array([1.4, 1.0])
-"""Edges of the table top about the world's origin [m]."""
+TABLE_M: Final = np.array([1.4, 1.0])  # edges of the table top about the world's origin [m]
 
 _FLOOR_M = 0.75  # below the table top
 _ATTEMPTS = 200  # places tried for one object before all are placed anew

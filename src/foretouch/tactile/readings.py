@@ -17,8 +17,7 @@ import numpy.typing as npt
 from foretouch.errors import TactileError
 from foretouch.types import Float64, Touch
 
-FULL_SCALE: Final = 4095
-"""Largest count of the 12-bit converter."""
+FULL_SCALE: Final = 4095  # largest count of the 12-bit converter
 
 _REFERENCE_KOHM: Final = 10.0
 

@@ -17,8 +17,6 @@ Records = AnyArray  # (N,) of a structured dtype
 
 SIZE_LIMIT: Final = 2_000_000_000  # of a file with a cloud [bytes]
 HEADER_LIMIT: Final = 65536  # bytes within which a header must end
-_UNPACKED: Final = 32_000_000  # bytes in any case; an image of 1280 x 720 points in double has 22 million
-_UNPACKED_RATIO: Final = 10  # times the size of the file, beyond that
 
 
 def whole_number(path: Path, text: str, field: str) -> int:
@@ -33,7 +31,7 @@ def whole_number(path: Path, text: str, field: str) -> int:
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
     """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes]."""
-    limit = max(_UNPACKED, _UNPACKED_RATIO * size)
+    limit = max(32_000_000, 10 * size)  # an image of 1280 x 720 points in double has 22 million bytes
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)
 

@@ -30,7 +30,6 @@ from foretouch.types import Cloud, Grasp, GraspSample
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
-_DETECTOR: Final = "change against the tare (foretouch.tactile.contact_detector)"
 _TACTILE_TIMEOUT_S: Final = 1.0
 _CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
 
@@ -219,7 +218,9 @@ class SampleAssembler:
             note="; ".join(filter(None, (self.config.note, label.note))),
             series=TouchSeries(window.stamps_ns, window.counts, cut.phases, others),
             contact_ns=cut.contact_ns,
-            detector=_DETECTOR if cut.contact_ns is not None else "",
+            detector="change against the tare (foretouch.tactile.contact_detector)"
+            if cut.contact_ns is not None
+            else "",
             pairing_error_ns=cut.error_ns,
             flags=(*self._reader.flags, *executed.flags, *cut.flags, *([DISCARDED] if label.discard else [])),
         )

@@ -20,7 +20,6 @@ from foretouch.tactile.messages import stamp_ns
 
 _SECOND_NS = 1_000_000_000
 _MAX_PLANS = 10_000
-_KEPT_GRASPS = 256  # finished ones, to reject intervals that overlap with theirs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,7 @@ class GraspTouchMatcher:
         self.pending: list[_Pending] = []
         self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
-        self._finished: deque[ExecutedGrasp] = deque(maxlen=_KEPT_GRASPS)
+        self._finished: deque[ExecutedGrasp] = deque(maxlen=256)  # to reject intervals that overlap with theirs
         self._unclaimed: list[tuple[Episode, float]] = []
 
     # Input.

@@ -9,12 +9,10 @@ Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) over standardised co
 2.25], whose samples are as rough as tactile readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -66,7 +64,7 @@ class Forest(TensorRecord):
     value: npt.NDArray[np.float16]
 
     @classmethod
-    def from_trees(cls, trees: Sequence[Any]) -> Forest:
+    def from_trees(cls, trees: Sequence[Any]) -> Self:
         """From the `tree_` of fitted scikit-learn regressors with targets of (S, M)."""
         roots, features, thresholds, children, leaves, values = [], [], [], [], [], []
         nodes = rows = 0
@@ -95,7 +93,7 @@ class Forest(TensorRecord):
         return self._compiled.predict(rows)
 
     @cached_property
-    def _compiled(self) -> CompiledForests:
+    def _compiled(self) -> "CompiledForests":
         return CompiledForests([self])
 
     def _check(self) -> None:

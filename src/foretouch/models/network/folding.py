@@ -102,8 +102,7 @@ def fold(net: TouchNet, precision: str | None = None) -> FoldedNetwork:
     config = net.config
     dtype = getattr(torch, config.precision if precision is None else precision)
     transform = net.features.transform
-    head = [*_fold_layers(net.head), _fold_output(net)]
-    first, rest = head[0], head[1:]
+    first, *rest = *_fold_layers(net.head), _fold_output(net)
     return FoldedNetwork(
         transform=None if transform is None else _fold_transform(transform, dtype),
         trunk=_shared(_fold_layers(net.features.layers), dtype),

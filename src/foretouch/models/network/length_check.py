@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Five lengths of a cloud and a grasp, and whether they are within their ranges in training."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -32,12 +30,12 @@ class LengthRangeCheck:
     high: Float64  # (5,) float64 [m], in the order of `LENGTHS`
 
     @classmethod
-    def fit(cls, lengths: Float64) -> LengthRangeCheck:
+    def fit(cls, lengths: Float64) -> Self:
         """From (S, 5) lengths of the training samples."""
         return cls(lengths.min(axis=0), lengths.max(axis=0))
 
     @classmethod
-    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> LengthRangeCheck:
+    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> Self:
         """From `to_card`.
 
         Raises:

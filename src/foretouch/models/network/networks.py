@@ -121,8 +121,7 @@ class CloudGenerator(nn.Module):
         self.config = config
         self._used = model.channel_count
         widths = [_CHANNELS, *config.widths, _CHANNELS]
-        layers = [nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths)]
-        self.layers = nn.ModuleList(layers)
+        self.layers = nn.ModuleList(nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths))
 
     def forward(self, noise: Tensor) -> Tensor:
         """(B, 6, L) noise to (B, N, 6) fake clouds in [-1, 1].

@@ -236,9 +236,8 @@ class Layer(nn.Module):
 
 
 def _worth_moments(rows: int, linear: nn.Linear) -> bool:
-    if linear.in_features > linear.out_features:
-        return False
-    return rows * linear.out_features >= _ENOUGH_VALUES and rows >= _ENOUGH_ROWS * linear.in_features
+    inputs, outputs = linear.in_features, linear.out_features
+    return inputs <= outputs and rows * outputs >= _ENOUGH_VALUES and rows >= _ENOUGH_ROWS * inputs
 
 
 def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:

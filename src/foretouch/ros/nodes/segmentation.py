@@ -90,5 +90,4 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         )
         self._objects.publish(objects)
         if self._markers.wanted:  # the answer is published: an error must not refuse the cloud
-            draw = self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects)))
-            draw()
+            self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects)))()

@@ -98,6 +98,7 @@ _WARM_UP = Effect(
     detail=_warm_up_detail,
 )
 
+#: Which sensors are mounted.
 MOUNTING = (
     Effect("calendar", _calendar, "campaign", writes=("campaign_time",), detail=_calendar_detail),
     Effect(
@@ -109,19 +110,18 @@ MOUNTING = (
         detail=_exchange_detail,
     ),
 )
-"""Which sensors are mounted."""
 
+#: How far their levels have drifted.
 DRIFT = (
     Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
     _DRIFT,
     _WARM_UP,
     Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
 )
-"""How far their levels have drifted."""
 
+#: Which tares are recorded.
 TARES = (
     Effect(
         "tares", _tares, _needs_tares, reads=("campaign_time", "tare"), writes=("tare",), off="each grasp has a tare"
     ),
 )
-"""Which tares are recorded."""

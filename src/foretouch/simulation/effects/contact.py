@@ -87,9 +87,6 @@ def _held(job: Job, state: SampleState) -> None:
             )
 
 
-_CONTACTS = ("contacts",)
-_PRESSED = ("pads", "relief", "targets", "axial_load_n")
-
 EFFECTS = (
     Effect(
         "weight", _weight, "gravity", reads=("bodies", "touches", "axial_load_n"), writes=("weight", "axial_load_n")
@@ -99,11 +96,11 @@ EFFECTS = (
             f"contact_{level}",
             partial(_solve, level),
             partial(_needs_level, level),
-            reads=_PRESSED,
-            writes=_CONTACTS,
+            reads=("pads", "relief", "targets", "axial_load_n"),
+            writes=("contacts",),
             off=f"fidelity: no object calls for {level}",
         )
         for level in LEVELS
     ),
-    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=_CONTACTS),
+    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=("contacts",)),
 )

@@ -119,8 +119,8 @@ _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
     "sponge": _sponge,
     "volleyball": _volleyball,
 }
+#: Names that a scene may use; `random` is a family with a member for each number.
 SHAPES: Final = (*_BUILDERS, "random")
-"""Names that a scene may use; `random` is a family with a member for each number."""
 
 
 @lru_cache(maxsize=256)
