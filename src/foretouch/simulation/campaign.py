@@ -67,11 +67,7 @@ class Campaign:
     first: tuple[Finger, Finger]  # thumb and middle finger as they are mounted at first
 
     def time_of(self, slot: int) -> CampaignTime:
-        """When the grasp of a slot is executed.
-
-        Raises:
-            SimulationError: If the slot is beyond the last session.
-        """
+        """When the grasp of a slot is executed; a `SimulationError` if it is beyond the last session."""
         config = self.config
         visit, grasp = divmod(slot, config.grasps)
         session, place = divmod(visit, config.objects)

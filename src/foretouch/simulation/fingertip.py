@@ -162,11 +162,7 @@ def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 
 
 
 def quantise(counts: Float64) -> Int64:
-    """Round and clip to 0..4095 as the 12-bit converter does.
-
-    Raises:
-        TactileError: If a value is not finite: a converter has no such count.
-    """
+    """Round and clip to 0..4095 as the 12-bit converter does; a `TactileError` if a value is not finite."""
     if not np.isfinite(counts).all():
         raise TactileError(f"counts: {np.count_nonzero(~np.isfinite(counts))} values are not finite")
     return np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.int64)

@@ -95,11 +95,7 @@ def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
 
 
 def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
-    """Make one try again, with all that was known along the way.
-
-    Raises:
-        SimulationError: As it did.
-    """
+    """Make one try again, with all that was known along the way; raises the `SimulationError` that it raised."""
     return _engine_of(scene).run(key)
 
 

@@ -61,11 +61,7 @@ def command_of(scene: SceneConfig, target: float) -> Command:
 
 
 def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, behind: Float64) -> ContactProblem:
-    """The gap between a pad and the surface behind its tangent plane.
-
-    Raises:
-        ContactError: If nowhere in the window do both exist.
-    """
+    """The gap between a pad and the surface behind its tangent plane; a `ContactError` if both exist nowhere."""
     return ContactProblem(gap_field(window.depth, -behind), pad_of(scene, item).step_m, _layers_of(scene, item))
 
 

@@ -48,11 +48,7 @@ class TriangleMesh:
         return a, b, c
 
     def closed(self, name: str) -> Self:
-        """Itself; refuses a surface with a hole, or one that is inside out.
-
-        Raises:
-            SimulationError: Names the mesh and what is wrong.
-        """
+        """Itself; a `SimulationError` names the mesh and its fault if it has a hole or is inside out."""
         self._require_corners(name)
         edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
         key = edges[:, 0] * len(self.vertices) + edges[:, 1]
