@@ -269,7 +269,7 @@ def _cells(settings: ModelSettings, data: Dataset) -> list[Cell]:
 def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
     """Errors of all variants of a model on one fold."""
     model, split, part, seed = (cell.values[key] for key in ("model", "split", "part", "seed"))
-    described = _described(data)
+    described = describe(data)
     fold = next(one for one in make_folds(described.samples, split, seed) if one.name == part)
     labels, mean = described.labels[fold.test], described.labels[fold.train].mean(axis=0)
     tested = [described.samples[k] for k in fold.test]
@@ -287,7 +287,8 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
 
 
 @lru_cache(maxsize=1)
-def _described(data: Dataset) -> Described:
+def describe(data: Dataset) -> Described:
+    """The labelled samples with the features of their grasps; kept for the next cell."""
     return Described(labelled(data))
 
 
@@ -337,7 +338,7 @@ def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
 
 @lru_cache(maxsize=1)
 def _refitted(data: Dataset) -> Callable[[Mapping[str, Any]], ContactEstimator]:
-    described = _described(data)
+    described = describe(data)
     return _fitted(described, np.arange(len(described.samples)), 0)
 
 

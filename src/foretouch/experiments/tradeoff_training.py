@@ -20,7 +20,7 @@ from foretouch.experiments.shared.folds import some_grasps, some_objects, split_
 from foretouch.experiments.shared.predictors import network
 from foretouch.experiments.shared.scores import error_rows, labelled, load
 from foretouch.experiments.shared.simulated_data import beside, simulate_store
-from foretouch.experiments.tradeoff_model import Described
+from foretouch.experiments.tradeoff_model import describe
 from foretouch.learning.data import Dataset, labels_of, make_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactConfig, fit_contact
@@ -136,11 +136,6 @@ def _chosen_samples(values: Mapping[str, Any], train: Sequence[GraspSample]) -> 
     return list(train)
 
 
-@lru_cache(maxsize=1)
-def _described(data: Dataset) -> Described:
-    return Described(labelled(data))
-
-
 def _predict(
     values: Mapping[str, Any],
     settings: TrainingSettings,
@@ -153,7 +148,7 @@ def _predict(
         return np.tile(labels_of(train).mean(axis=0), (len(test), 1))
     if values["kind"] == "network":
         return network("touchnet_v1", 1.0, values["changes"])(train, labels_of(train), test, 0)
-    described = _described(data)
+    described = describe(data)
     config = ContactConfig(trees=settings.trees).updated(values.get("changes", {}))
     index = described.index(train)
     thinned = None if config.thinned == 1.0 else described.rows("thinned")[index]

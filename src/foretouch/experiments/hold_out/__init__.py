@@ -125,8 +125,7 @@ def _experiment(
         data_folder: Folder of the data below FORETOUCH_DATA.
         others: Further attributes of the experiment.
     """
-    how = {"load": load, "summarise": skill_tables, "figure": draw_skill_figure, **others}
-    how.setdefault("tabulate", partial(_tabulate, columns))
+    how = {"load": load, "summarise": skill_tables, "figure": draw_skill_figure}
     return Experiment(
         name=name,
         question=question,
@@ -138,7 +137,7 @@ def _experiment(
         run=partial(_run, split),
         resumable_settings=(*RESUMABLE, *resumable),
         data_folder=data_folder,
-        **how,
+        **{**how, "tabulate": partial(_tabulate, columns), **others},
     )
 
 

@@ -73,8 +73,6 @@ class DistributedContext:
 
     def shard(self, rows: _Rows) -> _Rows:
         """This process's rows of a batch, whose number is a multiple of the number of processes."""
-        if self.world_size == 1:
-            return rows
         count = len(rows) // self.world_size
         return rows[self.rank * count : (self.rank + 1) * count]
 
