@@ -280,12 +280,14 @@ def _run(cell: Cell, _settings: PerceptionSettings, data: PerceptionData) -> lis
     for number, (scene, shipped) in enumerate(zip(data.scenes, before, strict=True)):
         changed, count = grasp_objects(pipeline, scene, jitter_mm)
         wrong = count != len(scene.object_labels)
-        for one, other in zip(changed, shipped, strict=True):
-            rows.append({"scene": number, "wrong": wrong, **_compared(one, other)})
+        pairs = zip(changed, shipped, strict=True)
+        rows += [{"scene": number, "wrong": wrong, **_compared(one, other)} for one, other in pairs]
     if cell.values["step"] != SEGMENTATION:
-        for number, (cloud, other) in enumerate(zip(data.real, real_before, strict=True), len(data.scenes)):
-            one = _grasp_real(pipeline, cloud, jitter_mm)
-            rows.append({"scene": number, "wrong": False, **_compared(one, other)})
+        pairs = zip((_grasp_real(pipeline, cloud, jitter_mm) for cloud in data.real), real_before, strict=True)
+        rows += [
+            {"scene": number, "wrong": False, **_compared(one, other)}
+            for number, (one, other) in enumerate(pairs, len(data.scenes))
+        ]
     return rows
 
 

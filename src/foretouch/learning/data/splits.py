@@ -84,10 +84,8 @@ def _label_ratios(
     rest = rng.permutation(np.setdiff1d(np.arange(len(names)), test))
     if len(rest) < 2:
         raise DatasetError(f"labels: {len(rest)} samples remain to train on")
-    parts = {}
-    for ratio in RATIOS:
-        cut = round(len(rest) * ratio / 100)
-        parts[f"T{ratio}"] = (np.sort(rest[cut:]), np.sort(rest[:cut]))
+    cuts = {f"T{ratio}": round(len(rest) * ratio / 100) for ratio in RATIOS}
+    parts = {name: (np.sort(rest[cut:]), np.sort(rest[:cut])) for name, cut in cuts.items()}
     return np.sort(np.asarray(test, np.intp)), parts
 
 
@@ -105,11 +103,9 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
     omitted: dict[str, str] = {}
     for number, (kind, make) in enumerate(_MAKERS.items()):
         try:
-            parts = list(make(samples, np.random.default_rng([seed, number])))
+            splits[kind] = [_plain(part) for part in make(samples, np.random.default_rng([seed, number]))]
         except DatasetError as err:
             omitted[kind] = str(err)
-            continue
-        splits[kind] = [_plain(part) for part in parts]
     content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
@@ -181,8 +177,7 @@ def _labelled(samples: Sequence[SampleFacts]) -> list[SampleFacts]:
 
 
 def _named(samples: Sequence[SampleFacts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
-    for fold in folds:
-        yield SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test))
+    return (SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test)) for fold in folds)
 
 
 def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
@@ -190,8 +185,8 @@ def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
 
 
 def _plain(part: SplitPart) -> dict[str, Any]:
-    sides = {"train": list(part.train), "test": list(part.test)}
-    return {"name": part.name, **sides, **({"unlabelled": list(part.unlabelled)} if part.unlabelled else {})}
+    unlabelled = {"unlabelled": list(part.unlabelled)} if part.unlabelled else {}
+    return {"name": part.name, "train": list(part.train), "test": list(part.test), **unlabelled}
 
 
 def _part(entry: Any) -> SplitPart:

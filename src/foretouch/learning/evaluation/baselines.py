@@ -164,12 +164,8 @@ BASELINES: Final[dict[str, Baseline]] = {
 
 def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Float64:
     """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
-    table = np.zeros((len(samples), 1 + len(names)))
-    for row, sample in zip(table, samples, strict=True):
-        row[0] = sample.stamp_ns / _DAY_NS
-        if sample.object in names:
-            row[1 + names.index(sample.object)] = 1.0
-    return table
+    days = [sample.stamp_ns / _DAY_NS for sample in samples]
+    return np.column_stack([days, [[float(sample.object == name) for name in names] for sample in samples]])
 
 
 def _forest(train: Float64, labels: Float64, test: Float64, seed: int, trees: int) -> Float64:

@@ -53,9 +53,8 @@ def cross_validate(
     Returns:
         Scores of `MODEL` and of each baseline, by modality; (S, 50) held-out predictions of the model [counts].
     """
-    predictors: dict[str, datasets.HoldOut] = {MODEL: model}
-    for name, baseline in baselines.items():
-        predictors[name] = partial(_baseline, samples, labels, baseline, seed)
+    others = {name: partial(_baseline, samples, labels, baseline, seed) for name, baseline in baselines.items()}
+    predictors: dict[str, datasets.HoldOut] = {MODEL: model, **others}
     with datasets.fold_workers(workers) as run:
         predicted = {name: datasets.predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
     reference = datasets.predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)

@@ -272,16 +272,16 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         of the calibration, by modality and by object.
     """
     regimes = {name: fit_group(one, new=name == "new") for name, one in held_out.items()}
-    facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}
-    for name, one in held_out.items():
-        objects = len(np.unique(one.objects))
-        facts["regimes"][name] = {
-            "objects": objects,
+    facts = {
+        name: {
+            "objects": len(np.unique(one.objects)),
             "samples": len(one.labels),
-            "cut": round(conformal_level(objects), 4),
+            "cut": round(conformal_level(len(np.unique(one.objects))), 4),
             "coverage": coverage_by_object(one),
         }
-    return Calibration(rest, regimes), facts
+        for name, one in held_out.items()
+    }
+    return Calibration(rest, regimes), {"level": COVERAGE, "regimes": facts}
 
 
 def guarantee(calibration: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the contact model: forests by scikit-learn, and a kernel whose ridge and gain are chosen on objects left out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -128,13 +128,8 @@ def fit_forests(
     if thinned is not None:
         grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
     forest_config = config.replace(leaf=leaf)
-    return {name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()}
-
-
-def _targets() -> Iterator[tuple[str, npt.NDArray[np.intp]]]:
-    yield TOGETHER, np.arange(TOUCH_SIZE)
-    for name in MODALITIES:
-        yield name, columns([name])
+    forests = {TOGETHER: np.arange(TOUCH_SIZE), **{name: columns([name]) for name in MODALITIES}}
+    return {name: _forest(grown, targets[:, column], forest_config) for name, column in forests.items()}
 
 
 def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
