@@ -176,13 +176,12 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     """A fitted model with fewer trees, or one part of it alone."""
     if "trees" in values:
         estimator = fewer_trees(estimator, values["trees"])
-    part = values.get("part")
-    if part is None:
+    if "part" not in values:
         return estimator
-    if part == "no surroundings":
+    if values["part"] == "no surroundings":
         return GlobalFeaturesOnly.of(estimator)
     fields = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
-    return _OnePart(**fields, forests_alone=part == "forests alone")
+    return _OnePart(**fields, forests_alone=values["part"] == "forests alone")
 
 
 # Networks; torch is imported where one is needed.

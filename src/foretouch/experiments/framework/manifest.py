@@ -92,12 +92,7 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable:
 
 
 def require_experiment(out: Path, name: str) -> None:
-    """Refuse the folder of another experiment; one without a manifest is accepted.
-
-    Raises:
-        ConfigError: If the manifest names another experiment.
-        FileError: If the manifest is damaged.
-    """
+    """Raise `ConfigError` for the folder of another experiment; one without a manifest is accepted."""
     file = out / MANIFEST_FILE
     if file.exists() and (found := _read_manifest(file).get("experiment")) != name:
         raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")

@@ -87,13 +87,18 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
         if not runs:
             continue
         low, high = ranges.of(name)
-        row = {"modality": name, "ratio": ratio, **_compared(runs, high - low, draws, seed)}
-        row["p2_change"] = P2_CHANGES.get((name, ratio))
         trees = found.get((ratio, name, TREES, 0))
         _sizes([(runs[0][0], trees or runs[0][0])])
-        row["mean_rmse"] = np.sqrt(np.mean(_samples(runs[0][0], "reference")))
-        row["trees_rmse"] = np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None
-        result.append(row)
+        result.append(
+            {
+                "modality": name,
+                "ratio": ratio,
+                **_compared(runs, high - low, draws, seed),
+                "p2_change": P2_CHANGES.get((name, ratio)),
+                "mean_rmse": np.sqrt(np.mean(_samples(runs[0][0], "reference"))),
+                "trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None,
+            }
+        )
     return result
 
 

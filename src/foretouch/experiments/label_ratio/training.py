@@ -98,8 +98,7 @@ AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
     """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
     data = load_simulated(settings, path)
-    found = data.scene.sha256()
-    if settings.scene_sha256 not in (None, found):
+    if settings.scene_sha256 not in (None, found := data.scene.sha256()):
         raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the frozen scene's")
     if unlabelled := [sample.id for sample in data.collection.samples if sample.touch is None]:
         raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
@@ -184,7 +183,7 @@ def kind_of(modality: str) -> str:
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
-    """Configuration of one training.
+    """Configuration of one training; raises `ConfigError` if there is no such model or trial.
 
     Args:
         base: Configuration that both models and all trials share.
@@ -193,9 +192,6 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
         labelled: Number of labelled samples.
         updates: Number of updates, rounded to whole epochs, at least one; None for the epochs of `base`.
         seed: Seed of weights, order, points and noise.
-
-    Raises:
-        ConfigError: If there is no such model or trial.
     """
     known = {**TRIALS.get(model, {}), **AS_PRINTED.get(model, {})}
     if trial not in known:
@@ -238,7 +234,7 @@ def train_and_predict(
     """
     trainer: SupervisedTrainer | SrganTrainer
     if model == POINTNET and as_printed:
-        shared = (
+        shared = [
             "epochs",
             "batch_size",
             "optimiser",
@@ -247,7 +243,7 @@ def train_and_predict(
             "schedule",
             "target_scaling",
             "seed",
-        )
+        ]
         own = TrainConfig(loss="rmse", **{name: getattr(config, name) for name in shared})
         trainer = SupervisedTrainer(data, split.train, own)
     else:
@@ -267,9 +263,8 @@ def error_row(data: TrainingSet, split: DataSplit, predicted: Float64, objects: 
     index = columns(data.config.outputs)
     actual = data.labels[np.ix_(split.test, index)]
     mean = data.labels[np.ix_(split.train, index)].mean(axis=0)
-    squared, reference = (((guess - actual) ** 2).mean(axis=1) for guess in (predicted, mean))
     names = np.array(objects)
-    both = {"squared": squared, "reference": reference}
+    both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}
     found = {
         str(name): {what: values[names == name].round(3).tolist() for what, values in both.items()}
         for name in np.unique(names)

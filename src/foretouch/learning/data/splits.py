@@ -61,17 +61,9 @@ class DatasetSplits:
 def _label_ratios(
     groups: Sequence[str], rng: np.random.Generator
 ) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
-    """P2's label ratios.
+    """The test samples, and for each of P2's T10...T90 the training samples with and without their labels.
 
-    Args:
-        groups: (S,) object of each labelled sample.
-        rng: Makes the choices; a sample without its label at one ratio has none at higher ratios.
-
-    Returns:
-        The test samples, and for each of T10...T90 the training samples with and without their labels.
-
-    Raises:
-        DatasetError: If an object has fewer than two samples, or fewer than two remain to train on.
+    A sample without its label at one ratio has none at higher ratios. With too few samples it raises `DatasetError`.
     """
     names = np.asarray(groups, dtype=str)
     test: list[int] = []

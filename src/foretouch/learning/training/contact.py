@@ -227,11 +227,7 @@ class ContactPredictor:
 
     @cached_property
     def calibration(self) -> tuple[Calibration, dict[str, Any]]:
-        """The calibration, from time-blocked and object folds of the training samples, and its facts for a card.
-
-        Raises:
-            DatasetError: If all training samples are of one object.
-        """
+        """The calibration, from folds of the training samples, of several objects, and its facts for a card."""
         return calibrate_on_folds(self._train, self._labels, self._without, self._config.seed)
 
     def _without(self, fold: Fold) -> Float64:

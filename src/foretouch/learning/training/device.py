@@ -31,15 +31,10 @@ _Rows = TypeVar("_Rows", Tensor, Any)
 
 @dataclass(frozen=True)
 class DistributedContext:
-    """The processes that share each batch.
+    """The processes that share each batch; of several, `torch.distributed` must be initialised."""
 
-    Attributes:
-        world_size: Their number. With 1 nothing is communicated; with more, `torch.distributed` must be initialised.
-        rank: Number of this process; 0 alone writes files.
-    """
-
-    world_size: int = 1
-    rank: int = 0
+    world_size: int = 1  # their number; with 1 nothing is communicated
+    rank: int = 0  # number of this process; 0 alone writes files
 
     @classmethod
     def of_process_group(cls) -> DistributedContext:
