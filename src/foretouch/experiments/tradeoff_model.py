@@ -370,14 +370,8 @@ def _draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
         within = [row for row in line if row[column] <= _BUDGET_MS]
         best = f"; in {_BUDGET_MS:g} ms {within[-1]['time']:.2f}: {within[-1]['variant']}" if within else ""
         label, points = f"{request} grasp{'s' * (request > 1)}{best}", [(row[column], row["time"]) for row in line]
-        style: dict[str, Any] = {
-            "where": "post",
-            "marker": "o",
-            "markersize": 4,
-            "linewidth": 1.2,
-            "color": f"C{number}",
-        }
-        axes.step(*zip(*points, strict=True), label=label, **style)
+        style: dict[str, Any] = {"where": "post", "marker": "o", "markersize": 4, "linewidth": 1.2}
+        axes.step(*zip(*points, strict=True), label=label, color=f"C{number}", **style)
         for row in of_request(rows, request):
             if row["factor"] == "shipped":
                 axes.plot(row[column], row["time"], marker="*", markersize=12, color=f"C{number}", zorder=3)

@@ -259,9 +259,7 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
 
 def _notes(rows: Sequence[Row]) -> list[str]:
     found = []
-    for row in rows:
-        if row["trained_change"] is None:
-            continue
+    for row in [row for row in rows if row["trained_change"] is not None]:
         change = f"{row['trained_change']:+.2f}"
         if row["trained_change_low"] is not None:
             change += f" [{row['trained_change_low']:+.2f}, {row['trained_change_high']:+.2f}]"

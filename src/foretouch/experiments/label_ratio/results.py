@@ -106,8 +106,7 @@ def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: i
     """Both models in one cell; `width` is that of the range [counts]."""
     pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
     sizes = _sizes(runs)
-    head = {"runs": len(runs), "samples": sum(sizes), "labelled": runs[0][0]["labelled"]}
-    result: Row = {**head, "updates": runs[0][0]["updates"]}
+    result: Row = {"runs": len(runs), "samples": sum(sizes), **{k: runs[0][0][k] for k in ("labelled", "updates")}}
     for name, squared, row in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
         rmse = np.sqrt(squared.mean(axis=1))
         result |= {

@@ -22,11 +22,7 @@ def split_by_fold(
 def split_objects(
     samples: Sequence[GraspSample], train_objects: int, seed: int
 ) -> tuple[list[GraspSample], list[GraspSample]]:
-    """Samples of `train_objects` randomly drawn objects, and those of the others.
-
-    Raises:
-        DatasetError: If no object is left for testing.
-    """
+    """Samples of `train_objects` randomly drawn objects, and those of the others; `DatasetError` if none is left."""
     names = sorted({sample.object for sample in samples})
     if train_objects >= len(names):
         raise DatasetError(f"split: of {len(names)} objects, {train_objects} for training leave none to test on")
@@ -41,11 +37,7 @@ def by_object(samples: Sequence[GraspSample]) -> list[list[GraspSample]]:
 
 
 def some_grasps(samples: Sequence[GraspSample], count: int, seed: int) -> list[GraspSample]:
-    """Draw `count` grasps of each object; a smaller draw is part of a larger one.
-
-    Raises:
-        DatasetError: If an object has fewer.
-    """
+    """Draw `count` grasps of each object; a smaller draw is part of a larger one. `DatasetError` if one has fewer."""
     groups = by_object(samples)
     if few := [own for own in groups if len(own) < count]:
         raise DatasetError(f"training grasps: {few[0][0].object} has {len(few[0])} grasps, fewer than {count}")
@@ -53,11 +45,7 @@ def some_grasps(samples: Sequence[GraspSample], count: int, seed: int) -> list[G
 
 
 def some_objects(samples: Sequence[GraspSample], count: int, seed: int) -> list[GraspSample]:
-    """Draw `count` objects and return all their grasps; a smaller draw is part of a larger one.
-
-    Raises:
-        DatasetError: If there are fewer.
-    """
+    """All grasps of `count` drawn objects; a smaller draw is part of a larger one. `DatasetError` if there are fewer."""
     groups = by_object(samples)
     if len(groups) < count:
         raise DatasetError(f"training objects: {len(groups)} objects are fewer than {count}")

@@ -154,11 +154,7 @@ NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")  # predictors th
 
 
 def find_predictor(name: str, training_fraction: float = 1.0) -> Fit:
-    """Find a predictor by name.
-
-    Raises:
-        ConfigError: If there is none.
-    """
+    """Find a predictor by name; a `ConfigError` if there is none."""
     if name not in PREDICTORS:
         raise ConfigError(f"predictors: {name!r} is none of {', '.join(PREDICTORS)}")
     return PREDICTORS[name](training_fraction)

@@ -72,11 +72,7 @@ class TrainingSet:
 
 
 def labels_of(samples: Sequence[GraspSample]) -> Float64:
-    """(S, 50) float64 labels [counts].
-
-    Raises:
-        DatasetError: If a label is missing or is not a reading of a working sensor; names the sample.
-    """
+    """(S, 50) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
     return np.array([_label(sample) for sample in samples])
 
 

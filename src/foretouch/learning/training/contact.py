@@ -48,11 +48,7 @@ class ContactConfig(Settings):
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
-    """(S, F) float64 features of each sample's grasp.
-
-    Raises:
-        DatasetError: If a cloud cannot be used.
-    """
+    """(S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
     return np.concatenate(
         [_of(sample, lambda one: HandFrameFeatures(one.cloud.xyz).describe([one.grasp])) for sample in samples]
     )

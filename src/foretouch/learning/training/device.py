@@ -122,11 +122,7 @@ class DeviceConfig(Settings):
 
     @property
     def resolved_device(self) -> str:
-        """`cpu` or `cuda`.
-
-        Raises:
-            ConfigError: If a GPU is configured and there is none.
-        """
+        """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and there is none."""
         found = torch.cuda.is_available()
         if self.device == "cuda" and not found:
             raise ConfigError(f"{type(self).__name__}.device: cuda: torch finds no GPU; choose auto or cpu")

@@ -175,9 +175,7 @@ class NetworkLearner(Learner):
         predicted[:, columns(self.config.model.outputs)] = predict_set(
             self._net, self._prepared, self.split.train[index]
         )
-        if not self.config.calibrates:
-            return predicted
-        return self._fallback().fade(predicted, self._objects[index])[0]
+        return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
 
     def save(
         self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
