@@ -59,7 +59,7 @@ def test_memory_is_bounded_in_time_and_in_number() -> None:
     assert np.all(np.diff(kept(crowded)) == 1)
 
 
-def test_the_oldest_clouds_go_when_their_time_is_over_or_memory_is_short() -> None:
+def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_stamp_neither() -> None:
     clouds = CloudBuffer(kept_s=10.0, kept_mb=1.0)
     assert clouds.add(1, cloud(b"a"), 0.0) == clouds.add(2, cloud(b"b"), 9.0) == []
     assert [gone.stamp_ns for gone in clouds.add(3, cloud(b"c"), 10.5)] == [1]
@@ -71,9 +71,6 @@ def test_the_oldest_clouds_go_when_their_time_is_over_or_memory_is_short() -> No
     assert (len(clouds), clouds.bytes) == (3, 900_000)
     assert [one.stamp_ns for one in clouds.clear()] == [7, 8, 9]
     assert (len(clouds), clouds.bytes) == (0, 0)
-
-
-def test_the_same_message_twice_is_one_cloud_and_two_of_one_stamp_are_neither() -> None:
     clouds = CloudBuffer(10.0, 1.0)
     clouds.add(1, cloud(b"a"), 0.0)
     clouds.add(1, cloud(b"a"), 0.1)
