@@ -50,11 +50,7 @@ class DeviceSource:
 
 
 class _LiveSource(DeviceSource):
-    """A device on the USB bus.
-
-    Args:
-        serial: Its serial number; empty for the first depth camera found.
-    """
+    """A device on the USB bus, of a serial number or the first one found."""
 
     def __init__(self, serial: str = "") -> None:
         self._serial = serial
@@ -76,21 +72,12 @@ class _LiveSource(DeviceSource):
 
 
 class _FileSource(DeviceSource):
-    """A file of the library's own recorder.
-
-    Args:
-        path: `.db3`, or `.bag` of older versions.
-        real_time: Whether it plays in real time; if not, the reader sets the pace and no frame is lost.
-
-    Raises:
-        FileError: If there is no such file.
-    """
+    """A file of the library's own recorder: `.db3`, or `.bag` of older versions."""
 
     reopens = False
 
     def __init__(self, path: str | Path, *, real_time: bool = True) -> None:
-        self._path = Path(path)
-        self._real_time = real_time
+        self._path, self._real_time = Path(path), real_time
         if not self._path.is_file():
             raise FileError(self._path, "no such file")
 

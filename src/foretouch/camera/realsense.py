@@ -61,20 +61,14 @@ class CameraStatus:
 
 
 class _Watchdog:
-    """Decides from times alone whether to wait, to report the camera as stalled, or to open it again.
-
-    Attributes:
-        config: The timeouts; may be replaced.
-        failures: Consecutive attempts without a frame.
-        next_attempt_s: End of the pause after a failed attempt; all times are of one monotonic clock [s].
-    """
+    """Decides whether to wait, to report the camera as stalled, or to open it again, from times of one clock [s]."""
 
     def __init__(self, config: TimeoutConfig) -> None:
-        self.config = config
+        self.config = config  # may be replaced
         self._last_frame_s = 0.0  # last frame, or the opening
         self._streaming = False
-        self.failures = 0
-        self.next_attempt_s = 0.0
+        self.failures = 0  # consecutive attempts without a frame
+        self.next_attempt_s = 0.0  # end of the pause after a failed attempt
 
     def note(self, now_s: float, *, streaming: bool) -> None:
         """Note a frame that a cloud could be made of, or that a device was opened, whose first frame may take longer."""
@@ -105,15 +99,8 @@ class _Watchdog:
 class RealSenseCamera:
     """A context manager and an iterator of organised clouds.
 
-    A device that is absent, unplugged or silent is reported in `status` and tried again.
-
-    Args:
-        config: The settings.
-        source: Where the device comes from, instead of what the settings name.
-        on_change: Called by the reading thread when the state changes; None logs it.
-
-    Attributes:
-        config: The settings.
+    A device that is absent, unplugged or silent is reported in `status` and tried again. `source` is used instead of
+    what the settings name; `on_change` is called by the reading thread when the state changes, None logs it.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
@@ -292,5 +279,9 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    level = logging.INFO if status.is_ok else logging.WARNING
-    logging.getLogger(__name__).log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")
+    logging.getLogger(__name__).log(
+        logging.INFO if status.is_ok else logging.WARNING,
+        "camera: %s%s",
+        status.state,
+        f": {status.reason}" if status.reason else "",
+    )

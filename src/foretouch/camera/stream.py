@@ -100,10 +100,7 @@ class FrameStream:
                     step()
 
     def _start(self, rs: Any, *, exact: bool) -> float:
-        """Open all streams, then start them together, so that the first frames form pairs.
-
-        Returns the depth period [ms].
-        """
+        """Open all streams, then start them together, so that the first frames form pairs; the depth period [ms]."""
         # Of a live camera only the newest depth is kept: a late reader skips frames, as their numbers show.
         wanted = [(rs.stream.depth, rs.format.z16, self._depth_queue, 1)]
         if self.wants_colour:
@@ -193,12 +190,7 @@ class FilterChain:
 
 
 class _ColourBuffer(Generic[_Frame]):
-    """The last colour frames, by stamp.
-
-    Args:
-        period_ms: Between two frames of a stream; a frame farther away than 0.6 of it is no match [ms].
-        time_ms: Gives the stamp of a frame [ms].
-    """
+    """The last colour frames, by stamp; one farther away than 0.6 of the stream's period is no match."""
 
     def __init__(self, period_ms: float, time_ms: Callable[[_Frame], float]) -> None:
         # Free-running streams of one rate are never more than half a period apart; the rest is jitter.

@@ -154,8 +154,7 @@ def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any,
     depth.register_extrinsics_to(colour, no_offset)
     colour.register_extrinsics_to(depth, no_offset)
     device.create_matcher(rs.matchers.default)
-    profiles = [profile.as_video_stream_profile() for profile in (depth, colour)]
-    return device, [depth_sensor, colour_sensor], profiles
+    return device, [depth_sensor, colour_sensor], [one.as_video_stream_profile() for one in (depth, colour)]
 
 
 def _intrinsics(frame: SyntheticFrame) -> Any:

@@ -95,8 +95,10 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
 
 def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
-    found = message.targets if isinstance(message, TargetCloud) else decode_objects(message)
-    return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in found)
+    return tuple(
+        FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape)
+        for one in (message.targets if isinstance(message, TargetCloud) else decode_objects(message))
+    )
 
 
 def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:

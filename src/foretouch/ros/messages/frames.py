@@ -72,13 +72,15 @@ class FrameTransform:
         """A pose; an orientation of four zeros, which stands for none, stays."""
         q = pose.orientation
         (a, b, c, d), (x, y, z, w) = self._quaternion, (q.x, q.y, q.z, q.w)
-        turned = Quaternion(  # the Hamilton product
-            x=d * x + a * w + b * z - c * y,
-            y=d * y + b * w + c * x - a * z,
-            z=d * z + c * w + a * y - b * x,
-            w=d * w - a * x - b * y - c * z,
+        return Pose(
+            position=self.point(pose.position),
+            orientation=Quaternion(  # the Hamilton product
+                x=d * x + a * w + b * z - c * y,
+                y=d * y + b * w + c * x - a * z,
+                z=d * z + c * w + a * y - b * x,
+                w=d * w - a * x - b * y - c * z,
+            ),
         )
-        return Pose(position=self.point(pose.position), orientation=turned)
 
     def grasp(self, grasp: Grasp) -> Grasp:
         """A grasp: its contacts, its pose and its matrix; a matrix of nine zeros, which stands for none, stays."""

@@ -50,10 +50,8 @@ def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_t
 
     The text is yellow if there is a flag.
 
-    Args:
-        prediction: A refused one gives no marker.
-        ranges: An electrode at the upper end of its range is green, at the lower end red: compression lowers the count.
-        thumb_takes_g1: Which finger touches g1.
+    A refused prediction gives no marker. An electrode at the upper end of its range is green, at the lower end red:
+    compression lowers the count.
     """
     if prediction.status != Status.OK:
         return MarkerArray()

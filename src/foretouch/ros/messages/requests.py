@@ -136,16 +136,9 @@ def plan_targets(
 ) -> GraspArray:
     """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
 
-    Args:
-        pipeline: Its grasp settings are used.
-        targets: At least one.
-        header: Of the cloud.
-        note: How the targets were selected, for the reason.
-        held: Best grasps of the previous cloud, to be kept and updated.
-        margin: Score by which another grasp must be better than the held one.
-
-    Returns:
-        Status OK if any target has a grasp, else that of the first target; the reasons of all that have none.
+    There is at least one target; `note` says how they were selected, for the reason. `held`, the best grasps of the
+    previous cloud, are kept and updated: another grasp must be better by a score of `margin`. The status is OK if any
+    target has a grasp, else that of the first target; the reasons are of all that have none.
     """
     plans = []
     for target in targets:

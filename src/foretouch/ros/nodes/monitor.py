@@ -69,7 +69,7 @@ class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics, and on request to the clouds and to the hand.
 
     Args:
-        namespace: Namespace of the graph.
+        namespace: Of the graph.
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
         with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
         on_touch: Called with each `touch` message, in the executor's thread; must not call the monitor.

@@ -74,8 +74,10 @@ def _dataset_identity(config: RecorderConfig) -> Identity:
     """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
     identity, (thumb, middle) = config.identity, config.tactile.fingers
     hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.type}
-    camera = {"model": identity.camera, "serial": identity.camera_serial}
-    return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
+    return Identity(
+        hand={**hand, "thumb": thumb, "middle_finger": middle},
+        camera={"model": identity.camera, "serial": identity.camera_serial},
+    )
 
 
 def _decode_label(request: Any) -> Label:
@@ -173,10 +175,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session and return the dataset's path; an existing dataset is extended.
 
-        Args:
-            path: Path of the dataset; "" for a name made of the time.
-            label: Label of the object on the table.
-            note: Note for every sample.
+        A `path` of "" stands for a name made of the time. The object's `label` and the `note` are for every sample.
 
         Raises:
             ConfigError: If a session is running.

@@ -251,8 +251,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def matched_ends(self) -> dict[str, int]:
         """Those of the other topics of a recording too."""
-        others = [one for topic, one in self._topic_publishers.items() if topic != CLOUDS]
-        return {**super().matched_ends(), **matched_ends(others, ())}
+        others = (one for topic, one in self._topic_publishers.items() if topic != CLOUDS)
+        return super().matched_ends() | matched_ends(others, ())
 
     # The thread.
 

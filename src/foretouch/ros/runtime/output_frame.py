@@ -128,10 +128,6 @@ class _FramedRequest(NamedTuple):
 class OutputFrame:
     """Finds the transform of each cloud. Thread-safe.
 
-    Args:
-        node: Its executor receives the transforms of tf2.
-        config: Settings.
-
     Attributes:
         name: The frame; "" for that of the cloud.
 

@@ -89,11 +89,7 @@ class ProcessingConfig(NodeConfig):
 class ProcessingNode(ForetouchNode[_P], ABC):
     """Matches its inputs by stamp and answers each set, one at a time.
 
-    Args:
-        name: Of the node.
-        config_class: Class of its settings.
-        inputs: Message type and name of each topic of a set; the answer gets the header of the first.
-        options: For rclpy's `Node`.
+    `inputs` are message type and name of each topic of a set; the answer gets the header of the first.
     """
 
     def __init__(self, name: str, config_class: type[_P], inputs: Sequence[tuple[type, str]], **options: Any) -> None:

@@ -53,7 +53,7 @@ def sample_grasps(
     Args:
         goal: `SampleGrasps.Goal`.
         latest: The latest cloud of the graph, for a goal without a cloud.
-        config: Settings.
+        config: The defaults and limits.
         predict: Gives the predictions for grasps on one target, in order.
         feedback: Called with a `SampleGrasps.Feedback` after each object, and after every 100 grasps.
         cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that

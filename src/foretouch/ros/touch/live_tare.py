@@ -20,9 +20,6 @@ _SECOND_NS = 1_000_000_000
 class LiveTare:
     """The tare of a stream of readings. Not thread-safe.
 
-    Args:
-        config: Settings of the contact detector; its `window_s` and `lag_s` are used for the tare too.
-
     Attributes:
         fault: Why the last rest gives no tare, such as a dead sensor; "" without a fault or without a rest.
     """
@@ -41,12 +38,9 @@ class LiveTare:
         self._since_renewal = 0
 
     def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
-        """Add a reading that the `TouchBuffer` has accepted: its stamp is not checked again.
+        """Add a reading (50,), as `Touch.vector()`, whose stamp [ns] the `TouchBuffer` has accepted.
 
-        Args:
-            stamp_ns: Stamp of the reading [ns].
-            counts: (50,) as `Touch.vector()`.
-            now_s: Time of a clock that never goes back [s].
+        `now_s` is that of a clock that never goes back [s].
         """
         self._detector.update(stamp_ns, counts)
         touching = [finger.touching for finger in self._detector.fingers.values()]

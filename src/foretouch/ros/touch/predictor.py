@@ -34,11 +34,7 @@ _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 
 
 class Predictor:
-    """A model that may be absent: every answer then gives the reason.
-
-    Args:
-        model: Name or path.
-        fallback: Name or path of the model to use if `model` cannot be loaded; "" for none.
+    """A model that may be absent: every answer then gives the reason. `fallback` is used if it cannot be loaded.
 
     Attributes:
         model: None if neither could be loaded.
@@ -175,8 +171,7 @@ class Predictor:
 
         Beyond an age of `late_after_s`, 0 for never, it is `late`; `reduced` is that of a cheaper form of the model.
         """
-        late = (LATE,) if 0.0 < late_after_s < age_s else ()
-        message.flags = (*message.flags, *self.flags, *(REDUCED,) * reduced, *late)
+        message.flags += (*self.flags, *(REDUCED,) * reduced, *(LATE,) * (0.0 < late_after_s < age_s))
         message.age = duration_to_msg(age_s)
         if self.model is not None:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
