@@ -122,7 +122,7 @@ def test_serve_gives_the_answers_to_a_websocket_client(tmp_path, environment) ->
         line = next(line for line in process.stderr if "serving at ws://127.0.0.1:" in line and "open it" in line)
         with WebSocketClient(line.split()[3].rstrip(":")) as client:
             client.subscribe("/foretouch/touch")
-            assert client.next_data().topic == "/foretouch/touch"
+            assert client.next_data()[0] == "/foretouch/touch"
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert "Traceback" not in err

@@ -217,10 +217,9 @@ def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
         agrees = (np.abs(length - 1.0) < _SURELY * _UNIT_TOLERANCE) & (turned < _SURELY * _AGREEMENT)
     fine = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
     fine &= (skewed < _SURELY * _AGREEMENT) & (agrees | ~xyzw.any(axis=1))
-    rows = zip(messages, contacts, matrices, fine.tolist(), strict=True)
     return [
         Grasp.checked(g1, g2, matrix, float(one.score), one.id, one.object_id) if good else None
-        for one, (g1, g2), matrix, good in rows
+        for one, (g1, g2), matrix, good in zip(messages, contacts, matrices, fine.tolist(), strict=True)
     ]
 
 

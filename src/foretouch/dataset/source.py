@@ -116,8 +116,7 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     """
     path = require_existing(path)
     if topic is None and is_sample_set(path):
-        samples = open_samples(path)
-        return Source(path, "samples", None, frame_id, (), len(samples))
+        return Source(path, "samples", None, frame_id, (), len(open_samples(path)))
     if is_recording(path):
         with Recording(path) as recording:
             topic = recording.cloud_topic(topic)
@@ -139,5 +138,4 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:
     """Sort key that puts `2.pcd` before `10.pcd`."""
-    words = re.split(r"(\d+)", str(name))
-    return [(0, int(word)) if word.isdecimal() else (1, word) for word in words]
+    return [(0, int(word)) if word.isdecimal() else (1, word) for word in re.split(r"(\d+)", str(name))]

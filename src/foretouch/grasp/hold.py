@@ -63,8 +63,7 @@ class GraspHold:
 
     def _find(self, now: tuple[Float64, Float64]) -> _Object | None:
         for one in self._last:
-            change = np.abs(np.concatenate([one.centroid - now[0], one.spread - now[1]])).max()
-            if change <= self._tolerance_m:
+            if np.abs(np.concatenate([one.centroid - now[0], one.spread - now[1]])).max() <= self._tolerance_m:
                 return one
         return None
 

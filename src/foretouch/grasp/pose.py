@@ -21,8 +21,7 @@ def cross(a: Float64, b: Float64) -> Float64:
 
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
     """Whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
-    z = _unit(g1 - g2, "g1 - g2")
-    return bool(np.linalg.norm(cross(z, _unit(axis, "axis"))) < _PARALLEL_SINE)
+    return bool(np.linalg.norm(cross(_unit(g1 - g2, "g1 - g2"), _unit(axis, "axis"))) < _PARALLEL_SINE)
 
 
 def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:

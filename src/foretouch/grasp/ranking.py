@@ -181,8 +181,7 @@ def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, 
     skip_b |= _length(b.xyz - p1.xyz[0]) < _TOLERANCE * w
     apart = b.xyz[None] - a.xyz[:, None]
     distance = _length(apart)
-    near = distance < _TOLERANCE * w
-    kept = ~skip_a[:, None] & ~skip_b[None] & ~near
+    kept = ~skip_a[:, None] & ~skip_b[None] & ~(distance < _TOLERANCE * w)
     i, j = np.nonzero(kept)
     r1, r2 = _two_rankings(
         apart[i, j] / distance[i, j, None],
@@ -240,8 +239,7 @@ def _two_rankings(
     aligned = np.abs(unit @ axis) + _EPSILON - _FREE_COSINE
     c_a, c_b = (np.abs(np.einsum("ij,ij->i", unit, normal)) + _EPSILON for normal in normals)
     r1 = 2.0 - pd[0] - pd[1] - _ALIGNMENT_WEIGHT * aligned
-    r2 = 2.0 - k[0] - k[1] + c_a + c_b - np.abs(c_a - c_b)
-    return r1, r2
+    return r1, 2.0 - k[0] - k[1] + c_a + c_b - np.abs(c_a - c_b)
 
 
 def _length(vectors: Float64) -> Float64:

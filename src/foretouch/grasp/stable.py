@@ -208,8 +208,7 @@ def stable_side(
 ) -> StableSide:
     """Candidates around one initial point, on a grid anchored at it."""
     radius = min(SEARCH_VOXELS * config.voxel_m, _OVERLAP_FRACTION * width_m)
-    third = cross(frame.axis, frame.across)
-    basis = np.stack([frame.axis, frame.across, third])
+    basis = np.stack([frame.axis, frame.across, cross(frame.axis, frame.across)])
     mass, sums, n_points = _node_sums(points, initial, basis, radius, config.voxel_m)
     held = mass > 1e-6
     centres = np.concatenate([initial[None], sums[held] / mass[held, None]])
@@ -307,8 +306,7 @@ class StableRanking:
         normals, curvature = _local_planes(self._points, contacts, self._normal_radius_m)
         first, second = contacts[:1], contacts[1:]
         r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]), axis)
-        passes = r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK
-        return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(passes)
+        return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK)
 
     def score_held(self, held: HeldGrasp) -> tuple[float, bool]:
         """`score` of a grasp of an earlier cloud, for its own axis if that is as good a one up to noise."""
@@ -336,14 +334,11 @@ class StableRanking:
         unit = apart / np.maximum(_norm(apart), _EPSILON)[..., None]
         c_a = np.abs(np.einsum("abi,ai->ab", unit, normals[0]))
         c_b = np.abs(np.einsum("abi,bi->ab", unit, normals[1]))
-        aligned = np.abs(unit @ axis) - _FREE_COSINE
-        r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * aligned
-        r2 = 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
-        return r1, r2
+        r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * (np.abs(unit @ axis) - _FREE_COSINE)
+        return r1, 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
 
     def _plane_distance(self, xyz: Float64, axis: Float64) -> Float64:
-        plane_at = self._frame.centroid + self._slide_m * axis
-        return np.asarray(np.abs((xyz - plane_at) @ axis), np.float64)
+        return np.asarray(np.abs((xyz - (self._frame.centroid + self._slide_m * axis)) @ axis), np.float64)
 
 
 def _soft_max(mass: Float64, values: Float64) -> float:

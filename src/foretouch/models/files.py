@@ -92,14 +92,7 @@ def read_tensors(
         raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
         return load(path)
-    except (
-        SafetensorError,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-    ) as err:  # dtypes it does not know
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # or an unknown dtype
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 
 
@@ -118,9 +111,8 @@ class TensorRecord:
             ModelError: Names the array that is missing, or breaks a rule of `_check`.
         """
         names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
-        for name in names:
-            if name not in tensors:
-                raise ModelError(f"{name}: is missing")
+        if missing := next((name for name in names if name not in tensors), None):
+            raise ModelError(f"{missing}: is missing")
         record = cls(**{name: tensors[name] for name in names})
         record._check()
         return record

@@ -21,8 +21,6 @@ Axes: TypeAlias = "matplotlib.axes.Axes"
 Rows = Sequence[Mapping[str, Any]]
 """Rows of a `results.csv`."""
 
-_DPI = 120
-
 FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 """In the order of g1, g2."""
 
@@ -37,7 +35,7 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path, dpi: int = _DPI) -> Path:
+def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """Write a figure in the format of its suffix, usually PNG; its folder is created.
 
     Returns:

@@ -77,8 +77,7 @@ class Campaign:
         session, place = divmod(visit, config.objects)
         if session >= len(config.days):
             raise SimulationError(f"slot {slot}: the campaign has {config.size} grasps", "calendar")
-        powered_s = float(self._powered_s[session][place, grasp])
-        return self._time(session, powered_s, visit, grasp)
+        return self._time(session, float(self._powered_s[session][place, grasp]), visit, grasp)
 
     def live(self, elapsed_s: float) -> CampaignTime:
         """The time of a live hand that was switched on some time ago [s], and stays on until the next session."""

@@ -216,5 +216,4 @@ def _achieved(fingers: tuple[ContactFrame, ContactFrame], grasp: Grasp, world: W
     x, z = R_camera_world @ thumb.rotation[:, 0], -(R_camera_world @ thumb.normal)
     if x @ grasp.rotation[:, 0] < 0.0:
         x = -x
-    midpoint = world.view.to_camera((thumb.origin + middle.origin) / 2.0)
-    return midpoint, np.column_stack([x, np.cross(z, x), z])
+    return world.view.to_camera((thumb.origin + middle.origin) / 2.0), np.column_stack([x, np.cross(z, x), z])

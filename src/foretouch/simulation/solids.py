@@ -129,8 +129,7 @@ class Primitive(ABC):
         Returns:
             (...) float64, t of the first hit, inf where there is none.
         """
-        flat = directions.reshape(-1, 3) @ self.rotation
-        t = self._cast((origin - self.position) @ self.rotation, flat)
+        t = self._cast((origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation)
         return t.reshape(directions.shape[:-1])
 
     def surface_distance(self, points: Float64) -> Float64:

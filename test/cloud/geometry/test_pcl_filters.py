@@ -8,6 +8,7 @@ import pytest
 from every_case import every_case
 from scipy.spatial.transform import Rotation
 
+from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.cloud.geometry.pcl_filters import (
     count_without_normal,
     inlier_mask,
@@ -95,3 +96,18 @@ def test_more_deviations_keep_more(rng):
     assert kept[0].sum() < kept[-1].sum()
     line = np.column_stack([np.arange(60) * 0.001, np.zeros(60), np.ones(60)])
     assert not inlier_mask(np.concatenate([line, [[0.5, 0.5, 1.0]]]).astype(np.float32))[-1]
+
+
+def test_mean_distances_and_quantiles_by_columns_are_those_of_numpy(rng):
+    def check(count):
+        points = rng.normal(size=(count, 3)) * 0.1 + [0.0, 0.1, 1.2]
+        centre, columns = centred_columns(points)
+        np.testing.assert_array_equal(centre, points.mean(axis=0))
+        np.testing.assert_array_equal(columns.T, points - centre)
+        np.testing.assert_array_equal(distances(columns), np.sqrt(((points - centre) ** 2).sum(axis=1)))
+        tied = np.where(np.arange(count) % 2, points[:, 0], points[0, 0])
+        for shares in ((0.02, 0.98), (0.25, 0.5, 0.75, 0.98), (0.0, 1.0)):
+            for values in (points[:, 0].copy(), tied):
+                np.testing.assert_array_equal(quantiles(values, shares), np.quantile(values, shares))
+
+    every_case([1, 2, 8, 129, 999, 1000, 3001], check)

@@ -99,13 +99,3 @@ def test_a_cloud_keeps_its_other_fields_and_its_byte_order(rng):
     big = cloud_to_msg(Cloud(np.array([[1.0, 2.0, 3.0]], np.float32), None, "cam", 5))
     big.data, big.is_bigendian = np.frombuffer(bytes(big.data), "<f4").astype(">f4").tobytes(), True
     assert_allclose(read_cloud(TRANSFORM.cloud(big)).xyz, [to_base(np.array([1.0, 2.0, 3.0]))], atol=1e-6)
-
-
-def test_what_is_no_rigid_transform_is_refused():
-    for translation, rotation, reason in (
-        ([math.nan, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], "translation"),
-        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.9], "length 0.9"),
-        ([0.0, 0.0, 0.0], [0.0, 0.0, math.inf, 1.0], "is not 1"),
-    ):
-        with pytest.raises(GraspError, match=reason):
-            FrameTransform.from_quaternion("base", "cam", np.array(translation), np.array(rotation))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pair_builders import REST, level
 from rclpy.qos import ReliabilityPolicy
-from robot_builders import FRAME, MS, QUICK, Robot, accounts, start
+from robot_builders import FRAME, MS, QUICK, Robot, accounts, outcomes, start
 
 from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_dataset, verify_dataset
 from foretouch.errors import FileError
@@ -24,10 +24,6 @@ pytestmark = pytest.mark.ros
 
 def sensors(status):
     return dict(zip(status.sensors, status.sensor_states, strict=True))
-
-
-def outcomes(status):
-    return dict(zip(status.outcomes, status.outcome_counts, strict=True))
 
 
 def recorded(path):

@@ -93,8 +93,7 @@ def normals_and_curvature(
     """
     if len(query) == 0:
         return np.zeros((0, 3)), np.zeros(0)
-    near = xyz[_in_box(xyz, xyz[query], radius_m)]
-    return _fit(_summed_moments(near, xyz[query], radius_m), xyz[query])
+    return _fit(_summed_moments(xyz[_in_box(xyz, xyz[query], radius_m)], xyz[query], radius_m), xyz[query])
 
 
 def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid | None = None) -> int:
@@ -110,8 +109,7 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid |
     # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
     if grid is None or grid.leaf_m > radius_m * _CUBE:
         grid = voxel_grid(xyz, radius_m * _CUBE)
-    spans = _spans_plane(_moments_of_cells(xyz, grid))
-    undecided = np.flatnonzero(~spans[grid.cell])
+    undecided = np.flatnonzero(~_spans_plane(_moments_of_cells(xyz, grid))[grid.cell])
     # A subset of the neighbours that spans a plane is sufficient; all are used for the few remaining points.
     for step in (_SAMPLE_STEP, 1):
         if len(undecided) == 0:

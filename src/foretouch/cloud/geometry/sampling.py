@@ -88,8 +88,7 @@ def _one_per_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generat
             if extent > 0.0
             else np.zeros_like(points, np.int64)
         )
-        keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-        _, first = np.unique(keys, return_index=True)
+        _, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
         if len(first) >= n:
             return shuffled[rng.choice(first, n, replace=False)].astype(np.int64)
     rest = np.setdiff1d(np.arange(len(xyz)), first)

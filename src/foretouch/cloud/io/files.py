@@ -123,12 +123,11 @@ def _unpacked(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, siz
 def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[Any]:
     stream = io.BytesIO(content)
     try:
-        version = np.lib.format.read_magic(stream)
         read_header = {
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
             (3, 0): np.lib.format.read_array_header_2_0,
-        }[version]
+        }[np.lib.format.read_magic(stream)]
         shape, by_columns, dtype = read_header(stream, _NPY_HEADER_LIMIT)
     except _DAMAGE as err:
         rule = f"is damaged or no .npy array: {type(err).__name__}: {' '.join(str(err).split())}"

@@ -91,8 +91,7 @@ def write_ply(path: Path, cloud: Cloud) -> None:
         parts += [(name, "u1") for name in _COLOURS]
     records: npt.NDArray[Any] = np.empty(cloud.size, parts)
     for k, (name, _) in enumerate(parts):
-        values = cloud.xyz if k < 3 or cloud.rgb is None else cloud.rgb
-        records[name] = values[..., k % 3].reshape(-1)
+        records[name] = (cloud.xyz if k < 3 or cloud.rgb is None else cloud.rgb)[..., k % 3].reshape(-1)
     lines = ["ply", "format binary_little_endian 1.0"]
     if cloud.organised:
         lines += [f"obj_info num_cols {cloud.xyz.shape[1]}", f"obj_info num_rows {cloud.xyz.shape[0]}"]

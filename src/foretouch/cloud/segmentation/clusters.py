@@ -167,8 +167,7 @@ def _pixel_pitch(xyz: Float32) -> float:
     """Lateral distance of horizontal neighbours per depth: 1/f of a pinhole camera; 0 if there are none."""
     rows = xyz[:: max(1, len(xyz) // 4)]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        ray = rows[..., 0] / rows[..., 2]
-        steps = np.abs(np.diff(ray, axis=1))
+        steps = np.abs(np.diff(rows[..., 0] / rows[..., 2], axis=1))
     steps = steps[np.isfinite(steps)]
     if not steps.size:
         return 0.0
@@ -190,8 +189,7 @@ def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold
         above = np.flatnonzero((height > least) & (height < np.float32(threshold.high_m)) & in_range(z, crop))
     if not len(above):
         return []
-    cells = np.floor(xyz[above] / _VOXEL_M).astype(np.int64)
-    component, count = _label_voxels(cells)
+    component, count = _label_voxels(np.floor(xyz[above] / _VOXEL_M).astype(np.int64))
     labels = np.zeros((1, len(xyz)), np.int32)
     labels[0, above] = component
     return [Clusters(labels, labels > 0, count)]

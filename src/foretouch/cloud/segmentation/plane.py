@@ -84,8 +84,7 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
 def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:
     """Which of n points are fitted, which of those are scored, and the first batch of triples of those."""
     fitted = _some(n, _REFIT, rng)
-    some = _some(min(n, _REFIT), _SCORED, rng)
-    return fitted, some, rng.integers(min(n, _SCORED), size=(3, _BATCH))
+    return fitted, _some(min(n, _REFIT), _SCORED, rng), rng.integers(min(n, _SCORED), size=(3, _BATCH))
 
 
 @lru_cache(maxsize=8)
@@ -157,8 +156,7 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
     normal, offset = abcd[:3].astype(np.float64), float(abcd[3])
     reach, spread = config.threshold_m, 0.0
     for _ in range(2):
-        inside = _near(points, points @ normal, offset, reach)
-        normal, offset, rms, spread = _eigen_plane(inside)
+        normal, offset, rms, spread = _eigen_plane(_near(points, points @ normal, offset, reach))
         reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
     kept, scaled, wide = _residuals(points, points @ normal, offset, config.threshold_m, float(origin[2]))
     inliers = len(kept)

@@ -178,8 +178,7 @@ def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | No
     if length_ns < _ns(_MIN_TARE_S) or len(rest) < _MIN_TARE_READINGS:
         raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
     half = len(rest) // 2
-    scores = contact_scores(rest.counts[half:], rest.counts[:half], contact)
-    if (np.median(scores, axis=0) > 1.0).any():
+    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], contact), axis=0) > 1.0).any():
         raise PairingError("restless_tare", "something was touched before the grasp")
 
 
@@ -207,8 +206,7 @@ def _flags(window: TouchWindow, onsets: tuple[int | None, int | None]) -> tuple[
 def _longest_run_ns(same: npt.NDArray[np.bool_], stamps_ns: npt.NDArray[np.int64]) -> int:
     """Longest time over which neighbouring readings are the same [ns]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    runs = [int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)]
-    return max(runs, default=0)
+    return max((int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)), default=0)
 
 
 def _ns(seconds: float) -> int:

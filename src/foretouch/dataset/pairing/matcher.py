@@ -133,8 +133,7 @@ class GraspTouchMatcher:
         if not grasps:
             return
         for grasp in grasps:
-            known = self._stamp_of.get(grasp.id, stamp_ns)
-            self._stamp_of[grasp.id] = stamp_ns if known == stamp_ns else None
+            self._stamp_of[grasp.id] = stamp_ns if self._stamp_of.get(grasp.id, stamp_ns) == stamp_ns else None
         before, ids = self.plans.get(stamp_ns), {grasp.id for grasp in grasps}
         kept = [one for one in before.grasps if one.id not in ids] if before and before.frame_id == frame_id else []
         self.plans[stamp_ns] = PlannedGrasps(stamp_ns, frame_id, (*kept, *grasps))

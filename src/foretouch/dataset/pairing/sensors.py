@@ -68,8 +68,7 @@ class SensorHealth:
         faults = () if plausible else touch_faults(Touch.from_vector(counts))
         for finger, columns in FINGER_COLUMNS.items():
             own = (fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower()))
-            state = self._state(finger, counts[columns])
-            self.states[finger] = next(own, state)
+            self.states[finger] = next(own, self._state(finger, counts[columns]))
 
     def silence(self) -> None:
         """No reading has come for a while."""

@@ -130,8 +130,7 @@ class McapFile:
             self._fd = -1
 
     def _new_writer(self) -> Any:
-        stream = {"write": self._parts.append, "tell": self._end, "flush": lambda: None}
-        output: Any = SimpleNamespace(**stream)
+        output: Any = SimpleNamespace(write=self._parts.append, tell=self._end, flush=lambda: None)
         writer = Writer(output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start("ros2", LIBRARY)
         return writer

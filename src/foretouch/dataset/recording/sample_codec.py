@@ -150,8 +150,7 @@ def _stored(message: Any) -> StoredSample:
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
     )
-    identity = Identity(hand=_texts(message.hand), camera=_texts(message.camera))
-    return StoredSample(record, identity)
+    return StoredSample(record, Identity(hand=_texts(message.hand), camera=_texts(message.camera)))
 
 
 def _texts(text: str) -> dict[str, str]:
@@ -245,8 +244,7 @@ def _find(type_name: str) -> str:
     package, _, name = type_name.split("/")
     if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
         return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
-    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
-    for prefix in prefixes:
+    for prefix in [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]:
         file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
         if file.is_file():
             return file.read_text(encoding="utf-8")

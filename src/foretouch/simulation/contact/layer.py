@@ -67,8 +67,7 @@ def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
     a = 3.0 - 4.0 * poisson
     constant = 5.0 - 12.0 * poisson + 8.0 * poisson**2
     numerator = a * (1.0 - decay**2) - 4.0 * t * decay
-    denominator = a * (1.0 + decay**2) + 2.0 * decay * (2.0 * t**2 + constant)
-    return np.asarray(numerator / denominator, np.float64)
+    return np.asarray(numerator / (a * (1.0 + decay**2) + 2.0 * decay * (2.0 * t**2 + constant)), np.float64)
 
 
 def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: float) -> Float64:
@@ -123,8 +122,7 @@ def _convolve(pressure: Float64, spectrum: Complex128) -> Float64:
     """
     n = pressure.shape[0]
     waves = np.fft.fft(np.fft.rfft(pressure, 2 * n, axis=1), 2 * n, axis=0) * spectrum
-    columns = np.fft.ifft(waves, axis=-2)[..., :n, :]
-    return np.asarray(np.fft.irfft(columns, 2 * n, axis=-1)[..., :n])
+    return np.asarray(np.fft.irfft(np.fft.ifft(waves, axis=-2)[..., :n, :], 2 * n, axis=-1)[..., :n])
 
 
 def _corner(x: Float64, y: Float64) -> Float64:
@@ -134,8 +132,7 @@ def _corner(x: Float64, y: Float64) -> Float64:
 def _smooth_part(rho: Float64, poisson: float) -> Float64:
     """∫ (M(t) - 1) J0(t ρ) dt; beyond the table M's own part is nil and -1/ρ remains."""
     grid, values = _smooth_table(poisson)
-    near = np.interp(rho, grid, values)
-    return np.where(rho > _FAR, -1.0 / np.maximum(rho, _FAR), near)
+    return np.where(rho > _FAR, -1.0 / np.maximum(rho, _FAR), np.interp(rho, grid, values))
 
 
 @lru_cache(maxsize=16)
@@ -229,8 +226,7 @@ def _expected_pressure(problem: ContactProblem, command: Command) -> Float64:
         k = max(int(np.searchsorted(gaps, depth)) - 1, 0)
     beds = stiffness[k] - 1.0 / sum(radius[k] / (_HERTZ * layer.plane_modulus_pa) for layer in problem.layers)
     bed_share = min(max(float(beds / stiffness[k]), 0.0), 1.0)
-    reach = depth * (1.0 + bed_share) / 2.0
-    overlap = np.maximum(1.0 - problem.gap / reach, 0.0)
+    overlap = np.maximum(1.0 - problem.gap / (depth * (1.0 + bed_share) / 2.0), 0.0)
     shape: Float64 = overlap ** ((1.0 + bed_share) / 2.0)
     mean = float(stiffness[k]) * (depth - float(gaps[: k + 1].mean())) * (k + 1)
     return np.asarray(shape * (mean / float(shape.sum())))

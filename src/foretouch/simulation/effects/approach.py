@@ -84,8 +84,7 @@ def _meet(config: PadConfig, body: Body, finger: ContactFrame, aimed: ContactFra
     least = int(np.argmin(gap))
     if not np.isfinite(gap[least]):
         return None
-    near = gap < gap[least] + _NEAR_M
-    normal = body.world_normals(hits.normal[near]).mean(axis=0)
+    normal = body.world_normals(hits.normal[gap < gap[least] + _NEAR_M]).mean(axis=0)
     return starts[least] + hits.t[least] * finger.normal, normal / np.linalg.norm(normal)
 
 
@@ -97,8 +96,7 @@ def pad_of(scene: SceneConfig, item: ObjectConfig) -> PadConfig:
 def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
     """(N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
     starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
-    t = body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t
-    return t.reshape(window.x.shape) - _BACK_M
+    return body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t.reshape(window.x.shape) - _BACK_M
 
 
 def _relief(_job: Job, state: SampleState) -> None:

@@ -67,8 +67,7 @@ def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, b
     Raises:
         ContactError: If nowhere in the window do both exist.
     """
-    gap = gap_field(window.depth, -behind)
-    return ContactProblem(gap, pad_of(scene, item).step_m, _layers_of(scene, item))
+    return ContactProblem(gap_field(window.depth, -behind), pad_of(scene, item).step_m, _layers_of(scene, item))
 
 
 def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:

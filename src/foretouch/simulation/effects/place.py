@@ -35,8 +35,7 @@ def _clutter(job: Job, state: SampleState) -> None:
     for _ in range(clutter.count):
         size = np.full(3, draw(rng, _SIZE_M))
         variant = int(rng.integers(_VARIANTS))
-        yaw = about_z(rng.uniform(0.0, 2.0 * np.pi))
-        body = Body("random", variant, size, np.zeros(3), yaw)
+        body = Body("random", variant, size, np.zeros(3), about_z(rng.uniform(0.0, 2.0 * np.pi)))
         bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
     state.bodies = bodies
 

@@ -86,8 +86,7 @@ def _slip(job: Job, state: SampleState) -> None:
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
-    share = (path / path[-1])[:, None, None]
-    state.series[in_hold] += share * (moved - state.readings[1])
+    state.series[in_hold] += (path / path[-1])[:, None, None] * (moved - state.readings[1])
 
 
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:

@@ -27,15 +27,13 @@ _Surface = tuple[Float64, npt.NDArray[np.int64]]  # vertices and faces
 
 def _random_shape(rng: np.random.Generator) -> TriangleMesh:
     """One member, of roughly unit size; all is drawn from `rng`."""
-    kind = rng.integers(3)
-    return (_superquadric, _vase, _blob)[kind](rng)
+    return (_superquadric, _vase, _blob)[rng.integers(3)](rng)
 
 
 def _superquadric(rng: np.random.Generator) -> TriangleMesh:
     """Between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
     p, q = rng.uniform(2.0, 8.0, 2)
-    stretch = rng.uniform(0.6, 1.0, 3)
-    x, y, z = np.abs(_sphere_directions() / stretch).T
+    x, y, z = np.abs(_sphere_directions() / rng.uniform(0.6, 1.0, 3)).T
     return _star_shaped(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q))
 
 
@@ -47,8 +45,7 @@ def _vase(rng: np.random.Generator) -> TriangleMesh:
     rim = 0.04 * np.sqrt(np.linspace(0.0, 1.0, 8)[1:])  # rounds the two ends off
     radius[:7] *= 0.92 + 2.0 * rim
     radius[-7:] *= (0.92 + 2.0 * rim)[::-1]
-    ring = np.stack([radius, height], axis=1)
-    return _revolved(np.concatenate([[(0.0, 0.0)], ring, [(0.0, 1.0)]]))
+    return _revolved(np.concatenate([[(0.0, 0.0)], np.stack([radius, height], axis=1), [(0.0, 1.0)]]))
 
 
 def _blob(rng: np.random.Generator) -> TriangleMesh:
@@ -113,8 +110,7 @@ def _volleyball() -> TriangleMesh:
     d = _sphere_directions()
     ordered = np.sort(np.abs(d), axis=1)
     between_panels = ordered[:, 2] - ordered[:, 1]
-    largest = np.argmax(np.abs(d), axis=1)
-    along = np.take_along_axis(d, ((largest + 1) % 3)[:, None], axis=1)[:, 0]
+    along = np.take_along_axis(d, ((np.argmax(np.abs(d), axis=1) + 1) % 3)[:, None], axis=1)[:, 0]
     strips = np.abs(np.abs(along) - 0.22)
     seams = 0.012 * np.exp(-((between_panels / 0.05) ** 2)) + 0.006 * np.exp(-((strips / 0.035) ** 2))
     return _star_shaped(0.5 - seams)
@@ -165,8 +161,7 @@ def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:
     across = np.hypot(d[:, 0], d[:, 1])
     wall = radius / np.maximum(across, 1e-9)
     on_wall = wall * np.abs(d[:, 2]) <= straight
-    up = np.abs(d[:, 2])
-    cap = straight * up + np.sqrt(np.maximum(radius**2 - (straight * across) ** 2, 0.0))
+    cap = straight * np.abs(d[:, 2]) + np.sqrt(np.maximum(radius**2 - (straight * across) ** 2, 0.0))
     return np.where(on_wall, wall, cap)
 
 
@@ -186,8 +181,7 @@ def _revolved(profile: npt.ArrayLike) -> TriangleMesh:
         [radius[1:-1, None, None] * circle, np.broadcast_to(height[1:-1, None, None], (len(height) - 2, segments, 1))],
         axis=2,
     )
-    poles = np.array([[0.0, 0.0, height[0]], [0.0, 0.0, height[-1]]])
-    vertices = np.concatenate([poles, rings.reshape(-1, 3)])
+    vertices = np.concatenate([[(0.0, 0.0, height[0]), (0.0, 0.0, height[-1])], rings.reshape(-1, 3)])
     index = 2 + np.arange(rings.shape[0] * segments).reshape(-1, segments)
     following = np.roll(index, -1, axis=1)
     bands = [_quads(index[:-1], following[:-1], following[1:], index[1:])]
@@ -213,8 +207,7 @@ def _rounded_box(size: npt.ArrayLike, edge_radius: float, cells: int = 6) -> Tri
     points, faces = _cube_grid(half, edge_radius, cells)
     core = np.clip(points, -(half - edge_radius), half - edge_radius)
     outward = points - core
-    vertices = core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
-    return TriangleMesh(vertices, faces)
+    return TriangleMesh(core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True), faces)
 
 
 @lru_cache(maxsize=1)
@@ -295,5 +288,4 @@ def _quads(
 ) -> npt.NDArray[np.int64]:
     """Two triangles for each quadrilateral a b c d."""
     first = np.stack([a, b, c], axis=-1).reshape(-1, 3)
-    second = np.stack([a, c, d], axis=-1).reshape(-1, 3)
-    return np.concatenate([first, second])
+    return np.concatenate([first, np.stack([a, c, d], axis=-1).reshape(-1, 3)])
