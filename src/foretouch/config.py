@@ -172,6 +172,13 @@ def _check_events(events: Iterable[yaml.Event]) -> None:
             raise yaml.YAMLError(f"more than {_YAML_VALUES} values, aliases included")
 
 
+def flattened(values: Any, name: str = "") -> dict[str, Any]:
+    """Nested mappings by dotted name."""
+    if not isinstance(values, Mapping):
+        return {name: values}
+    return {key: one for k, v in values.items() for key, one in flattened(v, f"{name}.{k}" if name else k).items()}
+
+
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
     """Parse `["a.b=1", "c=x"]` to `{"a.b": 1, "c": "x"}`; values are YAML scalars or lists.
 

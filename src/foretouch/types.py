@@ -8,15 +8,22 @@ everything derived from them are in the camera's optical frame (x right, y down,
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Self, overload
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, GraspError, TactileError
 
+AnyArray = npt.NDArray[Any]
+Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
+Floating = npt.NDArray[np.floating]
+Index = npt.NDArray[np.intp]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Integer = npt.NDArray[np.integer]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches", "history"]
 
@@ -64,7 +71,7 @@ class Cloud:
         """Number of points, including those without depth."""
         return self.xyz.size // 3
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> "Cloud":
+    def take(self, index: Index | Bool) -> "Cloud":
         """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
@@ -104,7 +111,7 @@ class Plane:
         """(4,) float64: a, b, c, d."""
         return np.append(self.normal, self.offset)
 
-    def height(self, xyz: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    def height(self, xyz: Floating) -> Floating:
         """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
@@ -196,7 +203,7 @@ class Touch:
                 raise TactileError(f"{name}: shape {getattr(self, name).shape} is not ({ELECTRODES},)")
 
     @classmethod
-    def from_vector(cls, vector: npt.NDArray[np.floating]) -> Self:
+    def from_vector(cls, vector: Floating) -> Self:
         """A reading from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
         if vector.shape != (TOUCH_SIZE,):
             raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")

@@ -166,7 +166,7 @@ def test_a_tare_moves_predictions_part_of_its_way_from_rest(calibrated) -> None:
     assert (np.diff(bounds(after), axis=0) < np.diff(bounds(before), axis=0)).mean() > 0.9
 
 
-def test_touches_shift_and_narrow_as_the_tracker_predicts(calibrated) -> None:
+def test_touches_shift_and_narrow_as_the_tracker_predicts_and_a_reduced_model_is_wider(calibrated) -> None:
     sample = SAMPLES[6]
     for touches in (1, 3):
         history = touched(calibrated, touches)
@@ -176,10 +176,7 @@ def test_touches_shift_and_narrow_as_the_tracker_predicts(calibrated) -> None:
         assert_array_equal(vectors(found), counts)
         assert_array_equal(bounds(found), [counts - half, counts + half])
         assert (found[0].reference, found[0].evidence.touches) == ("touches", touches)
-
-
-def test_wider_intervals_of_a_reduced_model(calibrated) -> None:
-    sample, history = SAMPLES[6], touched(calibrated, 2)
+    history = touched(calibrated, 2)
     wider = calibrated.reduced(calibrated.estimator, np.full(50, 1.5))
     for readings in ({}, {"history": history}):
         plain, wide = (one.predict(sample.cloud, [sample.grasp], **readings) for one in (calibrated, wider))

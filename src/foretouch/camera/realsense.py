@@ -279,5 +279,9 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    level = logging.INFO if status.is_ok else logging.WARNING
-    logging.getLogger(__name__).log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")
+    logging.getLogger(__name__).log(
+        logging.INFO if status.is_ok else logging.WARNING,
+        "camera: %s%s",
+        status.state,
+        f": {status.reason}" if status.reason else "",
+    )

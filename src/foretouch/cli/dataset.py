@@ -43,11 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     repair = _action(actions, "repair", _repair, "Repair unfinished or damaged recordings, and keep the originals")
     repair.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, or one of its files")
 
-    summary = "Relabel, drop or merge samples in a log beside the recordings; can be undone"
-    edit = _action(actions, "edit", _edit, summary)
+    edit = _action(
+        actions, "edit", _edit, "Relabel, drop or merge samples in a log beside the recordings; can be undone"
+    )
     edit.add_argument("path", metavar="DS", help="recorded dataset; without an action, its edits are listed")
-    several = "id of a sample to relabel or drop; may be repeated"
-    edit.add_argument("--id", action="append", default=[], metavar="ID", help=several)
+    edit.add_argument(
+        "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
+    )
     one = edit.add_mutually_exclusive_group()
     one.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
     one.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
@@ -95,8 +97,12 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         ("executed", EXECUTED_TOPIC, "executed grasps"),
         ("tactile", TACTILE_TOPIC, f"tactile readings ({', '.join(TACTILE_TYPES)})"),
     ):
-        text = f"topic of the {content} (default: %(default)s)"
-        group.add_argument(f"--{name}-topic", default=full_name(topic), metavar="TOPIC", help=text)
+        group.add_argument(
+            f"--{name}-topic",
+            default=full_name(topic),
+            metavar="TOPIC",
+            help=f"topic of the {content} (default: %(default)s)",
+        )
     group.add_argument("--thumb", default="", metavar="NAME", help="name of the thumb in the tactile messages")
     group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger")
     group.add_argument("--object", default="unknown", help="label of the object on the table")
@@ -242,8 +248,7 @@ def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[Gra
             raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
         return
     count = min(arguments.count, len(samples))
-    for k in range(count):
-        yield only_finite(samples.record(k * len(samples) // count).sample)
+    yield from (only_finite(samples.record(k * len(samples) // count).sample) for k in range(count))
 
 
 def _repair(arguments: argparse.Namespace) -> int:
@@ -336,10 +341,8 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _identity(arguments: argparse.Namespace) -> Identity | None:
-    if not arguments.hand and not arguments.camera:
-        return None
-    hand, camera = (dict(_name_and_value(text) for text in texts) for texts in (arguments.hand, arguments.camera))
-    return Identity(hand=hand, camera=camera)
+    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
+    return Identity(hand=hand, camera=camera) if hand or camera else None
 
 
 def _name_and_value(text: str) -> tuple[str, str]:

@@ -107,8 +107,7 @@ def _requirements() -> Iterator[_Finding]:
     """Compare the requirements of setup.cfg with what is installed."""
     other_ros = {"kilted": {"jazzy"}, "jazzy": {"ros"}}.get(_wheels_of_ros(), {"ros", "jazzy"})
     for line in metadata.requires("foretouch") or []:
-        match = _EXTRA.search(line)
-        extra = match[1] if match else None
+        extra = match[1] if (match := _EXTRA.search(line)) else None
         if extra not in {"test", "dev", "docs", *other_ros}:
             yield _requirement(Requirement(line), extra)
 
@@ -130,9 +129,8 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
         return _Finding(name, "missing" if extra in {None, "ros", "jazzy"} else "optional", "absent", fix)
-    if not wanted.contains(found, prereleases=True):
-        return _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
-    return _Finding(name, "ok", found)
+    fits = wanted.contains(found, prereleases=True)
+    return _Finding(name, "ok", found) if fits else _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
 
 
 def _imports() -> Iterator[_Finding]:

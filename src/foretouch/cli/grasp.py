@@ -31,8 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or has no grasp."""
-    options = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
-    changes = {key: value for key, value in options.items() if value is not None}
+    changes = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
     return inputs.process_inputs(arguments, partial(_plan, arguments, pipeline, rng), _show)

@@ -43,8 +43,12 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
     """--plane, --scene and --target: the table, and which objects to use."""
-    plane = "table ax+by+cz+d=0 [m]; the cloud then contains only the object"
-    parser.add_argument("--plane", type=numbers, metavar="a,b,c,d", help=plane)
+    parser.add_argument(
+        "--plane",
+        type=numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0 [m]; the cloud then contains only the object",
+    )
     parser.add_argument("--scene", action="store_true", help="segment unorganised clouds too")
     parser.add_argument("--target", choices=["nearest", "largest", "all"], help="objects of a scene to use")
 
@@ -94,15 +98,16 @@ def pipeline_config(
     """Pipeline settings from the defaults, --config, --set and the command's own options, in this order.
 
     Args:
-        arguments: Arguments with `config`, `set` and possibly `target`.
-        changes: Dotted settings from the command's own options.
+        arguments: Arguments with `config`, `set` and possibly `target` and `model`.
+        changes: Dotted settings from the command's own options; None changes nothing.
         defaults: Dotted settings that the command starts with.
     """
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
         config = config.updated(load_yaml(arguments.config), arguments.config)
-    target = {"target.mode": arguments.target} if getattr(arguments, "target", None) else {}
-    return config.updated(parse_overrides(arguments.set), "--set").updated(target | (changes or {}), "options")
+    given = {"target.mode": getattr(arguments, "target", None), "model": getattr(arguments, "model", None) or None}
+    options = {name: value for name, value in (given | (changes or {})).items() if value is not None}
+    return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
 
 
 def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:

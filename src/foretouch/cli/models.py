@@ -45,8 +45,8 @@ def _record(name: str) -> dict[str, Any]:
     except ModelError as err:
         return {"status": "damaged", "name": name, "reason": str(err)}
     card = model.card
-    names = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
-    files = [path.with_name(Path(str(one)).name) for one in names if one]
+    names = (card["weights"], (card["calibration"] or {}).get("weights"))
+    files = [path.with_name(Path(one).name) for one in names if one]
     hashes = {file.name: {"sha256": file_sha256(file), "bytes": file.stat().st_size} for file in files}
     return {
         "status": "ok",

@@ -61,9 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud or a grasp was refused."""
     if arguments.prequential:
         return _run_prequential(arguments)
-    changes = {"model": arguments.model} if arguments.model else {}
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
-    pipeline = Pipeline(inputs.pipeline_config(arguments, changes, defaults))
+    pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
     budget = None if arguments.budget_ms is None else _make_budget(arguments.budget_ms, pipeline)
     return inputs.process_inputs(arguments, partial(_answer, arguments, pipeline, adaptation, budget), _show)

@@ -43,8 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " or `camera`, the RealSense",
     )
     parser.add_argument("--serial", help="serial number of the camera")
-    dwell = "time that each object of a scene stays on the table (default: 3)"
-    parser.add_argument("--dwell", type=positive_value, metavar="S", help=dwell)
+    parser.add_argument(
+        "--dwell",
+        type=positive_value,
+        metavar="S",
+        help="time that each object of a scene stays on the table (default: 3)",
+    )
     add_replay_arguments(parser, "recorded times; files one by one; scenes at 5")
     parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
     add_options(parser, "--model", "--params")
@@ -57,17 +61,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    json_lines = "print a JSON object for each cloud, and the counts at the end"
-    parser.add_argument("--json", action="store_true", help=json_lines)
+    parser.add_argument(
+        "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
+    )
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
     add_options(parser, "--topic", "--namespace")
-    rate = f"clouds per second (default: {default_rate})"
-    parser.add_argument("--rate", type=positive_value, metavar="HZ", help=rate)
-    plane = "table ax+by+cz+d=0 of clouds that hold one object each"
-    parser.add_argument("--plane", type=numbers, metavar="a,b,c,d", help=plane)
+    parser.add_argument(
+        "--rate", type=positive_value, metavar="HZ", help=f"clouds per second (default: {default_rate})"
+    )
+    parser.add_argument(
+        "--plane", type=numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
+    )
     parser.add_argument(
         "--wait-for",
         action="append",
@@ -103,8 +110,8 @@ def run(arguments: argparse.Namespace) -> int:
     announce("starting the nodes")
     with graph:
         if not graph.started:
-            states = {name: node.state_name for name, node in graph.nodes.items() if node.state_name != "active"}
-            listed = "; ".join(f"{name}: {state}" for name, state in states.items())
+            states = [(name, node.state_name) for name, node in graph.nodes.items()]
+            listed = "; ".join(f"{name}: {state}" for name, state in states if state != "active")
             raise ForetouchError(f"a node did not start; see its log ({listed})")
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
@@ -159,9 +166,9 @@ def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     """Parameters of the replay; without a rate, each file is played when the one before was answered."""
     from foretouch.dataset.source import open_source
 
-    path = str(Path(arguments.source).resolve())
     one_by_one = arguments.rate is None and open_source(arguments.source, arguments.topic).kind != "recording"
-    return {**({"lockstep": True, "rate_hz": 1000.0} if one_by_one else {}), **source_parameters(arguments, path)}
+    given = source_parameters(arguments, str(Path(arguments.source).resolve()))
+    return {"lockstep": True, "rate_hz": 1000.0, **given} if one_by_one else given
 
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
@@ -293,8 +300,7 @@ def _drawn(found: Drawable) -> DrawnGrasp:
 class _Printer:
     """Prints each answer in the executor's thread."""
 
-    def __init__(self) -> None:
-        self.error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
+    error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
 
     def __call__(self, message: TouchPredictionArray) -> None:
         try:

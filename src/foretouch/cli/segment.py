@@ -64,6 +64,5 @@ def _show(record: dict[str, Any]) -> None:
         ]
         for one in record["objects"]
     ]
-    state = " ".join(filter(None, (record["status"], record["reason"])))
-    title = f"{record['input']}: {state} ({record['ms']['total']:.1f} ms)"
+    title = f"{record['input']}: {record['status']} {record['reason']}".rstrip() + f" ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)

@@ -73,11 +73,14 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
 def _explain(scene: SceneConfig, as_json: bool) -> int:
     plans, everyone = explain_scene(scene), len(scene.objects)
     if as_json:
-        effects = [
-            {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
-            for p in plans
-        ]
-        print_json({"effects": effects, "samples": 0, "scene_sha256": scene.sha256()})
+        print_json({
+            "effects": [
+                {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
+                for p in plans
+            ],
+            "samples": 0,
+            "scene_sha256": scene.sha256(),
+        })  # fmt: skip
     else:
         rows = [
             [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]
@@ -115,7 +118,6 @@ def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
 
 def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
     simulation = Simulation(scene)
-    workers = arguments.workers or len(os.sched_getaffinity(0))
     about = {
         "made_by": f"foretouch {__version__} simulate",
         "scene": scene.to_mapping(),
@@ -127,7 +129,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         StoreWriter(arguments.out, about) as writer,
         progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
     ):
-        for sample in simulation.samples(arguments.count, workers):
+        for sample in simulation.samples(arguments.count, arguments.workers or len(os.sched_getaffinity(0))):
             writer.write(sample)
             if len(shown) < _SHEET_SAMPLES:
                 shown.append(sample)
@@ -159,7 +161,7 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             }
             for plan, timing in timed
         ]
-        record = {
+        print_json({
             "effects": effects,
             "samples": count,
             "samples_per_s": count / seconds,
@@ -167,8 +169,7 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "scene_sha256": simulation.scene.sha256(),
             "failures": simulation.failures_by_reason,
             "path": str(arguments.out),
-        }
-        print_json(record)
+        })  # fmt: skip
         return
     rows = [[plan.name, str(t.calls), f"{1e3 * t.seconds / count:.2f}", plan.reason] for plan, t in timed]
     print_table("effects", ["effect", "calls", "ms a sample", "for"], rows)

@@ -66,10 +66,9 @@ class _Steps:
     """Makes the steps of the view, whose inputs are as those of `predict`."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        changes = {"model": arguments.model} if arguments.model else {}
         self.failed = False  # whether an input could not be read
         self._arguments = arguments
-        self._pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": 10}))
+        self._pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
         self._adaptation: Adaptation
 
     def __iter__(self) -> Iterator[ViewStep]:

@@ -20,10 +20,8 @@ from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError
 from foretouch.types import Cloud, GraspSample
 
+#: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.
 STAMP_STEP_NS = 100_000_000
-"""Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise."""
-
-SourceKind = Literal["clouds", "samples", "recording"]
 
 
 class SourceItem:
@@ -53,7 +51,7 @@ class Source:
     """The clouds at a path in order; can be iterated repeatedly."""
 
     path: Path  # as given
-    kind: SourceKind  # what was found there
+    kind: Literal["clouds", "samples", "recording"]  # what was found there
     topic: str | None = None  # the topic of a recording, else None
     frame_id: str = ""  # for clouds without a frame
     entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset

@@ -12,7 +12,7 @@ switches for this: its components are taken from its estimator, and combined her
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -221,13 +221,12 @@ def _cells(settings: AblationSettings, data: RealAndSimulated) -> list[Cell]:
     ]
 
 
-def _parts(condition: str, real: Sequence[GraspSample], settings: AblationSettings) -> Iterator[tuple[str, int]]:
+def _parts(condition: str, real: Sequence[GraspSample], settings: AblationSettings) -> list[tuple[str, int]]:
     """Names of splits or folds, and seeds. Since calibration is slow, objects are left out with one seed only."""
     if condition == _SIMULATED:
-        yield from ((str(split), settings.seeds[0]) for split in settings.split_seeds)
-        return
-    for seed in settings.seeds if condition != "object" else settings.seeds[:1]:
-        yield from ((fold.name, seed) for fold in make_folds(real, condition, seed))
+        return [(str(split), settings.seeds[0]) for split in settings.split_seeds]
+    seeds = settings.seeds if condition != "object" else settings.seeds[:1]
+    return [(fold.name, seed) for seed in seeds for fold in make_folds(real, condition, seed)]
 
 
 def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list[Row]:
@@ -258,12 +257,12 @@ def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> lis
     """For each object and draw, grasps in the order in which they are touched, and those that are scored."""
     most = max(*settings.touches, _COMPARED)
     names = np.array([sample.object for sample in test])
-    draws = []
-    for name in np.unique(names):
-        own = np.flatnonzero(names == name)
-        orders = touch_draws(str(name), len(own), most, settings.draws)
-        draws += [(own[order[:most]], own[order[most:]]) for order in orders]
-    return draws
+    members = {str(name): np.flatnonzero(names == name) for name in np.unique(names)}
+    return [
+        (own[order[:most]], own[order[most:]])
+        for name, own in members.items()
+        for order in touch_draws(name, len(own), most, settings.draws)
+    ]
 
 
 def _rows(

@@ -173,10 +173,8 @@ class Repeater:
     def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:
         if scene.campaign is not None:
             raise ConfigError("scene: campaign: grasps are repeated at one moment; give a scene without a campaign")
-        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {NEW_OBJECT}))
         self._new_object = NEW_OBJECT in causes
-        if self._new_object:
-            again |= {"sessions"}
+        again = {effect for cause in causes for effect in ({"sessions"} if cause == NEW_OBJECT else CAUSES[cause])}
         effects = [replace(effect, again=effect.name in again) for effect in EFFECTS]
         self._engine = Engine(scene, effects, ("touch", "tare"))
 

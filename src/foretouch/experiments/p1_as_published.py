@@ -226,9 +226,9 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
                 sentences.append(f"{kind}, {way}: {span(ratios)} times the published errors")
     below = [key for key in counts if key[2] != _WAYS["mean"] and counts[key] < counts[(*key[:2], _WAYS["mean"])]]
     sentences.append(f"errors of networks, ours or published, below that of the mean of the labels: {len(below)}")
+    ours = "our scoring: RMSE of all test samples in counts"
     tables = [findings(sentences)]
     for table, own in grouped(rows, "table"):
-        ours = "our scoring: RMSE of all test samples in counts"
         tables.append(Table(f"{table}: {scored}", ["rmse", *MODALITIES], pivot(own, "predictor", _published_text)))
         pooled = pivot(
             [row for row in own if row["predictor"] != P1], "predictor", lambda row: f"{row['rmse_counts']:.0f}"

@@ -195,12 +195,8 @@ class GraspedObject:
 
 def overlaps(labels: npt.NDArray[np.int32], truth: npt.NDArray[np.int32], objects: Sequence[int]) -> list[float]:
     """Intersection over union of each true object with the found one that covers it most."""
-    result = []
-    for label in objects:
-        true = truth == label
-        found = labels == _covering(labels, true)
-        result.append(float((true & found).sum() / (true | found).sum()))
-    return result
+    pairs = [(truth == label, labels == _covering(labels, truth == label)) for label in objects]
+    return [float((true & found).sum() / (true | found).sum()) for true, found in pairs]
 
 
 def _covering(labels: npt.NDArray[np.int32], true: npt.NDArray[np.bool_]) -> int:
@@ -284,12 +280,14 @@ def _run(cell: Cell, _settings: PerceptionSettings, data: PerceptionData) -> lis
     for number, (scene, shipped) in enumerate(zip(data.scenes, before, strict=True)):
         changed, count = grasp_objects(pipeline, scene, jitter_mm)
         wrong = count != len(scene.object_labels)
-        for one, other in zip(changed, shipped, strict=True):
-            rows.append({"scene": number, "wrong": wrong, **_compared(one, other)})
+        pairs = zip(changed, shipped, strict=True)
+        rows += [{"scene": number, "wrong": wrong, **_compared(one, other)} for one, other in pairs]
     if cell.values["step"] != SEGMENTATION:
-        for number, (cloud, other) in enumerate(zip(data.real, real_before, strict=True), len(data.scenes)):
-            one = _grasp_real(pipeline, cloud, jitter_mm)
-            rows.append({"scene": number, "wrong": False, **_compared(one, other)})
+        pairs = zip((_grasp_real(pipeline, cloud, jitter_mm) for cloud in data.real), real_before, strict=True)
+        rows += [
+            {"scene": number, "wrong": False, **_compared(one, other)}
+            for number, (one, other) in enumerate(pairs, len(data.scenes))
+        ]
     return rows
 
 
@@ -300,8 +298,7 @@ def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
     if one.contacts is None or shipped.contacts is None or shipped.found is None:
         return row
     row["moved"] = bool(1e3 * np.linalg.norm(one.contacts - shipped.contacts, axis=1).max() > _MOVED_MM)
-    scorer = _scorer(shipped.found)
-    if scorer is not None:
+    if (scorer := _scorer(shipped.found)) is not None:
         score, before = scorer(one.contacts)[0], scorer(shipped.contacts)[0]
         if np.isfinite([score, before]).all():
             row |= {"score": score, "score_change": score - before}
@@ -318,13 +315,16 @@ def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
         own = [row for row in rows if row["variant"] == name]
         masks = own[0]["step"] == SEGMENTATION
         row: Row = {"variant": name, **_interval("iou", own if masks else [])}
-        row["iou_least"] = min(one["iou"] for one in own) if masks else None
-        row["wrong_scenes"] = len({one["scene"] for one in own if one["wrong"]}) if masks else None
-        row |= _interval("score", [] if masks else own)
-        row |= {"objects": len(own), "no_grasp": sum(not one["grasped"] for one in own)}
-        row["contact_mm"] = _mean(own, "error_mm")
-        row |= _moves(own)
-        row |= _interval("score_change", own)
+        row |= {
+            "iou_least": min(one["iou"] for one in own) if masks else None,
+            "wrong_scenes": len({one["scene"] for one in own if one["wrong"]}) if masks else None,
+            **_interval("score", [] if masks else own),
+            "objects": len(own),
+            "no_grasp": sum(not one["grasped"] for one in own),
+            "contact_mm": _mean(own, "error_mm"),
+            **_moves(own),
+            **_interval("score_change", own),
+        }
         real = [one for one in own if one["iou"] is None]
         for key in ("touch_counts", "touch_half"):
             row |= {key: _mean(own, key), f"{key}_real": _mean(real, key)}
@@ -335,24 +335,19 @@ def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
 def _moves(rows: Sequence[Row]) -> Row:
     """Share of best grasps that moved, and of those that have a score, whether it is equal, better or worse."""
     known = [row for row in rows if row["moved"] is not None]
-    moved = [row["score_change"] for row in known if row["moved"] and row["score_change"] is not None]
-    changes = np.array(moved)
+    changes = np.array([row["score_change"] for row in known if row["moved"] and row["score_change"] is not None])
     shares: dict[str, Any] = {"moved": sum(row["moved"] for row in known) / max(len(known), 1)}
     tests = {
         "equal": np.abs(changes) <= _EQUAL_SCORE,
         "better": changes > _EQUAL_SCORE,
         "worse": changes < -_EQUAL_SCORE,
     }
-    return shares | {f"moved_{name}": float(test.mean()) if len(moved) else None for name, test in tests.items()}
-
-
-def _values(rows: Sequence[Row], key: str) -> Float64:
-    return np.array([row[key] for row in rows if row[key] is not None], np.float64)
+    return shares | {f"moved_{name}": float(test.mean()) if len(changes) else None for name, test in tests.items()}
 
 
 def _mean(rows: Sequence[Row], key: str) -> float | None:
-    values = _values(rows, key)
-    return float(values.mean()) if len(values) else None
+    values = [row[key] for row in rows if row[key] is not None]
+    return float(np.mean(values)) if values else None
 
 
 def _interval(key: str, rows: Sequence[Row]) -> Row:
@@ -361,7 +356,7 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     if not known:
         return {key: None, f"{key}_low": None, f"{key}_high": None}
     numbers, scene = np.unique([row["scene"] for row in known], return_inverse=True)
-    sums = np.bincount(scene, _values(known, key))
+    sums = np.bincount(scene, [row[key] for row in known])
     counts = np.bincount(scene)
     drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
     low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))

@@ -181,10 +181,10 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     """The row of a variant."""
     name, scene = cell.values["scene"], data.changed(cell.values)
     best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
-    row: Row = dict.fromkeys(("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest"))
     mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
     both = sorted(mine.counts.keys() & others.counts.keys())
-    row |= {"effect_ms": None, "refused": settings.compared - len(mine.counts)}
+    names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest", "effect_ms")
+    row: Row = {**dict.fromkeys(names), "refused": settings.compared - len(mine.counts)}
     if name == EVERYTHING:
         change = np.array([mine.counts[k] - others.counts[k] for k in both])
         row |= {"counts": float(np.sqrt(np.mean(change**2))), "counts_largest": float(np.abs(change).max())}
@@ -193,8 +193,11 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     else:
         drops, forces = ([_relative(one[k], other[k]) for k in both] for one, other in (
             (mine.drops, others.drops), (mine.forces, others.forces)))  # fmt: skip
-        row |= {"pattern_error": float(np.median(drops)), "pattern_error_largest": float(max(drops))}
-        row["force_error"] = float(np.median(forces))
+        row |= {
+            "pattern_error": float(np.median(drops)),
+            "pattern_error_largest": float(max(drops)),
+            "force_error": float(np.median(forces)),
+        }
     errors, best_errors = _errors(scene, best, settings), _errors(best, best, settings)
     row |= interval_columns(f"trained_{name}", skills(errors, _BOOTSTRAP)[MEAN])
     return [row | interval_columns("trained_change", compare(errors, best_errors, _BOOTSTRAP)[MEAN])]
@@ -256,9 +259,7 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
 
 def _notes(rows: Sequence[Row]) -> list[str]:
     found = []
-    for row in rows:
-        if row["trained_change"] is None:
-            continue
+    for row in [row for row in rows if row["trained_change"] is not None]:
         change = f"{row['trained_change']:+.2f}"
         if row["trained_change_low"] is not None:
             change += f" [{row['trained_change_low']:+.2f}, {row['trained_change_high']:+.2f}]"

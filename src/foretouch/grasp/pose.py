@@ -2,10 +2,9 @@
 """Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import GraspError
-from foretouch.types import SQUARABLE, Float64, Grasp
+from foretouch.types import SQUARABLE, Bool, Float64, Grasp
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 _IDENTITY = np.eye(3)
@@ -95,7 +94,7 @@ def check_rotation(rotation: Float64) -> None:
         raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
 
 
-def fast_accept_rotations(rotations: Float64) -> npt.NDArray[np.bool_]:
+def fast_accept_rotations(rotations: Float64) -> Bool:
     """(K,) whether `check_rotation` accepts each of (K, 3, 3); false where it has to decide, close to its limits."""
     with np.errstate(over="ignore", invalid="ignore"):
         skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))

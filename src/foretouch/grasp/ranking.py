@@ -9,18 +9,15 @@ the centroid, pd distance to the grasp plane, k curvature, each scaled to the ra
 the initial points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
-from foretouch.types import Float32, Float64
+from foretouch.types import Float32, Float64, Int64
 
 _OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 
@@ -123,8 +120,8 @@ _MIN_RANK = 1.0  # of either ranking
 class Ranking:
     """Pairs that pass every filter, best first."""
 
-    first: npt.NDArray[np.int64]  # (P,) int64, indices of a and b
-    second: npt.NDArray[np.int64]
+    first: Int64  # (P,) int64, indices of a and b
+    second: Int64
     score: Float64  # (P,) float64, finite
     counts: dict[str, int]  # number of pairs: all, dropped by each filter, and ranked
 

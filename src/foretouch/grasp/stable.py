@@ -20,14 +20,13 @@ to have an axis or a sign of its own, one direction of the camera's frame decide
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.grasp.hold import HeldGrasp
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Plane
+from foretouch.types import Bool, Float32, Float64, Floating, Plane
 
 _tent_sums = Kernel(
     "tent_sums",
@@ -98,11 +97,11 @@ class _StablePairs:
     """All pairs of candidates with their scores; row and column 0 are those of the initial points."""
 
     score: Float64  # (A, B) float64
-    passes: npt.NDArray[np.bool_]  # (A, B) bool, both rankings reach their minimum
+    passes: Bool  # (A, B) bool, both rankings reach their minimum
     contacts: Float64  # (2, 3) float64 [m], the weighted mean of the pairs, each moved onto the surface near it
 
 
-def _smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Float64:
+def _smoothstep(values: Floating, low: float, high: float) -> Float64:
     """0 below `low`, 1 above `high`, with a continuous slope between."""
     t = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
@@ -242,8 +241,7 @@ def _local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> 
         (M, 3) float64 unit normals of any sign, and (M,) float64 curvature, 0 ... 1/3.
     """
     normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
-    sizes = (len(centres), radius_m)
-    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
+    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, len(centres), radius_m, normals, curvature)
     return normals, curvature
 
 

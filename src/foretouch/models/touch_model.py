@@ -133,20 +133,11 @@ class TouchModel:
         self._widen = widen
 
     def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
-        """The same model, which estimates in a cheaper way.
-
-        Args:
-            estimator: With the rest level and the readings of this model.
-            widen: (50,) factors of the half widths of its intervals.
-        """
+        """The same model with a cheaper estimator, and (50,) factors of the half widths of its intervals."""
         return TouchModel(estimator, self.card, self.calibration, widen)
 
     def new_tracker(self) -> SensorTracker:
-        """A tracker of a hand whose readings are compared with this model's predictions.
-
-        Raises:
-            ModelError: If the model has no calibration.
-        """
+        """A tracker of a hand whose readings are compared with predictions; `ModelError` without a calibration."""
         return SensorTracker(self._calibrated().tracker_parameters)
 
     def predict(

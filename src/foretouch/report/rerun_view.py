@@ -149,8 +149,7 @@ class _Writer:
         points, colours = _points(step.cloud)
         if self._eye is None and len(points):
             self._eye = _point_of_interest(step, points)
-        cloud = rr.Points3D(points, colors=colours, radii=0.0008) if len(points) else None
-        self._log("/scene/cloud", cloud)
+        self._log("/scene/cloud", rr.Points3D(points, colors=colours, radii=0.0008) if len(points) else None)
         self._log("/scene/objects", self._boxes(step.objects) if step.objects else None)
         table = None
         if step.table is not None and len(points):

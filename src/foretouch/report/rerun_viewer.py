@@ -32,7 +32,9 @@ def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 
     """
     with _viewer_environment() as environment, tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         printed, drawn = Path(folder) / "printed.txt", Path(folder) / "drawn.png"
-        port = _free_port()
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = int(free.getsockname()[1])
         command = [*_viewer(port), "--headless", "--window-size", f"{size[0]}x{size[1]}", recording]
         with printed.open("wb") as output:
             viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
@@ -65,12 +67,6 @@ def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
                 client.save_screenshot(str(path))
                 return
         time.sleep(_POLL_S)
-
-
-def _free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def open_viewer(recording: Path) -> None:

@@ -33,11 +33,7 @@ class ScheduleConfig(Settings):
     )
 
     def load(self) -> SceneConfig:
-        """The scene.
-
-        Raises:
-            ConfigError: If there is no path, or the file breaks a rule.
-        """
+        """The scene; a `ConfigError` if there is no path, or the file breaks a rule."""
         if not self.path:
             raise ConfigError("path: is empty; name a scene file")
         return load_scene(self.path)

@@ -8,8 +8,7 @@ import numpy.typing as npt
 import pytest
 from every_case import every_case
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig
-from foretouch.cloud.segmentation.crop import CropConfig, in_range
+from foretouch.cloud.segmentation.clusters import ClusterConfig, CropConfig, in_range
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _count_depths, segment
 from foretouch.errors import ConfigError
 from foretouch.simulation.depth_scene import DepthImage, random_scene

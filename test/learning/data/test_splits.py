@@ -26,7 +26,7 @@ def book(tmp_path: Path) -> dict[str, list[SplitPart]]:
     return read_splits(tmp_path).parts
 
 
-def test_no_id_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
+def test_no_id_stands_on_both_sides_and_folds_test_every_labelled_sample_once(book) -> None:
     assert {kind: len(parts) for kind, parts in book.items()} == {"random": 5, "object": 5, "time": 5, "labels": 5}
     for parts in book.values():
         for part in parts:
@@ -34,9 +34,6 @@ def test_no_id_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
             assert not set(part.unlabelled) & {*part.train, *part.test}, part.name
             assert part.train
             assert part.test
-
-
-def test_every_labelled_sample_is_tested_once_by_the_folds(book: dict[str, list[SplitPart]]) -> None:
     labelled = {sample.id for sample in facts() if sample.labelled}
     for kind in ("random", "object", "time"):
         tested = [i for part in book[kind] for i in part.test]

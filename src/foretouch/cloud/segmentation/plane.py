@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Plane
+from foretouch.types import Float32, Float64, Index, Plane
 
 _count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
 _points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
@@ -26,7 +25,6 @@ _residuals_near = Kernel(
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
-Index = npt.NDArray[np.intp]
 _Rows = Index | slice
 
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane

@@ -11,7 +11,6 @@ intervals hold readings of the right kind only. A grasp is rejected if an interv
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
@@ -19,7 +18,7 @@ from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
-from foretouch.types import Touch
+from foretouch.types import Bool, Int64, Touch, UInt8
 
 _SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
@@ -91,7 +90,7 @@ class TouchCut:
     touch: Touch  # median over the steady contact
     tare: Touch  # median over the time before the grasp
     window: TouchWindow  # the readings from the tare to the release
-    phases: npt.NDArray[np.uint8]  # (T,) uint8 of REST, APPROACH and HOLD
+    phases: UInt8  # (T,) uint8 of REST, APPROACH and HOLD
     contact_ns: int | None  # stamp of first contact [ns], by the contact detector; None where it found none
     error_ns: int  # longest time without a reading within tare or contact [ns]
     clock_ns: int  # smallest difference of reception time and stamp [ns]
@@ -203,7 +202,7 @@ def _flags(window: TouchWindow, onsets: tuple[int | None, int | None]) -> tuple[
     return tuple(flags)
 
 
-def _longest_run_ns(same: npt.NDArray[np.bool_], stamps_ns: npt.NDArray[np.int64]) -> int:
+def _longest_run_ns(same: Bool, stamps_ns: Int64) -> int:
     """Longest time over which neighbouring readings are the same [ns]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return max((int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)), default=0)

@@ -43,7 +43,6 @@ COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message co
 SCHEMA_VERSION: Final = 1
 
 _OWN: Final = Path(__file__).parent / "definitions"
-_TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")
 _DIGEST_SIZE: Final = 32
 _OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
@@ -103,17 +102,13 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
     return body + hashlib.sha256(body).digest()
 
 
-def _is_intact(data: bytes | memoryview) -> bool:
-    """Whether the bytes are an unchanged result of `encode_sample`."""
-    return len(data) > _DIGEST_SIZE and hashlib.sha256(data[:-_DIGEST_SIZE]).digest() == bytes(data[-_DIGEST_SIZE:])
-
-
 def decode_sample(data: bytes | memoryview) -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
     Raises a `DatasetError` if the bytes are damaged, of another schema version, or break a rule.
     """
-    if not _is_intact(data):
+    body, digest = data[:-_DIGEST_SIZE], bytes(data[-_DIGEST_SIZE:])
+    if not body or hashlib.sha256(body).digest() != digest:
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
         message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
@@ -233,7 +228,7 @@ class Definitions:
 
     def _require(self, type_name: str) -> None:
         if type_name not in self.store.fielddefs:
-            if not _TYPE_NAME.fullmatch(type_name):
+            if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is no message type, such as std_msgs/msg/String")
             self.register(type_name, _find(type_name))
         for needed in _types_in(self.store, type_name):

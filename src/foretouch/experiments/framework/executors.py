@@ -112,11 +112,9 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
         raise MissingDependencyError("ray is not installed: pip install 'foretouch[sweep]'") from err
     _require_server(address)
     try:
-        if address == LOCAL_CLUSTER:
-            # Without an address, Ray would use RAY_ADDRESS.
-            ray.init(address="local", num_cpus=workers, include_dashboard=False, log_to_driver=False)
-        else:
-            ray.init(address=address, log_to_driver=False)
+        # Without an address, Ray would use RAY_ADDRESS.
+        own: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == LOCAL_CLUSTER else {}
+        ray.init(address=address, log_to_driver=False, **own)
     except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
         raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
     try:

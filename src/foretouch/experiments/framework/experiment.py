@@ -107,11 +107,7 @@ class Experiment(Generic[S, D]):
         return f"foretouch experiment {self.name}"
 
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
-        """Settings of a preset with overrides.
-
-        Raises:
-            ConfigError: If there is no such preset, or a setting is unknown or out of its bounds.
-        """
+        """Settings of a preset with overrides; a `ConfigError` if one is unknown or out of its bounds."""
         if preset not in self.presets:
             raise ConfigError(f"{self.name}: preset: {preset!r} is none of {', '.join(self.presets)}")
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")

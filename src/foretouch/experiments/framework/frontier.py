@@ -116,13 +116,9 @@ def general_notes(rows: Sequence[Row], skills: Sequence[str]) -> Iterator[str]:
 
 
 def draw(panels: Sequence[Panel], skills: Mapping[str, str], rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier beside it.
+    """Draw `tradeoff.png` into a folder: a diagram for each panel that has rows, with the names on its frontier beside it.
 
-    Args:
-        panels: The diagrams.
-        skills: Columns of skills, each with its meaning.
-        rows: Of `tradeoff.csv`.
-        folder: The folder.
+    `skills` are the columns of skills, each with its meaning.
     """
     panels = [panel for panel in panels if frontier(of_request(rows, panel.request), panel.skill)]
     if not panels:
@@ -174,10 +170,8 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
 def name_points(axes: Axes, points: Mapping[str, tuple[float, float]], gap: float) -> None:
     """Write names right of the axes, one below the other, each joined to its point by a line.
 
-    Args:
-        axes: The axes.
-        points: By name (x, y) of the point, with ascending y, so that neither names nor lines cross.
-        gap: Height of a name, as a share of the axes.
+    The points (x, y) are in order of ascending y, so that neither names nor lines cross; `gap` is the height of a name
+    as a share of the axes.
     """
     low, high = axes.get_ylim()
     places = spread([(y - low) / (high - low) for _, y in points.values()], gap)

@@ -237,9 +237,7 @@ def _time_variants(
     answers: dict[str, Answer] = {}
     skipped = {one.name: one.missing for one in variants if one.missing}
     with threadpool_limits(1):
-        for variant in variants:
-            if variant.name in skipped:
-                continue
+        for variant in (one for one in variants if not one.missing):
             try:
                 made = area.timed(variant, settings, data)
                 answers[variant.name] = np.array(made.answer(compared))

@@ -87,13 +87,18 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
         if not runs:
             continue
         low, high = ranges.of(name)
-        row = {"modality": name, "ratio": ratio, **_compared(runs, high - low, draws, seed)}
-        row["p2_change"] = P2_CHANGES.get((name, ratio))
         trees = found.get((ratio, name, TREES, 0))
         _sizes([(runs[0][0], trees or runs[0][0])])
-        row["mean_rmse"] = np.sqrt(np.mean(_samples(runs[0][0], "reference")))
-        row["trees_rmse"] = np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None
-        result.append(row)
+        result.append(
+            {
+                "modality": name,
+                "ratio": ratio,
+                **_compared(runs, high - low, draws, seed),
+                "p2_change": P2_CHANGES.get((name, ratio)),
+                "mean_rmse": np.sqrt(np.mean(_samples(runs[0][0], "reference"))),
+                "trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None,
+            }
+        )
     return result
 
 
@@ -101,8 +106,7 @@ def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: i
     """Both models in one cell; `width` is that of the range [counts]."""
     pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
     sizes = _sizes(runs)
-    head = {"runs": len(runs), "samples": sum(sizes), "labelled": runs[0][0]["labelled"]}
-    result: Row = {**head, "updates": runs[0][0]["updates"]}
+    result: Row = {"runs": len(runs), "samples": sum(sizes), **{k: runs[0][0][k] for k in ("labelled", "updates")}}
     for name, squared, row in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
         rmse = np.sqrt(squared.mean(axis=1))
         result |= {

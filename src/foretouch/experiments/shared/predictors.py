@@ -17,7 +17,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet, labels_of
+from foretouch.learning.data import TrainingSet, labels_of, predict_set
 from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.tactile import MODALITIES, columns
@@ -42,7 +42,6 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
 
     def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
-        from foretouch.learning.data.training_set import predict_set
         from foretouch.learning.training.run_config import load_run_config
         from foretouch.learning.training.supervised import train_network
 
@@ -155,11 +154,7 @@ NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")  # predictors th
 
 
 def find_predictor(name: str, training_fraction: float = 1.0) -> Fit:
-    """Find a predictor by name.
-
-    Raises:
-        ConfigError: If there is none.
-    """
+    """Find a predictor by name; a `ConfigError` if there is none."""
     if name not in PREDICTORS:
         raise ConfigError(f"predictors: {name!r} is none of {', '.join(PREDICTORS)}")
     return PREDICTORS[name](training_fraction)

@@ -120,9 +120,8 @@ def _rows(
     for modality in (*MODALITIES, MEAN):  # a mean of errors of different sensors has no meaning
         row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", own[modality])}
         for name, differences in versus.items():
-            difference = differences[modality] if differences else None
-            row |= interval_columns(f"vs_{name}", difference)
-            row[f"vs_{name}_verdict"] = difference.verdict if difference else None
+            one = differences[modality] if differences else None
+            row |= {**interval_columns(f"vs_{name}", one), f"vs_{name}_verdict": one.verdict if one else None}
         result.append(row)
     return result
 

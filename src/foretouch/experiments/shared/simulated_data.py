@@ -159,12 +159,8 @@ def split_condition(
 ) -> tuple[list[GraspSample], list[GraspSample]]:
     """Training and test samples of a part of a condition.
 
-    Args:
-        settings: Settings of the experiment.
-        data: The samples.
-        split: Name of a split of the real grasps; "" for simulated objects.
-        part: Name of the fold, or seed of the split of the simulated objects.
-        seed: Seed of the folds.
+    A condition is a split of the real grasps, whose parts are folds of a seed; or "", the simulated objects, whose
+    parts are the seeds of splits of the objects.
     """
     if not split:
         return split_objects(labelled(data.simulated), settings.train_objects, int(part))

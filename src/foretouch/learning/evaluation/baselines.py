@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.types import Float64, GraspSample
 
@@ -71,8 +70,6 @@ def _spreads(centred: Float64) -> Float64:
     values = np.linalg.eigvalsh(centred.T @ centred / len(centred))
     return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
 
-
-Features = npt.NDArray[np.float64]
 
 TREES: Final = 300
 """Trees of a forest."""
@@ -165,17 +162,13 @@ BASELINES: Final[dict[str, Baseline]] = {
 }
 
 
-def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Features:
+def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Float64:
     """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
-    table = np.zeros((len(samples), 1 + len(names)))
-    for row, sample in zip(table, samples, strict=True):
-        row[0] = sample.stamp_ns / _DAY_NS
-        if sample.object in names:
-            row[1 + names.index(sample.object)] = 1.0
-    return table
+    days = [sample.stamp_ns / _DAY_NS for sample in samples]
+    return np.column_stack([days, [[float(sample.object == name) for name in names] for sample in samples]])
 
 
-def _forest(train: Features, labels: Float64, test: Features, seed: int, trees: int) -> Float64:
+def _forest(train: Float64, labels: Float64, test: Float64, seed: int, trees: int) -> Float64:
     from sklearn.ensemble import ExtraTreesRegressor
 
     forest = ExtraTreesRegressor(

@@ -141,9 +141,7 @@ def matching_loss(
     Eq. 3 is of labelled and unlabelled clouds; eq. 5, the generator's loss, of fake and unlabelled ones.
     """
     delta = _difference(a, b, config, context)
-    if config.loss_variant == "srgan":
-        return delta.abs().mean()
-    return delta.square().sum(dim=1).mean()
+    return delta.abs().mean() if config.loss_variant == "srgan" else delta.square().sum(dim=1).mean()
 
 
 def gradient_penalty(

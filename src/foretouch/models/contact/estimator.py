@@ -73,8 +73,7 @@ class ContactEstimator:
         scores = self.novelty.scores(rows)
         weight = scores[:, None]
         inputs = rows[:, len(CONDITIONS) :]
-        unknown = self.kernel.predict(inputs) * self._gain
-        scaled = weight * self._trees(inputs) + (1.0 - weight) * unknown
+        scaled = weight * self._trees(inputs) + (1.0 - weight) * (self.kernel.predict(inputs) * self._gain)
         return scaled * self.deviation + self.mean, scores >= IN_DISTRIBUTION
 
     def _trees(self, inputs: Float64) -> Float64:

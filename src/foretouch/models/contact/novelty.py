@@ -58,8 +58,9 @@ class NoveltyDetector(TensorRecord):
         low, high = np.quantile(rows[:, _LIMITED_COLUMNS], (0.01, 0.99), axis=0)
         for k, name in enumerate(_LIMITED):
             factor = _BEYOND.get(name)
-            ends = (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
-            low[k], high[k] = ends
+            low[k], high[k] = (
+                (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
+            )
         low[_LIMITED.index("spacing")] = 0.0  # points cannot be too many
         return cls(centre, turn, known, np.array([start, max(end, start + 1e-9)]), low, high)
 

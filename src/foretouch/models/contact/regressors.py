@@ -69,13 +69,12 @@ class Forest(TensorRecord):
         roots, features, thresholds, children, leaves, values = [], [], [], [], [], []
         nodes = rows = 0
         for tree in trees:
-            is_leaf = tree.children_left < 0
-            index = np.arange(tree.node_count)
+            is_leaf, index = tree.children_left < 0, np.arange(tree.node_count)[:, None]
             pair = np.stack([tree.children_left, tree.children_right], axis=1)
             roots.append(nodes)
             features.append(np.where(is_leaf, -1, tree.feature))
             thresholds.append(np.where(is_leaf, 0.0, tree.threshold))
-            children.append(np.where(is_leaf[:, None], index[:, None], pair) + nodes)
+            children.append(np.where(is_leaf[:, None], index, pair) + nodes)
             leaves.append(np.where(is_leaf, np.cumsum(is_leaf) - 1 + rows, 0))
             values.append(tree.value[is_leaf, :, 0])
             nodes += tree.node_count

@@ -96,10 +96,9 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     net, card = load_network(card_path)
     try:
         lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])
-        estimator = NetworkEstimator(net.config, fold(net), lengths, fallback)
+        return TouchModel(NetworkEstimator(net.config, fold(net), lengths, fallback), card, calibration)
     except ModelError as err:
         raise ModelError(f"{card_path}: {err}") from err
-    return TouchModel(estimator, card, calibration)
 
 
 def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:

@@ -161,5 +161,5 @@ def _fold_layer(layer: Layer) -> _Affine:
 
 def _fold_output(net: TouchNet) -> _Affine:
     scale, mean = net.target_scale.double(), net.target_mean.double()
-    weight = net.output.weight.detach().double() * scale[:, None]
-    return _Affine(weight.float().contiguous(), (net.output.bias.detach().double() * scale + mean).float())
+    weight, bias = net.output.weight.detach().double(), net.output.bias.detach().double()
+    return _Affine((weight * scale[:, None]).float().contiguous(), (bias * scale + mean).float())

@@ -75,9 +75,7 @@ def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
 
 def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
     """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
-    frame = prepared.frame
-    moved = frame.apply_points(targets).astype(np.float32)
-    points = prepared.points[:, :3]
+    moved, points = prepared.frame.apply_points(targets).astype(np.float32), prepared.points[:, :3]
     squared = np.empty(len(moved), np.float32)
     _nearest_squares(moved, len(moved), points.T.copy(), len(points), squared)
-    return np.asarray(np.sqrt(squared) * frame.scale, np.float64)
+    return np.asarray(np.sqrt(squared) * prepared.frame.scale, np.float64)

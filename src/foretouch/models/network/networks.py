@@ -57,15 +57,7 @@ class TouchNet(nn.Module):
         self.register_buffer("target_scale", torch.ones(config.output_size))
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """Scaled predictions.
-
-        Args:
-            points: (B, N, C) float32, in the unit sphere.
-            grasp: (B, G) float32, in the frame of the points; None without grasp inputs.
-
-        Returns:
-            (B, M) float32, scaled.
-        """
+        """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
         return self.regress(self.features(points), grasp)
 
     def regress(self, features: Tensor, grasp: Tensor | None = None) -> Tensor:

@@ -214,9 +214,8 @@ class Layer(nn.Module):
         """
         if self.norm is None or not self.norm.training:
             return self.folded() if self.training or torch.is_grad_enabled() else None
-        if self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear):
-            return batch_affine(x, self.linear, self.norm, self.total)
-        return None
+        worth = self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear)
+        return batch_affine(x, self.linear, self.norm, self.total) if worth else None
 
     def forward(self, x: Tensor) -> Tensor:
         """Apply the layer."""

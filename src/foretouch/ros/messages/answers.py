@@ -65,8 +65,11 @@ class TouchAnswer:
     @property
     def message(self) -> TouchPredictionArray:
         """The message of all."""
-        predictions = [self.prediction(k) for k in range(len(self.outcomes))]
-        return TouchPredictionArray(header=self.header, predictions=predictions, **self.summary._asdict())
+        return TouchPredictionArray(
+            header=self.header,
+            predictions=[self.prediction(k) for k in range(len(self.outcomes))],
+            **self.summary._asdict(),
+        )
 
     def encoded(self) -> bytes:
         """The message of all as the middleware sends it."""
@@ -95,10 +98,11 @@ class TouchAnswer:
         names = [self._begin + _text(one.id) + _text(one.object_id) for one in self.grasps]
         doubles = _rows(grasp_numbers(self.grasps).astype("<f8"))
         scores = _rows(np.array([one.score for one in self.grasps], "<f4")[:, None])
-        values = _rows(_intervals(self.outcomes))
         numbers = [
             b"".join((pose, score, struct.pack("<B3x", one.status), _text(one.reason), counts))
-            for one, pose, score, counts in zip(self.grasps, doubles, scores, values, strict=True)
+            for one, pose, score, counts in zip(
+                self.grasps, doubles, scores, _rows(_intervals(self.outcomes)), strict=True
+            )
         ]
         return names, numbers
 

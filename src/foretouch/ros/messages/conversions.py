@@ -195,8 +195,7 @@ def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) ->
 
 def _modalities(value: Touch | None, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
     """The fields pdc_th, pdc_mf, e_th and e_mf of a message; what is unknown becomes NaN."""
-    unknown = np.full(TOUCH_SIZE, math.nan)
-    columns = [unknown if touch is None else touch.vector() for touch in (value, lower, upper)]
+    columns = [touch.vector() if touch else np.full(TOUCH_SIZE, math.nan) for touch in (value, lower, upper)]
     intervals = _intervals(np.stack(columns, axis=1).tolist())
     return {
         "pdc_th": intervals[0],

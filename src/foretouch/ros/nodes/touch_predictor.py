@@ -182,9 +182,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, planned)
-        published = message
-        if transform is not None:
-            published = transform.answer(message, None if planned is grasps.grasps else grasps.grasps)
+        in_output_frame = None if planned is grasps.grasps else grasps.grasps
+        published = message if transform is None else transform.answer(message, in_output_frame)
         self._touch.publish(_configured(self._predictor).end(published, answer, encoded=True))
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags

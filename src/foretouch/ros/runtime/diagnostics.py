@@ -183,8 +183,7 @@ def _silence(now: InputSummary, limit_s: float | None) -> list[str]:
 
 
 def _drops(now: InputSummary, before: InputSummary | None) -> list[str]:
-    old = before.dropped if before else {}
-    recent = {reason: count - old.get(reason, 0) for reason, count in now.dropped.items()}
+    recent = Counter(now.dropped) - Counter(before.dropped if before else {})
     recent["lost in transport"] = now.lost - (before.lost if before else 0)
     texts = [f"{count} {reason}" for reason, count in recent.items() if count]
     return [f"dropped: {', '.join(texts)}"] if texts else []

@@ -36,8 +36,7 @@ _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]]
 }
 LEVELS: Final = tuple(_SOLVERS)
 
-Grip = tuple[ContactSolution, ContactSolution]
-"""Contacts of the finger at g1 and of the one at g2."""
+Grip = tuple[ContactSolution, ContactSolution]  # contacts of the finger at g1 and of the one at g2
 
 
 def choose_level(layers: Sequence[Layer]) -> tuple[str, str]:

@@ -54,7 +54,6 @@ Complex128 = npt.NDArray[np.complex128]
 _FAR = 12.0  # r/h beyond which the layer's own answer is below 1e-8: only the half-space's tail is to be removed
 _TABLE = 2401
 _WAVES = 30.0  # t beyond which M - 1 is below 1e-20
-_GAUSS = 3  # points a side that average the smooth part over a cell
 _CACHED = 64  # spectra kept, 130 kB each at N = 64
 
 _layer_descent = Kernel("layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2)
@@ -90,7 +89,7 @@ def _layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
         raise ContactError(  # the smooth part cannot be averaged over a cell
             f"thickness_m: {layer.thickness_m:g} is less than half a cell, {step_m / 2.0:g} m: use the Winkler level"
         )
-    nodes, weights = np.polynomial.legendre.leggauss(_GAUSS)
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # a side, to average the smooth part over a cell
     smooth = np.zeros((n, n))
     for dx, wx in zip(nodes * step_m / 2.0, weights / 2.0, strict=True):
         for dy, wy in zip(nodes * step_m / 2.0, weights / 2.0, strict=True):

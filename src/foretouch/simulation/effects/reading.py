@@ -22,8 +22,7 @@ from foretouch.simulation.effects import campaign
 from foretouch.simulation.effects.approach import pad_of, surface_behind
 from foretouch.simulation.effects.contact import command_of, contact_problem
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
-from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import DeadConfig, DriftConfig, TimelineConfig, draw
 from foretouch.simulation.world import SampleKey
 from foretouch.types import ELECTRODES, Float64, Touch
 

@@ -154,8 +154,8 @@ EFFECTS = (
     Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window", "cloud"), writes=("cloud",)),
 )
 
+#: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
 FRAME_EFFECTS = (
     replace(EFFECTS[0], run=_whole_window, reads=()),
     *(replace(effect, again=True) for effect in EFFECTS[1:-2]),
 )
-"""What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image."""

@@ -18,16 +18,10 @@ from foretouch.simulation.objects.mesh import TriangleMesh, read_mesh_file
 from foretouch.types import Float64
 
 _HARMONICS = 6  # waves of a blob
-_SEGMENTS = 256  # around the axis; on a radius of 35 mm the facets leave the circle by 3 µm
 _LEVEL = 5  # halvings of the icosahedron's edges: 10,242 directions
 _ROUNDING = 6  # grid cells from the flat part of a box to the middle of an edge
 
 _Surface = tuple[Float64, npt.NDArray[np.int64]]  # vertices and faces
-
-
-def _random_shape(rng: np.random.Generator) -> TriangleMesh:
-    """One member, of roughly unit size; all is drawn from `rng`."""
-    return (_superquadric, _vase, _blob)[rng.integers(3)](rng)
 
 
 def _superquadric(rng: np.random.Generator) -> TriangleMesh:
@@ -125,8 +119,8 @@ _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
     "sponge": _sponge,
     "volleyball": _volleyball,
 }
+#: Names that a scene may use; `random` is a family with a member for each number.
 SHAPES: Final = (*_BUILDERS, "random")
-"""Names that a scene may use; `random` is a family with a member for each number."""
 
 
 @lru_cache(maxsize=256)
@@ -142,7 +136,8 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
         FileError: If the file cannot be used.
     """
     if shape == "random":
-        mesh = _random_shape(np.random.default_rng([0x5EED, variant]))
+        rng = np.random.default_rng([0x5EED, variant])
+        mesh = (_superquadric, _vase, _blob)[rng.integers(3)](rng)
     elif shape in _BUILDERS:
         mesh = _BUILDERS[shape]()
     elif ":" in shape:
@@ -173,7 +168,7 @@ def _bump(d: Float64, towards: tuple[float, float, float], width: float) -> Floa
 
 def _revolved(profile: npt.ArrayLike) -> TriangleMesh:
     """Turn a profile (n, 2) of radius and height about z; its ends, the poles, have radius 0, all others more."""
-    segments = _SEGMENTS
+    segments = 256  # around the axis; on a radius of 35 mm the facets leave the circle by 3 µm
     radius, height = np.asarray(profile, np.float64).T
     angle = np.arange(segments) * (2.0 * np.pi / segments)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -278,8 +273,8 @@ def _cube_grid(half: Float64, edge_radius: float, cells: int) -> _Surface:
 
 def _merged(points: Float64, faces: npt.NDArray[np.int64]) -> _Surface:
     """Points that coincide within rounding become one."""
-    scale = np.abs(points).max()
-    _, first, place = np.unique(np.round(points / scale, 9), axis=0, return_index=True, return_inverse=True)
+    rounded = np.round(points / np.abs(points).max(), 9)
+    _, first, place = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return points[first], np.asarray(place.reshape(-1)[faces], np.int64)
 
 

@@ -87,11 +87,7 @@ class SceneConfig(Settings):
 
 
 def load_scene(path: str | Path) -> SceneConfig:
-    """Read a scene file.
-
-    Raises:
-        ConfigError: Names file, field and rule.
-    """
+    """Read a scene file; a `ConfigError` names file, field and rule."""
     return SceneConfig.from_mapping(load_yaml(path), str(path))
 
 
