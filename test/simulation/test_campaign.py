@@ -53,7 +53,7 @@ def test_without_a_campaign_none_of_its_effects_runs_and_one_without_effects_cha
         np.testing.assert_array_equal(one.tare.vector(), other.tare.vector())  # type: ignore[union-attr]
 
 
-def test_sessions_start_when_they_are_due_and_grasps_follow_in_order() -> None:
+def test_sessions_start_when_they_are_due_and_tares_are_recorded_where_it_is_stated() -> None:
     found = campaign(days=[0, 1.5, 7], objects=2, grasps=3)
     times = [found.time_of(slot) for slot in range(18)]
     seconds = np.array([time.stamp_ns for time in times]) * 1e-9
@@ -67,6 +67,10 @@ def test_sessions_start_when_they_are_due_and_grasps_follow_in_order() -> None:
     assert [time.visit for time in times] == np.repeat(range(6), 3).tolist()
     with pytest.raises(SimulationError, match="slot 18: the campaign has 18 grasps"):
         found.time_of(18)
+    for tares, kept in {"grasp": [*range(8)], "object": [0, 2, 4, 6], "session": [0, 4], "none": []}.items():
+        settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
+        samples = made(scene(CAN, campaign=settings, **HELD), 8)
+        assert [k for k, sample in enumerate(samples) if sample.tare is not None] == kept, tares
 
 
 def test_objects_take_turns_by_visits_and_keep_their_surface() -> None:
@@ -185,13 +189,6 @@ def test_tare_and_touch_follow_the_state_and_samples_hold_the_true_rest_levels()
         assert sample.extra["rest_pdc_th"] == pytest.approx(tare[0, 0], abs=0.5)
         assert sample.extra["rest_e_th"] == pytest.approx(tare[0, 1:].mean(), abs=0.5)
         assert sample.extra["rest_e_mf"] == pytest.approx(tare[1, 1:].mean(), abs=0.5)
-
-
-def test_tares_are_recorded_where_it_is_stated() -> None:
-    for tares, kept in {"grasp": [*range(8)], "object": [0, 2, 4, 6], "session": [0, 4], "none": []}.items():
-        settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
-        samples = made(scene(CAN, campaign=settings, **HELD), 8)
-        assert [k for k, sample in enumerate(samples) if sample.tare is not None] == kept, tares
 
 
 FULL: dict[str, Any] = {

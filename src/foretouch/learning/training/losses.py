@@ -46,7 +46,9 @@ class SrganLossConfig(Settings):
     """Variant of the losses, and P2's weights."""
 
     loss_variant: str = setting(
-        "contrast", "Variant of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "batch_means", "srgan")
+        "contrast",
+        "Variant of P2's equations 3 to 5; see the module",
+        choices=("as_printed", "contrast", "batch_means", "srgan"),
     )
     weight_labeled: float = setting(1.0, "w_L", minimum=0.0, maximum=1e6)
     weight_unlabeled: float = setting(10.0, "w_U", minimum=0.0, maximum=1e6)

@@ -6,8 +6,7 @@ import numpy as np
 from foretouch.simulation.campaign import Campaign
 from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import CampaignConfig, ObjectConfig, SceneConfig
-from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig
+from foretouch.simulation.scene import CampaignConfig, DriftTermConfig, ExchangeConfig, ObjectConfig, SceneConfig
 from foretouch.types import ELECTRODES
 
 
@@ -80,36 +79,49 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     return None if kept == "grasp" else f"campaign.tares: {kept}"
 
 
-_TIME = "campaign_time"
 _NO_DRIFT = "no campaign.drift or campaign.warm_up"
-
-_LEVEL = "level"
 
 _DRIFT = Effect(
     "level_drift",
     _drift,
     "campaign.drift",
-    reads=(_TIME, "times", "load", _LEVEL),
-    writes=(_LEVEL,),
+    reads=("campaign_time", "times", "load", "level"),
+    writes=("level",),
     detail=_drift_detail,
 )
 _WARM_UP = Effect(
-    "warm_up", _warm_up, "campaign.warm_up", reads=(_TIME, "times", _LEVEL), writes=(_LEVEL,), detail=_warm_up_detail
+    "warm_up",
+    _warm_up,
+    "campaign.warm_up",
+    reads=("campaign_time", "times", "level"),
+    writes=("level",),
+    detail=_warm_up_detail,
 )
 
+#: Which sensors are mounted.
 MOUNTING = (
-    Effect("calendar", _calendar, "campaign", writes=(_TIME,), detail=_calendar_detail),
-    Effect("exchange", _exchange, "campaign.exchanges", reads=(_TIME,), writes=("sensors",), detail=_exchange_detail),
+    Effect("calendar", _calendar, "campaign", writes=("campaign_time",), detail=_calendar_detail),
+    Effect(
+        "exchange",
+        _exchange,
+        "campaign.exchanges",
+        reads=("campaign_time",),
+        writes=("sensors",),
+        detail=_exchange_detail,
+    ),
 )
-"""Which sensors are mounted."""
 
+#: How far their levels have drifted.
 DRIFT = (
-    Effect("level", _level, _needs_level, reads=("times",), writes=(_LEVEL,), off=_NO_DRIFT),
+    Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
     _DRIFT,
     _WARM_UP,
-    Effect("level_shift", _shift, _needs_level, reads=(_LEVEL, "series"), writes=("series",), off=_NO_DRIFT),
+    Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
 )
-"""How far their levels have drifted."""
 
-TARES = (Effect("tares", _tares, _needs_tares, reads=(_TIME, "tare"), writes=("tare",), off="each grasp has a tare"),)
-"""Which tares are recorded."""
+#: Which tares are recorded.
+TARES = (
+    Effect(
+        "tares", _tares, _needs_tares, reads=("campaign_time", "tare"), writes=("tare",), off="each grasp has a tare"
+    ),
+)

@@ -22,8 +22,7 @@ from foretouch.simulation.effects import campaign
 from foretouch.simulation.effects.approach import pad_of, surface_behind
 from foretouch.simulation.effects.contact import command_of, contact_problem
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
-from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import DeadConfig, DriftConfig, TimelineConfig, draw
 from foretouch.simulation.world import SampleKey
 from foretouch.types import ELECTRODES, Float64, Touch
 
@@ -86,8 +85,7 @@ def _slip(job: Job, state: SampleState) -> None:
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
-    share = (path / path[-1])[:, None, None]
-    state.series[in_hold] += share * (moved - state.readings[1])
+    state.series[in_hold] += (path / path[-1])[:, None, None] * (moved - state.readings[1])
 
 
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:

@@ -71,8 +71,8 @@ _CONSTANTS: Final[dict[str, Any]] = {
         },
     },
 }
+# Settings that do not count at these values.
 _OFF: Final = {"campaign": None, "sessions": None, "method": "original", "first_variant": 0, "file_sha256": ""}
-"""Settings that do not count at these values."""
 
 
 def scene_hash(settings: dict[str, Any]) -> str:
