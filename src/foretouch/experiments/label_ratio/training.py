@@ -84,7 +84,7 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 }
 
 
-# P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
+# P2's recipe, which is the defaults of `SrganConfig`, in the four readings of its losses. Its PointNet is trained by
 # `SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected.
 AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
