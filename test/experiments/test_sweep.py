@@ -131,9 +131,7 @@ def test_more_cells_keep_those_that_are_finished(sweep, out, trace, in_this_proc
     assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
 
 
-def test_folders_of_something_else_are_left_alone_and_a_damaged_manifest_is_refused_by_field(
-    sweep, tmp_path, in_this_process, out
-) -> None:
+def test_folders_of_something_else_are_left_alone(sweep, tmp_path, in_this_process) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/precious").touch()
     for resume in (False, True):
@@ -150,6 +148,9 @@ def test_folders_of_something_else_are_left_alone_and_a_damaged_manifest_is_refu
     every_case(
         [("{", "is no JSON"), ("[" * 100_000 + "]" * 100_000, "nested levels"), ("[]", "contains no mapping")], check
     )
+
+
+def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_process) -> None:
     sweep(settings={"cells": 1})
     file = out / "manifest.json"
     whole = json.loads(file.read_text())
