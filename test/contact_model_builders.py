@@ -2,6 +2,7 @@
 """Surfaces whose normals are known, grasps on them, and a small contact model that is really fitted."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -57,16 +58,8 @@ def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[
     level = dict(zip(names, np.random.default_rng(seed).normal(0.0, drift, len(names)), strict=True))
     shifts = [level[sample.object] for sample in samples]
     return [
-        GraspSample(
-            sample.id,
-            sample.object,
-            sample.cloud,
-            sample.grasp,
-            Touch.from_vector(sample.touch.vector() + shift),
-            Touch.from_vector(rest + shift),
-            sample.stamp_ns,
-        )
-        for sample, shift in zip(samples, shifts, strict=True)
+        replace(one, touch=Touch.from_vector(one.touch.vector() + shift), tare=Touch.from_vector(rest + shift))
+        for one, shift in zip(samples, shifts, strict=True)
     ]
 
 

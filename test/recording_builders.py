@@ -65,19 +65,20 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,
         extra={"TDC_MF": 2000.0, "TDC_TH": 2100.5},
     )
-    other = replace(sample.grasp, id=f"other-{number}", score=float("nan"))
-    if not labelled:
-        return SampleRecord(sample=sample, candidates=(other,))
-    return SampleRecord(
-        sample=sample,
-        candidates=(other,),
-        outcome="success",
-        note="a note",
-        series=series,
-        contact_ns=1_700_000_000_000_000_030 + number,
-        detector="PDC slope",
-        pairing_error_ns=3_000_000,
-        flags=("arrival_stamped",),
+    plain = SampleRecord(sample=sample, candidates=(replace(sample.grasp, id=f"other-{number}", score=float("nan")),))
+    return (
+        plain
+        if not labelled
+        else replace(
+            plain,
+            outcome="success",
+            note="a note",
+            series=series,
+            contact_ns=1_700_000_000_000_000_030 + number,
+            detector="PDC slope",
+            pairing_error_ns=3_000_000,
+            flags=("arrival_stamped",),
+        )
     )
 
 

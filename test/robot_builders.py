@@ -88,11 +88,25 @@ class Robot:
         return times
 
 
-def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[Any]]:
+class RecordedRobot(Robot):
+    """The same beside a recorder."""
+
+    def __init__(self, graph: Any, node: Any) -> None:
+        super().__init__(graph)
+        self.graph, self.node = graph, node
+
+    def record(self, name: str, number: int) -> None:
+        """A grasp that becomes one more sample of the session."""
+        wanted = self.node.status().samples + 1
+        self.grasp(name, number)
+        self.graph.until(lambda: self.node.status().samples == wanted)
+
+
+def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, RecordedRobot, list[Any]]:
     told = graph.listen(RecorderStatus, "recorder_status")
     (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
     assert node.state_name == "active"
-    return node, Robot(graph), told
+    return node, RecordedRobot(graph, node), told
 
 
 def outcomes(status: Any) -> dict[str, int]:

@@ -46,8 +46,7 @@ def begin(graph, path):
 
 def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set", pairing__wait_s=0.5)
-    robot.grasp("before", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("before", 0)
     assert set(sensors(node.status()).values()) == {"alive"}
 
     graph.until(lambda: sensors(node.status())["TH"] == sensors(node.status())["MF"] == "no data")
@@ -65,8 +64,7 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     robot.told.publish(ExecutedGrasp(grasp_id="blind", success=True, **times))  # nobody has seen it planned
     graph.until(lambda: outcomes(node.status()) == {"recorded": 1, "no_tactile": 1, "grasp_unknown": 1})
 
-    robot.grasp("after", 1)
-    graph.until(lambda: node.status().samples == 2)
+    robot.record("after", 1)
     assert set(sensors(node.status()).values()) == {"alive"}
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
@@ -146,8 +144,7 @@ def removed_during_a_recording(graph, path, **parameters):
     """Record two samples, remove the folder, and wait until the status names it; gives the time that took [s]."""
     node, robot, statuses = start(graph, path, **parameters)
     for number in range(2):
-        robot.grasp(f"g-{number}", number)
-        graph.until(lambda number=number: node.status().samples == number + 1)
+        robot.record(f"g-{number}", number)
     shutil.rmtree(path)
     began = time.monotonic()
     graph.until(lambda: statuses and "was removed during the recording" in statuses[-1].reason)
@@ -190,8 +187,7 @@ def test_a_removed_folder_is_written_to_the_fallback_folder(graph, tmp_path):
 
 def test_a_folder_that_was_moved_keeps_its_samples(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
-    robot.grasp("g-0", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("g-0", 0)
     (tmp_path / "set").rename(tmp_path / "moved")
     graph.until(lambda: node.reason)
     reason = "was moved or unmounted during the recording, with its 1 samples: the session has ended"
@@ -201,8 +197,7 @@ def test_a_folder_that_was_moved_keeps_its_samples(graph, tmp_path):
 
 def test_bytes_that_are_no_message_are_counted_and_the_recording_continues(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
-    robot.grasp("before", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("before", 0)
     for publisher, topic in (
         (robot.hand, "/rh/tactile"),
         (robot.grasps, "/foretouch/grasps"),
@@ -210,8 +205,7 @@ def test_bytes_that_are_no_message_are_counted_and_the_recording_continues(graph
     ):
         publisher.publish(b"\0\1\0\0" + b"\xff" * 60)
         graph.until(lambda topic=topic: f"unreadable {topic}" in node.session_status().anomalies)
-    robot.grasp("after", 1)
-    graph.until(lambda: node.status().samples == 2)
+    robot.record("after", 1)
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
     recorded(tmp_path / "set")
