@@ -81,11 +81,13 @@ class Robot:
         times["release"] = stamp_to_msg(self.now)
         self.feel(REST, 10)
         if tell:
-            self.told.publish(
-                ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=True, **times)
-            )
-            self.sent["executed_grasp"] += 1
+            self.report(name, times)
         return times
+
+    def report(self, name: str, times: dict[str, Any], *, success: bool = True) -> None:
+        """Tell that a grasp was executed."""
+        self.told.publish(ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=success, **times))
+        self.sent["executed_grasp"] += 1
 
 
 class RecordedRobot(Robot):

@@ -37,8 +37,7 @@ def start(graph, tmp_path):
         tactile, reports = graph.listen(BiotacAll, "/rh/tactile"), graph.listen(ExecutedGrasp, "executed_grasp")
         (node,) = graph.add("hand", **{"scene__path": str(path), "scene__samples": 1, **SHORT, **parameters})
         assert node.state_name == "active"
-        publisher = graph.talk(GraspArray, "grasps")
-        graph.matched("grasps")
+        publisher = graph.talk_matched(GraspArray, "grasps")
 
         def send(name, grasp=None, nanoseconds=None, frame=CAMERA_FRAME):
             message = grasp_to_msg(grasp or planned(config or scene()))

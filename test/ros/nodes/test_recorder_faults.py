@@ -16,7 +16,7 @@ from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_da
 from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, RecorderStatus, Status
+from foretouch_msgs.msg import BiotacAll, RecorderStatus, Status
 from foretouch_msgs.srv import StartRecording
 
 pytestmark = pytest.mark.ros
@@ -54,14 +54,14 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     robot.now += 100 * MS  # its stamps run ahead of the clock
     robot.see("numb")  # a grasp while the hand sends nothing
     times = {name: stamp_to_msg(robot.now + k * 100 * MS) for k, name in enumerate(("start", "contact", "release"), 1)}
-    robot.told.publish(ExecutedGrasp(grasp_id="numb", success=True, **times))
+    robot.report("numb", times)
     graph.until(lambda: outcomes(node.status()) == {"recorded": 1, "no_tactile": 1})
 
     robot.now += 1000 * MS
     graph.until(lambda: robot.feel(REST, 1) or sensors(node.status())["camera"] == "no data")
     assert sensors(node.status()) == {"TH": "alive", "MF": "alive", "camera": "no data"}
     times = {name: stamp_to_msg(robot.now - k * 50 * MS) for name, k in (("start", 4), ("contact", 3), ("release", 2))}
-    robot.told.publish(ExecutedGrasp(grasp_id="blind", success=True, **times))  # nobody has seen it planned
+    robot.report("blind", times)  # nobody has seen it planned
     graph.until(lambda: outcomes(node.status()) == {"recorded": 1, "no_tactile": 1, "grasp_unknown": 1})
 
     robot.record("after", 1)
@@ -122,8 +122,7 @@ def test_an_override_of_qos_takes_effect_outlives_what_publishers_offer_and_may_
     wanted = [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]
     assert [info.qos_profile.reliability for info in found] == wanted
     assert node.get_parameter(f"{wish}.depth").value == 7
-    sender = graph.talk(BiotacAll, "/rh/tactile")
-    graph.matched("/rh/tactile")
+    sender = graph.talk_matched(BiotacAll, "/rh/tactile")
     time.sleep(1.1)  # two looks at what is offered
     sender.publish(biotac_all_to_msg({}, FRAME, time.time_ns()))
     graph.until(lambda: tactile().received == 1)
