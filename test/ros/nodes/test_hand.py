@@ -7,7 +7,7 @@ import weakref
 
 import numpy as np
 import pytest
-from sim_builders import SPONGE, run, scene
+from sim_builders import SHORT, SPONGE, run, scene
 from std_srvs.srv import Trigger
 
 from foretouch.errors import ConfigError
@@ -24,7 +24,6 @@ from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 pytestmark = pytest.mark.ros
 
 SECOND = 1_000_000_000
-SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
 
 
 @pytest.fixture
