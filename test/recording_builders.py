@@ -17,6 +17,7 @@ from foretouch.dataset.recording import (
     HOLD,
     REST,
     Identity,
+    RecordedDataset,
     RecordingConfig,
     RecordingWriter,
     SampleRecord,
@@ -121,6 +122,11 @@ def write_sample(folder: Path, rng: np.random.Generator) -> None:
     write_cloud(folder / CLOUD_FILE, Cloud(xyz, np.zeros((800, 3), np.uint8)))
     (folder / GRASP_FILE).write_text("0.03,0,1.2,-0.03,0,1.2")
     (folder / TOUCH_FILE).write_text("," + ",".join(map(str, MF + TH)))
+
+
+def ids(path: Path) -> list[str]:
+    """Of the samples of a recorded dataset."""
+    return [stored.record.sample.id for stored in RecordedDataset(path)]
 
 
 def read_folder(path: Path) -> list[GraspSample]:

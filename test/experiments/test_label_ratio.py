@@ -83,7 +83,7 @@ def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -
         assert rows[0]["objects"] != rows[1]["objects"]
 
 
-def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps) -> None:
+def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> None:
     def check(preset: str, loss_variant: str) -> None:
         settings = settings_of(preset)
         cells = find_experiment("label_ratio").cells(settings, data)
@@ -105,9 +105,6 @@ def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps) -> None:
 
     presets = {"p2_as_printed": "as_printed", "p2_as_printed_contrast": "contrast", "p2_as_printed_srgan": "srgan"}
     every_case(presets.items(), check)
-
-
-def test_the_printed_recipe_runs(data: SimulatedGrasps) -> None:
     tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
     small = {"cached_points": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0]}
     generator = {"training.points": 32, "training.generator": {"noise_length": 4, "widths": [4], "stride": 3}}

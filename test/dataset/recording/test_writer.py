@@ -22,6 +22,7 @@ from recording_builders import (
     TACTILE_TYPE,
     assert_same_sample,
     fail_writes,
+    ids,
     record,
     write_dataset,
 )
@@ -40,10 +41,6 @@ from foretouch.dataset.recording import (
 from foretouch.errors import DatasetError, FileError
 
 CAMPAIGN = Path(__file__).parents[3] / "benchmarks" / "recorder" / "kill.py"
-
-
-def ids(path: Path) -> list[str]:
-    return [stored.record.sample.id for stored in RecordedDataset(path)]
 
 
 def assert_clean(path: Path) -> None:
