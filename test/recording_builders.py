@@ -70,12 +70,11 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,
         extra={"TDC_MF": 2000.0, "TDC_TH": 2100.5},
     )
-    other = replace(sample.grasp, id=f"other-{number}", score=float("nan"))
+    plain = SampleRecord(sample=sample, candidates=(replace(sample.grasp, id=f"other-{number}", score=float("nan")),))
     if not labelled:
-        return SampleRecord(sample=sample, candidates=(other,))
-    return SampleRecord(
-        sample=sample,
-        candidates=(other,),
+        return plain
+    return replace(
+        plain,
         outcome="success",
         note="a note",
         series=series,

@@ -2,8 +2,6 @@
 """`predict` with a tare and with touches: equal to the model's predictions, and mistakes reported by name."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_models import REST, make_tracked_calibration, save_calibrated_contact, save_calibrated_network
+from command_answer import run_python
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
@@ -195,7 +194,7 @@ def test_the_contact_model_needs_no_torch(files, session, tmp_path) -> None:
     card = save_calibrated_contact(tmp_path)
     words = ["predict", str(files / "object.pcd"), "--model", card, "--touched", str(session), "--json"]
     code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * ('torch' in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = run_python(code)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["predictions"][0]["reference"] == "touches"
 

@@ -148,6 +148,12 @@ class Graph:
         """A publisher; wait with `matched` before using it."""
         return self.probe.create_publisher(message, topic, _profile(reliable=reliable))
 
+    def talk_matched(self, message: type, topic: str, *, reliable: bool = True) -> Any:
+        """A publisher that can be used at once."""
+        publisher = self.talk(message, topic, reliable=reliable)
+        self.matched(topic)
+        return publisher
+
     def matched(self, *topics: str, publishers: int = 1, subscribers: int = 1) -> None:
         """Wait until all ends of topics know each other; so many of them at least, nodes of other processes included."""
         for name in map(self.probe.resolve_topic_name, topics):

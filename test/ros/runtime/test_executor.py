@@ -41,8 +41,7 @@ def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, mod
 
 def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, model_card, monkeypatch):
     node, send, heard = predictor(model=model_card)
-    tables = graph.talk(TablePlane, "table")
-    graph.matched("table")
+    tables = graph.talk_matched(TablePlane, "table")
     begun = threading.Event()
     slowed(monkeypatch, node, 1.0, begun)
     send(1)
