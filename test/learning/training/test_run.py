@@ -184,7 +184,7 @@ def test_the_recipes_that_come_along_are_understood_and_that_of_p2s_srgan_is_the
     assert chosen.srgan.generator.n_points == 750
 
 
-def test_tensorboard_shows_the_figures_of_the_log_and_is_named_where_it_is_absent(data, tmp_path, monkeypatch) -> None:
+def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
     pytest.importorskip("tensorboard", reason="an extra")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -198,6 +198,9 @@ def test_tensorboard_shows_the_figures_of_the_log_and_is_named_where_it_is_absen
     ):
         assert [scalar.step for scalar in shown.Scalars(tag)] == [0, 1, 2, 3]
         assert [scalar.value for scalar in shown.Scalars(tag)] == pytest.approx(values, rel=1e-6)
+
+
+def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ConfigError, match=r"tensorboard: needs TensorBoard: pip install 'foretouch\[tensorboard\]'"):
         train_run(run_config(tensorboard=True), data, tmp_path / "run", quiet)
