@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
@@ -47,6 +48,11 @@ def make_tracked_calibration() -> Calibration:
 
 def save_calibrated_network(folder: Path, calibration: Calibration | None = None) -> str:
     """A network with random weights and a calibration; path of its card."""
+    return save_small_network(folder, "calibrated", REST, (calibration or make_calibration(), FACTS))
+
+
+def save_small_network(folder: Path, name: str, mean: np.ndarray, calibration: Any = None) -> str:
+    """A network with random weights whose predictions are around a mean; path of its card."""
     import torch
 
     from foretouch.models.network.checkpoint import save_network
@@ -56,8 +62,8 @@ def save_calibrated_network(folder: Path, calibration: Calibration | None = None
     torch.manual_seed(0)
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
     net = TouchNet(config)
-    net.set_scaling(torch.from_numpy(REST).float(), torch.linspace(20, 300, config.output_size))
-    return str(save_network(folder, "calibrated", net.eval(), {}, (calibration or make_calibration(), FACTS)))
+    net.set_scaling(torch.from_numpy(mean).float(), torch.linspace(20, 300, config.output_size))
+    return str(save_network(folder, name, net.eval(), {}, calibration))
 
 
 def save_calibrated_contact(folder: Path) -> str:

@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a command returned and printed, for tests of the command line."""
+"""What a command or code in a process of its own returned and printed."""
 
 import json
+import subprocess
+import sys
 from dataclasses import dataclass
 from typing import Any
+
+
+def run_python(code: str, timeout: float = 120.0, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh interpreter."""
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout, **options)
 
 
 @dataclass

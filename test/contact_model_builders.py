@@ -2,6 +2,7 @@
 """Surfaces whose normals are known, grasps on them, and a small contact model that is really fitted."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from experiment_samples import make_samples
 from hypothesis import assume
 from hypothesis import strategies as st
 
+from foretouch.learning.data import labels_of
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
@@ -57,22 +59,9 @@ def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[
     level = dict(zip(names, np.random.default_rng(seed).normal(0.0, drift, len(names)), strict=True))
     shifts = [level[sample.object] for sample in samples]
     return [
-        GraspSample(
-            sample.id,
-            sample.object,
-            sample.cloud,
-            sample.grasp,
-            Touch.from_vector(sample.touch.vector() + shift),
-            Touch.from_vector(rest + shift),
-            sample.stamp_ns,
-        )
+        replace(sample, touch=Touch.from_vector(sample.touch.vector() + shift), tare=Touch.from_vector(rest + shift))
         for sample, shift in zip(samples, shifts, strict=True)
     ]
-
-
-def labels_of(samples: list[GraspSample]) -> Float64:
-    """(S, 50) [counts]."""
-    return np.array([sample.touch.vector() for sample in samples])
 
 
 @cache

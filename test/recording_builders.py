@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from experiment_samples import make_samples
 
+from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording import (
     APPROACH,
     HOLD,
     REST,
     Identity,
+    RecordedDataset,
     RecordingConfig,
     RecordingWriter,
     SampleRecord,
@@ -23,6 +25,7 @@ from foretouch.dataset.recording import (
 )
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import Source
+from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
@@ -35,6 +38,8 @@ QUICK = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
 TACTILE = "/rh/tactile"
 TACTILE_TYPE = "foretouch_msgs/msg/BiotacAll"
 MESSAGE = b"\0\1\0\0" + bytes(200)
+MF = [*range(3000, 3024), 2048, 2052, 1894, 2257, 2636]
+TH = [*range(2000, 2024), 2060, 2055, 2876, 2058, 2459]
 
 
 def touch(rng: np.random.Generator) -> Touch:
@@ -65,12 +70,11 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,
         extra={"TDC_MF": 2000.0, "TDC_TH": 2100.5},
     )
-    other = replace(sample.grasp, id=f"other-{number}", score=float("nan"))
+    plain = SampleRecord(sample=sample, candidates=(replace(sample.grasp, id=f"other-{number}", score=float("nan")),))
     if not labelled:
-        return SampleRecord(sample=sample, candidates=(other,))
-    return SampleRecord(
-        sample=sample,
-        candidates=(other,),
+        return plain
+    return replace(
+        plain,
         outcome="success",
         note="a note",
         series=series,
@@ -108,6 +112,21 @@ def write_grasps(path: Path) -> None:
                     sample = replace(sample, touch=None, tare=None)
                 flags = (DISCARDED,) if one is samples[5] else ()
                 writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+
+
+def write_sample(folder: Path, rng: np.random.Generator) -> None:
+    """A folder of vision2tactile: half a cylinder with a grasp across it."""
+    folder.mkdir(parents=True)
+    angle, along = rng.uniform(0, np.pi, 800), rng.uniform(-0.06, 0.06, 800)
+    xyz = np.column_stack([0.03 * np.cos(angle), along, 1.2 - 0.03 * np.sin(angle)]).astype(np.float32)
+    write_cloud(folder / CLOUD_FILE, Cloud(xyz, np.zeros((800, 3), np.uint8)))
+    (folder / GRASP_FILE).write_text("0.03,0,1.2,-0.03,0,1.2")
+    (folder / TOUCH_FILE).write_text("," + ",".join(map(str, MF + TH)))
+
+
+def ids(path: Path) -> list[str]:
+    """Of the samples of a recorded dataset."""
+    return [stored.record.sample.id for stored in RecordedDataset(path)]
 
 
 def read_folder(path: Path) -> list[GraspSample]:

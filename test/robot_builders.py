@@ -81,18 +81,34 @@ class Robot:
         times["release"] = stamp_to_msg(self.now)
         self.feel(REST, 10)
         if tell:
-            self.told.publish(
-                ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=True, **times)
-            )
-            self.sent["executed_grasp"] += 1
+            self.report(name, times)
         return times
 
+    def report(self, name: str, times: dict[str, Any], *, success: bool = True) -> None:
+        """Tell that a grasp was executed."""
+        self.told.publish(ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=success, **times))
+        self.sent["executed_grasp"] += 1
 
-def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[Any]]:
+
+class RecordedRobot(Robot):
+    """The same beside a recorder."""
+
+    def __init__(self, graph: Any, node: Any) -> None:
+        super().__init__(graph)
+        self.graph, self.node = graph, node
+
+    def record(self, name: str, number: int) -> None:
+        """A grasp that becomes one more sample of the session."""
+        wanted = self.node.status().samples + 1
+        self.grasp(name, number)
+        self.graph.until(lambda: self.node.status().samples == wanted)
+
+
+def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, RecordedRobot, list[Any]]:
     told = graph.listen(RecorderStatus, "recorder_status")
     (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
     assert node.state_name == "active"
-    return node, Robot(graph), told
+    return node, RecordedRobot(graph, node), told
 
 
 def outcomes(status: Any) -> dict[str, int]:

@@ -14,15 +14,11 @@ from foretouch.simulation.world import SampleKey
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
 SPONGE = {"name": "sponge", "shape": "sponge", "size_m": [0.07, 0.11, 0.05], "young_pa": 2e5, "thickness_m": 0.02}
+SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
+"""Parameters of the hand node, for grasps that take less than a second."""
 EVERY_CAMERA_FAULT = {"z_step_m": 0.001, "noise": {}, "stereo": {}, "flying_pixels": {}, "holes": {}}
-EVERY_FINGER_EFFECT = {
-    "timeline": {},
-    "creep": {},
-    "slip": {},
-    "drift": {},
-    "noise": {},
-    "scan": {},
-    "dead": {"thumb": [3]},
+EVERY_FINGER_EFFECT = {name: {} for name in ("timeline", "creep", "slip", "drift", "noise", "scan")} | {
+    "dead": {"thumb": [3]}
 }
 
 

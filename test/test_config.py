@@ -52,15 +52,6 @@ def test_refusals_name_field_value_and_rule() -> None:
     every_refusal(ConfigError, cases, lambda mapping: Outer.from_mapping(mapping, "f.yaml"))
 
 
-def test_infos_carry_what_ros_parameters_need() -> None:
-    infos = {info.name: info for info in setting_infos(Outer)}
-    assert list(infos) == ["inner.range_m", "inner.mode", "count", "point"]
-    assert (infos["inner.range_m"].minimum, infos["inner.range_m"].unit) == (0.1, "m")
-    assert infos["count"].read_only
-    assert infos["point"].is_list
-    assert infos["point"].optional
-
-
 @dataclass(frozen=True, kw_only=True)
 class Scene(Settings):
     items: tuple[Inner, ...] = ()

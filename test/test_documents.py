@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from command_answer import run_python
 from every_case import every_case
 
 from foretouch.cli.main import COMMANDS
@@ -136,9 +137,7 @@ def test_every_parameter_of_every_node_is_listed(reference) -> None:
 def test_topics_are_those_of_the_design(reference) -> None:
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
     code = "import reference_pages; print(reference_pages.topics())"  # it needs a context without discovery
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=DOCS / "_ext", capture_output=True, text=True, check=False, timeout=100
-    )
+    done = run_python(code, cwd=DOCS / "_ext")
     assert done.returncode == 0, done.stderr
     rows = {row.split("`")[1]: row for row in done.stdout.splitlines() if row.startswith("| `")}
     for name, ends in {

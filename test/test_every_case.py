@@ -7,13 +7,6 @@ def _is_small(number: int, limit: int = 3) -> None:
     assert number < limit, f"{number} is not below {limit}\nmore lines"
 
 
-def test_cases_are_passed_by_name_or_as_arguments() -> None:
-    seen: list[object] = []
-    every_case({"one": 1, "pair": (2, 3)}, lambda *case: seen.append(case))
-    every_case(iter([4, (5, 6)]), lambda *case: seen.append(case))
-    assert seen == [(1,), (2, 3), (4,), (5, 6)]
-
-
 def test_every_failing_case_is_listed_in_one_line() -> None:
     with pytest.raises(AssertionError) as caught:
         every_case({"low": 1, "high": 7, "pair": (5, 4), "not a number": "x"}, _is_small)

@@ -15,7 +15,7 @@ from corpus.outcome import check_outcome
 from every_case import every_case
 
 from foretouch.cloud.segmentation.segment import segment
-from foretouch.errors import ForetouchError, GraspError
+from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import check_reach
@@ -171,13 +171,6 @@ def test_a_million_points_take_bounded_time_and_memory(model) -> None:
     tracemalloc.stop()
     assert seconds < 20.0
     assert peak < 20 * cloud.xyz.nbytes
-
-
-def test_a_grasp_between_points_far_apart_is_refused(pipeline) -> None:
-    target = pipeline.segment(SCENES["as it is, image"].cloud).targets[0]
-    far = across(width_m=1e160)
-    with pytest.raises(GraspError, match="max_width_m"):
-        pipeline.grasp_between(target, far.g1, far.g2)
 
 
 def test_an_answer_does_not_depend_on_other_grasps_of_the_call(model) -> None:

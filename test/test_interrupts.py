@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from command_answer import run_python
 from every_case import every_case
 
 ROOT = Path(__file__).parents[1]
@@ -42,8 +43,7 @@ IGNORED = "signal.signal(signal.SIGHUP, signal.SIG_IGN); raise_interrupts(); sen
 
 def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(folder)])}
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=environment)
+    return run_python(code, env=environment)
 
 
 def test_a_signal_is_an_exception_that_waits_for_imports_and_clean_ups(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_answer import run_python
 from packaging.requirements import Requirement
 
 import foretouch
@@ -34,11 +35,6 @@ def test_the_version_is_one() -> None:
         assert version == foretouch.__version__, folder
     pytest.importorskip("foretouch_msgs", reason="foretouch_msgs is not installed")
     assert metadata.version("foretouch_msgs") == foretouch.__version__
-
-
-def run_python(code: str, timeout_s: float = 120.0, **options: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s, **options)
 
 
 @pytest.mark.slow

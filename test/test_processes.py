@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_answer import run_python
 
 from foretouch.processes import ONE_THREAD, one_thread_each
 
@@ -47,8 +48,8 @@ def test_children_have_one_thread_and_the_variables_are_restored(monkeypatch: py
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     code = f"import os; print([os.environ.get(name) for name in {list(ONE_THREAD)}])"
     with one_thread_each():
-        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert found.strip() == "['1', '1', '1']"
+        found = run_python(code)
+    assert found.stdout.strip() == "['1', '1', '1']"
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "MKL_NUM_THREADS" not in os.environ
 

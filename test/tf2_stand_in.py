@@ -17,7 +17,7 @@ class TransformException(Exception):  # noqa: N818  the name that tf2 has
 
 
 class Buffer:
-    """Transforms by frames and stamp, shared by all buffers as all listeners hear the same topic."""
+    """By frames, two transforms with their stamps, shared by all buffers as all listeners hear the same topic."""
 
     known: ClassVar[dict[tuple[str, str], list[tuple[int, np.ndarray, np.ndarray]]]] = {}
 
@@ -36,17 +36,12 @@ class Buffer:
         found = self.known.get((target, source))
         if found is None:
             raise TransformException(f'"{target}" passed to lookupTransform argument target_frame does not exist. ')
-        stamps = [stamp for stamp, _, _ in found]
-        if not stamps[0] <= nanoseconds <= stamps[-1]:
+        (begin, *first), (end, *second) = found
+        if not begin <= nanoseconds <= end:
             raise TransformException("Lookup would require extrapolation into the future.")
-        share = np.clip(np.interp(nanoseconds, stamps, np.arange(len(stamps), dtype=float)), 0, len(stamps) - 1)
-        positions = np.array([position for _, position, _ in found])
-        rotations = Rotation.from_quat([quaternion for _, _, quaternion in found])
-        position, rotation = positions[0], rotations[0]
-        if len(found) > 1:
-            k = min(int(share), len(found) - 2)
-            position = positions[k] + (share - k) * (positions[k + 1] - positions[k])
-            rotation = Slerp([0.0, 1.0], rotations[k : k + 2])(share - k)
+        share, positions, quaternions = (nanoseconds - begin) / (end - begin), *zip(first, second, strict=True)
+        position = positions[0] + share * (positions[1] - positions[0])
+        rotation = Slerp([0.0, 1.0], Rotation.from_quat(quaternions))(share)
         message = TransformStamped()
         t, q = message.transform.translation, message.transform.rotation
         t.x, t.y, t.z = map(float, position)

@@ -7,7 +7,7 @@ from foretouch.camera import RealSenseConfig
 from foretouch.errors import ConfigError
 
 
-def test_bad_settings_are_named() -> None:
+def test_bad_settings_are_named_and_the_frame_is_that_of_the_image_the_points_come_from() -> None:
     cases = [
         ("RealSenseConfig.file: 'a.db3' and serial '1' exclude each other", {"file": "a.db3", "serial": "1"}),
         ("record_to: 'b.db3': a recording cannot be recorded again", {"file": "a.db3", "record_to": "b.db3"}),
@@ -17,9 +17,6 @@ def test_bad_settings_are_named() -> None:
         ("filters.median: unknown setting; known: decimation, spatial", {"filters.median": 1}),
     ]
     every_refusal(ConfigError, cases, RealSenseConfig.from_mapping)
-
-
-def test_the_frame_is_that_of_the_image_the_points_come_from() -> None:
     assert RealSenseConfig().optical_frame == "camera_depth_optical_frame"
     assert RealSenseConfig(align="depth_to_colour").optical_frame == "camera_color_optical_frame"
     assert RealSenseConfig(frame_id="eye").optical_frame == "eye"

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Beside ROS, the process must end cleanly: tried in a fresh interpreter."""
 
-import subprocess
-import sys
-
 import pytest
+from command_answer import run_python
 
 _SCRIPT = """
 import sys
@@ -20,7 +18,7 @@ print(rs.software_device() is not None)
 
 
 def _printed(script: str) -> str:
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = run_python(script)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 

@@ -10,27 +10,20 @@ from foretouch.cli import doctor
 @pytest.mark.slow
 def test_this_environment_has_no_problem(call) -> None:
     answer = call("doctor", "--json")
-    problems = [
-        one for one in answer.records if one["state"] not in {"ok", "optional"} and one["name"] != "shared memory"
-    ]
-    assert problems == []
+    records = {one["name"]: one for one in answer.records if one["name"] != "shared memory"}
+    assert [name for name, one in records.items() if one["state"] not in {"ok", "optional"}] == []
     assert all(one["mend"] == one["fix"] for one in answer.records)  # the old key stays
-    assert {"Python", "torch", "open3d loads", "foretouch_msgs loads", "default model"} <= {
-        one["name"] for one in answer.records
-    }
+    assert {"Python", "torch", "open3d loads", "foretouch_msgs loads", "default model"} <= set(records)
 
 
-def test_another_version_is_a_mismatch_with_its_fix(monkeypatch) -> None:
-    monkeypatch.setattr(metadata, "version", lambda _: "0.1")
-    found = doctor._requirement(Requirement("numpy>=1.26"), None)
-    assert (found.state, found.found, found.fix) == ("mismatch", "0.1 is not >=1.26", "pip install 'numpy>=1.26'")
-
-
-def test_an_absent_package_is_missing_unless_only_an_extra_needs_it() -> None:
+def test_another_version_is_a_mismatch_and_an_absent_package_missing_or_optional(monkeypatch) -> None:
     for needed in (None, "ros"):
         assert doctor._requirement(Requirement("no-such-package"), needed).state == "missing"
     for extra in ("camera", "sweep", "tensorboard"):
         assert doctor._requirement(Requirement("no-such-package"), extra).state == "optional"
+    monkeypatch.setattr(metadata, "version", lambda _: "0.1")
+    found = doctor._requirement(Requirement("numpy>=1.26"), None)
+    assert (found.state, found.found, found.fix) == ("mismatch", "0.1 is not >=1.26", "pip install 'numpy>=1.26'")
 
 
 def test_a_crash_of_a_library_does_not_end_the_doctor() -> None:

@@ -15,7 +15,7 @@ def numbers(tmp_path) -> Path:
     return path
 
 
-def test_a_program_gets_a_line_a_cell_and_the_summary(call, tmp_path, numbers) -> None:
+def test_a_program_gets_a_line_a_cell_and_the_summary_and_exit_status_1_if_one_failed(call, tmp_path, numbers) -> None:
     words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers, "--workers", "1", "--json", "cells=3"]
     answer = call(*words)
     assert answer.status == 0, answer.err
@@ -28,11 +28,7 @@ def test_a_program_gets_a_line_a_cell_and_the_summary(call, tmp_path, numbers) -
     call(*words).check_refused("--resume continues")
     (again,) = call(*words, "--resume").records
     assert again["reused"] == 3
-
-
-def test_a_failed_cell_is_exit_status_1(call, tmp_path, numbers) -> None:
-    words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers, "--json", "cells=2", "broken=[1]"]
-    answer = call(*words)
+    answer = call("experiment", OWN, "-o", tmp_path / "broken", "--data", numbers, "--json", "cells=2", "broken=[1]")
     assert (answer.status, answer.err) == (1, "foretouch: cell1: cell 1: is broken\n")
     assert (answer.records[-1]["failed"], answer.records[-1]["rows"]) == ({"cell1": "cell 1: is broken"}, 2)
 

@@ -2,8 +2,6 @@
 """`predict` with a tare and with touches: equal to the model's predictions, and mistakes reported by name."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_models import REST, make_tracked_calibration, save_calibrated_contact, save_calibrated_network
+from command_answer import run_python
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
@@ -195,7 +194,7 @@ def test_the_contact_model_needs_no_torch(files, session, tmp_path) -> None:
     card = save_calibrated_contact(tmp_path)
     words = ["predict", str(files / "object.pcd"), "--model", card, "--touched", str(session), "--json"]
     code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * ('torch' in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = run_python(code)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["predictions"][0]["reference"] == "touches"
 
@@ -210,16 +209,25 @@ def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call, model, real_da
     assert result["touched"] == 1
 
 
-def test_a_history_is_read_in_order_of_time(call, tracked, session, earlier) -> None:
-    words = ("predict", session, "--model", tracked, "--history", earlier, "--json")
+def test_a_history_is_read_in_order_of_time_from_a_dataset_or_the_file_of_a_hand(
+    call, tracked, session, earlier, tmp_path
+) -> None:
+    words = ("predict", session, "--model", tracked, "--json", "--history", earlier)
     one = load_model(tracked)
-    hand = hand_after(one, earlier)
-    for result, sample in zip(call(*words).records, samples_of(session), strict=True):
+    hand, records = hand_after(one, earlier), call(*words).records
+    for result, sample in zip(records, samples_of(session), strict=True):
         (found,) = result["predictions"]
         (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.snapshot(sample.stamp_ns, same_object=False))
         assert_reported(found, wanted)
         assert (found["reference"], found["evidence"]["readings"]) == ("history", 3)
         assert found["evidence"]["reading_age_s"] > 3000.0
+    file = HistoryFile(tmp_path / "right.safetensors", "right")
+    file.write(hand)
+    file.close()
+    words = (*words[:-1], file.path)
+    assert [one["predictions"] for one in call(*words).records] == [one["predictions"] for one in records]
+    file.path.write_bytes(file.path.read_bytes()[:-1])
+    assert "right.safetensors: damaged" in call(*words).err
 
 
 def test_no_reading_of_the_future_is_used_and_never_its_own(call, tracked, session) -> None:
@@ -228,17 +236,6 @@ def test_no_reading_of_the_future_is_used_and_never_its_own(call, tracked, sessi
     readings = [result["predictions"][0]["evidence"]["readings"] for result in adapted]
     assert readings == [2 * k for k in range(5)] or readings == [k + 1 if k else 0 for k in range(5)]
     assert flat(alone[0]["predictions"][0], "value") == flat(adapted[0]["predictions"][0], "value")
-
-
-def test_the_file_of_a_hand_is_a_history(call, tracked, session, earlier, tmp_path) -> None:
-    file = HistoryFile(tmp_path / "right.safetensors", "right")
-    file.write(hand_after(load_model(tracked), earlier))
-    file.close()
-    words = ("predict", session, "--model", tracked, "--json", "--history")
-    by_file, by_data = (call(*words, path).records for path in (file.path, earlier))
-    assert [one["predictions"] for one in by_file] == [one["predictions"] for one in by_data]
-    file.path.write_bytes(file.path.read_bytes()[:-1])
-    assert "right.safetensors: damaged" in call(*words, file.path).err
 
 
 def test_a_model_without_a_calibration_takes_no_readings(call, files, session, earlier, tmp_path) -> None:

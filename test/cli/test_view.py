@@ -87,8 +87,7 @@ def view(call, tmp_path) -> Callable[..., Written]:
 
 
 def records_of(path: Path) -> list[SampleRecord]:
-    samples = open_samples(path)
-    return list(samples.records())
+    return list(open_samples(path).records())
 
 
 def test_predictions_are_those_of_predict_and_readings_are_beside_them(view, dataset, answers) -> None:

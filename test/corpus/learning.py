@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from corpus.outcome import nearly
+from experiment_samples import make_samples
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
@@ -31,7 +32,7 @@ from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud
 from foretouch.tactile import TactileRanges
-from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
+from foretouch.types import TOUCH_SIZE, Cloud, GraspSample, Touch
 
 Cases = Iterator[tuple[Any, ...]]
 
@@ -192,24 +193,17 @@ def _calibrated(predicted: Any, labels: Any, objects: str) -> list[Any]:
 
 
 def made_samples(objects: int = 3, each: int = 4, *, constant: float | None = None) -> list[GraspSample]:
-    """Boxes of 3 to 9 cm with plausible labels, or with labels that all have one value [counts]."""
-    rng = np.random.default_rng(8)
-    made = []
-    for number in range(objects * each):
-        size = rng.uniform(0.03, 0.09, 3)
-        cloud = Cloud((rng.uniform(-0.5, 0.5, (60, 3)) * size + [0.0, 0.0, 1.2]).astype(np.float32))
-        ends = np.array([[0.5, 0.0, 0.0], [-0.5, 0.0, 0.0]]) * size + [0.0, 0.0, 1.2]
-        label = rng.uniform(1000.0, 3000.0, TOUCH_SIZE) if constant is None else np.full(TOUCH_SIZE, constant)
-        name, stamp_ns = f"box{number % objects}", (1_562_000_000 + 60 * number) * 1_000_000_000
-        grasp, touch = Grasp(ends[0], ends[1], np.eye(3)), Touch.from_vector(label)
-        made.append(GraspSample(f"{name}/{number}", name, cloud, grasp, touch, stamp_ns=stamp_ns))
-    return made
+    """Boxes with plausible labels, or with labels that all have one value [counts]."""
+    made = make_samples(objects, each, seed=8)
+    if constant is None:
+        return made
+    return [replace(one, touch=Touch.from_vector(np.full(TOUCH_SIZE, constant))) for one in made]
 
 
 def label_cases() -> Cases:
     """Readings at and beyond the ranges of a working sensor."""
     for value in (1.0, 5e-324, 4095.0, 0.0, -1.0, -22072.0, 4095.5, 4096.0, 1e300, math.inf, math.nan):
-        samples = [replace(one, touch=Touch.from_vector(np.full(TOUCH_SIZE, value))) for one in made_samples(1, 2)]
+        samples = made_samples(1, 2, constant=value)
         reason = None if 0.0 < value <= 4095.0 else "not between 0 and 4095|finite"
         yield f"training: a reading of {value:g}", partial(_labels, samples), reason
     yield "training: no sample", lambda: _labels([]), "no sample"

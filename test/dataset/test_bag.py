@@ -69,7 +69,7 @@ def write_foreign(
             writer.write(connection, 10 + number, KILTED.serialize_cdr(message, POINT_CLOUD_TYPE))
 
 
-def test_what_is_written_is_read(tmp_path, rng):
+def test_what_is_written_is_read_also_by_the_mcap_library_which_accepts_the_checksums(tmp_path, rng):
     def check(name: str, clouds: list[Cloud]) -> None:
         assert write_bag(tmp_path / name, clouds) == len(clouds)
         read = list(read_bag(tmp_path / name))
@@ -87,9 +87,6 @@ def test_what_is_written_is_read(tmp_path, rng):
     (tmp_path / "images" / "metadata.yaml").unlink()
     for path in (tmp_path / "images", tmp_path / "images" / "images.mcap"):  # without metadata, and a bare file
         assert_same(next(read_bag(path)), cases[0][1][0])
-
-
-def test_the_mcap_library_agrees_and_accepts_the_checksums(tmp_path, rng):
     clouds = make_clouds(rng)
     write_bag(tmp_path / "bag", clouds)
     content = (tmp_path / "bag" / "bag.mcap").read_bytes()
@@ -104,7 +101,7 @@ def test_the_mcap_library_agrees_and_accepts_the_checksums(tmp_path, rng):
         np.testing.assert_array_equal(content.data.view("<f4").reshape(12, 16, 4)[..., :3], cloud.xyz)
 
 
-def test_bags_of_others_with_an_odd_layout_and_any_compression(tmp_path, rng):
+def test_bags_of_others_with_an_odd_layout_any_compression_or_of_ros1(tmp_path, rng):
     xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
 
     def check(plugin: StoragePlugin, mode: CompressionMode | None) -> None:
@@ -116,10 +113,6 @@ def test_bags_of_others_with_an_odd_layout_and_any_compression(tmp_path, rng):
 
     modes = (None, CompressionMode.FILE, CompressionMode.MESSAGE)
     every_case([(plugin, mode) for plugin in StoragePlugin for mode in modes], check)
-
-
-def test_ros1_bag(tmp_path, rng):
-    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
     with Ros1Writer(tmp_path / "old.bag") as writer:
         connection = writer.add_connection("/cloud", POINT_CLOUD_TYPE, typestore=NOETIC)
         for seq in range(3):

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_builders import IDENTITY, QUICK, write_dataset
+from recording_builders import IDENTITY, QUICK, ids, write_dataset
 
 from foretouch.dataset.editing import drop, merge, relabel, undo
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
-from foretouch.dataset.recording import RecordedDataset, RecordingWriter, verify_dataset
+from foretouch.dataset.recording import RecordingWriter, verify_dataset
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError, FileError
 
@@ -21,10 +21,6 @@ def dataset(tmp_path: Path) -> Path:
     write_dataset(tmp_path / "ds", 3)
     write_dataset(tmp_path / "ds", 2, name="cans", first=3)
     return tmp_path / "ds"
-
-
-def ids(path: Path) -> list[str]:
-    return [stored.record.sample.id for stored in RecordedDataset(path)]
 
 
 def test_edits_are_seen_by_whoever_reads_and_the_recordings_stay_as_they_are(dataset: Path, tmp_path: Path) -> None:

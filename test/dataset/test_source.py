@@ -3,29 +3,18 @@
 
 import numpy as np
 import pytest
-from recording_builders import readable
+from recording_builders import readable, write_sample
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag_writer import write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
-from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
+from foretouch.dataset.vision2tactile import GRASP_FILE
 from foretouch.errors import FileError
 from foretouch.types import Cloud
 
 
 def cloud_of(number: float, size: int = 5, **fields) -> Cloud:
     return Cloud(np.full((size, 3), number, np.float32), **fields)
-
-
-def write_sample(folder, rng: np.random.Generator) -> None:
-    """A lying cylinder, 0.2 m long, seen from above, with a grasp across it."""
-    folder.mkdir(parents=True)
-    angle, along = rng.uniform(0.0, np.pi, 900), rng.uniform(-0.1, 0.1, 900)
-    xyz = np.stack([along, 0.04 * np.cos(angle), 1.2 - 0.04 * np.sin(angle)], axis=1).astype(np.float32)
-    write_cloud(folder / CLOUD_FILE, Cloud(xyz))
-    (folder / GRASP_FILE).write_text("0.0,-0.04,1.2,0.0,0.04,1.2\n")
-    finger = ",".join(["2000"] * 24 + ["1", "2", "1700", "3", "4"])
-    (folder / TOUCH_FILE).write_text(f",{finger},{finger}\n")
 
 
 def test_a_file_is_a_source_of_one(tmp_path):
@@ -58,7 +47,7 @@ def test_samples_bring_their_grasp_and_a_stamp_of_their_own(tmp_path, rng):
     assert [s.id for s in samples] == ["box/1562239090", "can/1562239078", "can/1562239100"]
     assert [s.cloud.stamp_ns for s in samples] == [STAMP_STEP_NS * k for k in (1, 2, 3)]
     assert samples[0].stamp_ns == 1562239090 * 10**9
-    np.testing.assert_array_equal(samples[0].grasp.g2, [0.0, 0.04, 1.2])
+    np.testing.assert_array_equal(samples[0].grasp.g2, [-0.03, 0.0, 1.2])
 
 
 def test_a_bad_sample_costs_one_item(tmp_path, rng):

@@ -7,25 +7,10 @@ import numpy as np
 import pytest
 from every_case import every_case
 from numpy.testing import assert_allclose
-from recording_builders import read_folder
+from recording_builders import MF, TH, read_folder, write_sample
 
-from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import FileError
-from foretouch.types import Cloud
-
-MF = [*range(3000, 3024), 2048, 2052, 1894, 2257, 2636]
-TH = [*range(2000, 2024), 2060, 2055, 2876, 2058, 2459]
-
-
-def write_sample(folder: Path, rng: np.random.Generator) -> Path:
-    folder.mkdir(parents=True)
-    angle, along = rng.uniform(0, np.pi, 800), rng.uniform(-0.06, 0.06, 800)
-    xyz = np.column_stack([0.03 * np.cos(angle), along, 1.2 - 0.03 * np.sin(angle)]).astype(np.float32)
-    write_cloud(folder / "cloud-object.pcd", Cloud(xyz, np.zeros((800, 3), np.uint8)))
-    (folder / "best-grasp.txt").write_text("0.03,0,1.2,-0.03,0,1.2")
-    (folder / "tactile.tac").write_text("," + ",".join(map(str, MF + TH)))
-    return folder
 
 
 @pytest.fixture

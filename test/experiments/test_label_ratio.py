@@ -2,20 +2,34 @@
 """P2's label ratios, on a few simulated grasps and with networks that are hardly trained."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 from every_case import every_case
 
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
 from foretouch.experiments.label_ratio import LabelRatioSettings
-from foretouch.experiments.label_ratio.training import MODELS, TRIALS, configured, load_scene, split_at
+from foretouch.experiments.label_ratio.training import (
+    MODELS,
+    TRIALS,
+    PointnetTrainer,
+    PresampledSet,
+    configured,
+    load_scene,
+    split_at,
+)
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch.experiments.shared.tables import select
 from foretouch.learning.data.splits import RATIOS
+from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.networks import GeneratorConfig
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "config" / "scenes" / "deformables.yaml"
@@ -69,7 +83,7 @@ def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -
         assert rows[0]["objects"] != rows[1]["objects"]
 
 
-def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps) -> None:
+def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> None:
     def check(preset: str, loss_variant: str) -> None:
         settings = settings_of(preset)
         cells = find_experiment("label_ratio").cells(settings, data)
@@ -91,9 +105,6 @@ def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps) -> None:
 
     presets = {"p2_as_printed": "as_printed", "p2_as_printed_contrast": "contrast", "p2_as_printed_srgan": "srgan"}
     every_case(presets.items(), check)
-
-
-def test_the_printed_recipe_runs(data: SimulatedGrasps) -> None:
     tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
     small = {"cached_points": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0]}
     generator = {"training.points": 32, "training.generator": {"noise_length": 4, "widths": [4], "stride": 3}}
@@ -176,3 +187,64 @@ def test_the_presets_hold_what_tuning_chose_at_the_size_of_p2() -> None:
             assert getattr(large.training, key) == getattr(small.training, key)
         assert large.model.metric_inputs == small.model.metric_inputs
         assert (large.model.n_points, large.model.feature_size, large.model.tnet) == (750, 1024, True)
+
+
+POINTS = 16
+MODEL = ModelConfig(n_points=POINTS, tnet=False, trunk_widths=(16, 32), head_widths=(16,), outputs=("PDC_TH",))
+BASE = SrganConfig(
+    batch_size=8, target_scaling="standardised", generator=GeneratorConfig(noise_length=1, widths=(4,), stride=4)
+)
+
+
+@pytest.fixture
+def presampled() -> PresampledSet:
+    rng = np.random.default_rng(0)
+    clouds = rng.uniform(-1.0, 1.0, (24, POINTS, 3)).astype(np.float32)
+    return PresampledSet(
+        clouds=tuple(clouds),
+        cached_points=clouds,
+        grasps=rng.normal(size=(24, 15)).astype(np.float32),
+        labels=rng.normal(2000.0, 100.0, (24, 50)),
+        lengths=np.zeros((24, 0)),
+        config=MODEL,
+        ids=tuple(f"box/{k}" for k in range(24)),
+    )
+
+
+def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: PresampledSet) -> None:
+    """One batch of all points of all labelled samples, so that neither order nor choice makes a difference."""
+    config = configured(BASE, "pointnet", "rate 0.003", 8, updates=5, seed=1)
+    assert config.loss.weight_unlabeled == config.loss.weight_fake == config.loss.gradient_penalty == 0.0
+    nets = []
+    for kind in (PointnetTrainer, SrganTrainer):
+        trainer = kind(presampled, np.arange(8), np.arange(8, 24), config)
+        while trainer.epoch < trainer.epochs:
+            trainer.run_epoch()
+        assert trainer.epoch == 5
+        nets.append(trainer.net)
+    for one, other in zip(nets[0].parameters(), nets[1].parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-5)
+    nets = [  # and the SR-GAN of a trial begins with the same network
+        kind(presampled, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
+        for kind, model, trial in ((PointnetTrainer, "pointnet", "rate 0.003"), (SrganTrainer, "srgan", "0.3/1/1"))
+    ]
+    for one, other in zip(nets[0].state_dict().values(), nets[1].state_dict().values(), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_epochs_follow_from_updates() -> None:
+    def check(labelled: int, updates: int | None, epochs: int) -> None:
+        assert configured(BASE, "srgan", "0.3/1/1", labelled, updates, seed=0).epochs == epochs
+
+    every_case([(320, 640, 16), (2880, 640, 2), (64, 1, 1), (64, None, 30)], check)
+
+
+def test_points_are_those_of_the_cloud_each_once(presampled: PresampledSet) -> None:
+    long = replace(presampled, cached_points=np.arange(2 * 40 * 3, dtype=np.float32).reshape(2, 40, 3))
+    rng = np.random.default_rng(0)
+    drawn = [long.points(np.array([1, 0, 1]), rng, 30) for _ in range(3)]
+    for cloud, index in zip(np.concatenate(drawn), [1, 0, 1] * 3, strict=True):
+        rows = {tuple(row) for row in cloud}
+        assert len(rows) == 30
+        assert rows <= {tuple(row) for row in long.cached_points[index]}
+    assert not np.array_equal(drawn[0], drawn[1])

@@ -39,8 +39,9 @@ def test_means_and_deviations_by_hand() -> None:
     assert (told["runs"], told["samples"], told["p2_change"]) == (2, 3, -6.2)
 
 
-def test_a_single_run_is_no_verdict() -> None:
-    (told,) = compare_models([row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})], P2_RANGES, draws=200)
+def test_a_single_run_is_no_verdict_and_trees_and_mean_stand_beside_on_the_same_samples() -> None:
+    networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
+    (told,) = compare_models(networks, P2_RANGES, draws=200)
     assert told["change"] == pytest.approx(50.0)
     assert told["verdict"] is told["change_low"] is told["srgan_sd"] is None
     found, errors, baselines, changes = summarise_models([told])
@@ -51,10 +52,6 @@ def test_a_single_run_is_no_verdict() -> None:
         "by mean error the SR-GAN is better in 0 of 1 cells (P2: 12 of 20)",
         "mean error below that of the mean of the labels: PointNet in 1 of 1 cells, SR-GAN in 1",
     ]
-
-
-def test_trees_and_mean_stand_beside_on_the_same_samples() -> None:
-    networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
     (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES, draws=200)
     assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
     others = [row("pointnet", 0, {"a": [1.0, 2.0]}), row("srgan", 0, {"a": [1.0], "b": [2.0]})]

@@ -38,7 +38,7 @@ def rows(repeats: int, predictors: dict[str, Any]) -> list[dict[str, Any]]:
     return told
 
 
-def test_the_ceiling_does_not_depend_on_the_number_of_repeats() -> None:
+def test_the_ceiling_is_that_of_any_number_of_repeats_and_shares_of_it_are_as_known() -> None:
     def check(repeats: int) -> None:
         told = {row["modality"]: row for row in ceiling_rows(rows(repeats, {}), 100) if row["name"] == "ceiling"}
         for modality in ("PDC_TH", "E_MF"):
@@ -48,10 +48,7 @@ def test_the_ceiling_does_not_depend_on_the_number_of_repeats() -> None:
         assert told["E_TH"]["rmse"] == pytest.approx(SIGMA, rel=0.01)
 
     every_case([2, 20], check)
-
-
-def test_shares_of_predictors_that_know_all_half_and_nothing() -> None:
-    """Half of m leaves a quarter of its variance: 3/4 of the ceiling."""
+    # Half of m leaves a quarter of its variance: 3/4 of the ceiling.
     knowing = {"all": lambda m: m, "half": lambda m: 0.5 * m, "nothing": np.zeros_like}
     told = {row["name"]: row for row in ceiling_rows(rows(3, knowing), 100) if row["modality"] == "E_TH"}
     assert told["all"]["share"] == pytest.approx(1.0, abs=0.01)

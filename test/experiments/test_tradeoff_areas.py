@@ -78,7 +78,7 @@ def test_overlaps_are_of_the_object_that_covers_most_and_moves_equal_better_or_w
     assert row == {"moved": 0.8, "moved_equal": 0.5, "moved_better": 0.25, "moved_worse": 0.25}
 
 
-def test_the_shipped_settings_move_nothing_and_noise_moves_grasps() -> None:
+def test_shipped_settings_move_nothing_noise_moves_grasps_and_a_coarser_grid_loses_masks() -> None:
     rows = perceived(tradeoff_perception.GRASP, {})
     assert len(rows) == 6
     assert all(row["moved"] is False and row["touch_counts"] == 0.0 for row in rows)
@@ -87,9 +87,6 @@ def test_the_shipped_settings_move_nothing_and_noise_moves_grasps() -> None:
     assert max(errors) < 6.0  # half a voxel, in which points of both faces of an edge may be averaged
     assert np.median(errors) < 1.5
     assert any(row["score_change"] for row in perceived(tradeoff_perception.GRASP, {}, jitter_mm=2.0))
-
-
-def test_a_coarser_grid_loses_some_of_the_masks() -> None:
     area = tradeoff_perception.EXPERIMENT
     (coarse,), (shipped,) = (
         area.tabulate(PERCEPTION, perceived(tradeoff_perception.SEGMENTATION, changes))
@@ -122,7 +119,7 @@ def simulated(name: str) -> Row:
     return table(area, SIMULATION, scenes(), [cell])[name]
 
 
-def test_springs_are_nearly_right_on_rigid_objects_and_half_spaces_are_not() -> None:
+def test_springs_are_nearly_right_on_rigid_objects_and_an_effect_left_out_changes_counts() -> None:
     finest = simulated("rigid: finest layer")
     assert finest["pattern_error"] == finest["force_error"] == finest["trained_change"] == 0.0
     assert finest["digits_rigid"] is None
@@ -133,9 +130,6 @@ def test_springs_are_nearly_right_on_rigid_objects_and_half_spaces_are_not() -> 
     assert springs["force_error"] < 1e-6  # the hand closes to a force
     assert springs["trained_rigid"] > spaces["trained_rigid"]
     assert springs["trained_deformables"] is None
-
-
-def test_an_effect_that_is_left_out_changes_counts() -> None:
     row = simulated("without noise")
     assert 1.0 < row["counts"] < 20.0  # its deviation is 4 to 5 counts in each of both
     assert row["effect_ms"] > 0.0
@@ -155,7 +149,7 @@ def test_all_variants_of_the_simulator_are_scenes_and_are_timed(tmp_path: Path) 
         area.prepare(SIMULATION, tmp_path, tmp_path)
 
 
-def test_more_grasps_are_more_skilful_and_take_the_robot_longer() -> None:
+def test_more_grasps_are_more_skilful_take_the_robot_longer_and_fewer_are_part_of_all() -> None:
     area, wanted = tradeoff_training.EXPERIMENT, ("contact model as shipped", "mean of labels", "5 grasps an object")
     cells = [one for one in area.cells(TRAINING, GRASPS) if one.values["variant"] in wanted]
     rows = table(area, TRAINING, GRASPS, [one for one in cells if one.values["column"] == "known"])
@@ -165,9 +159,6 @@ def test_more_grasps_are_more_skilful_and_take_the_robot_longer() -> None:
     assert shipped["known_low"] < shipped["known"] < shipped["known_high"]
     columns = {cell.values["column"] for cell in area.cells(TRAINING.replace(detail="all"), GRASPS)}
     assert columns == {"known", "new", "one_block"}
-
-
-def test_fewer_grasps_or_objects_are_part_of_all() -> None:
     train, test = tradeoff_training._first_block(GRASPS)
     chosen = tradeoff_training._chosen_samples
     five = chosen({"grasps": 5}, train)

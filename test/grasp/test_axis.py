@@ -30,7 +30,7 @@ def test_finds_the_long_direction(top_view):
     every_case([(1, 0.2, 0), (0.1, 1, 0.1), (0.3, 0.3, 1), (1, 1, 1)], check)
 
 
-def test_sign_in_top_view_whatever_the_order_of_points(top_view, rng):
+def test_sign_in_top_view_whatever_the_order_of_points_and_the_sign_of_the_planes_normal(top_view, rng):
     def check(direction, sign):
         for _ in range(5):
             xyz = rng.permutation(_rod(direction))
@@ -42,9 +42,6 @@ def test_sign_in_top_view_whatever_the_order_of_points(top_view, rng):
         "steep: towards the camera": ([0.4, 0.0, 0.9], -1),
     }
     every_case(cases, check)
-
-
-def test_sign_does_not_hang_on_the_sign_of_the_planes_normal():
     for direction in ([0.2, 1.0, 0.3], [1.0, 0.2, 0.3], [0.5, -0.3, 1.0]):
         xyz = _rod(direction)
         flipped = Plane(-SIDE_VIEW.normal, -SIDE_VIEW.offset)

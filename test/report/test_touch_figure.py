@@ -74,7 +74,7 @@ def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path) -> 
     assert _agreement(DrawnGrasp(target=target, prediction=refused)) == "not predicted: no usable model"
 
 
-def test_a_sentence_states_how_prediction_and_reading_agree(sample) -> None:
+def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_pressures_alone(sample, tmp_path) -> None:
     target, prediction, _ = sample
     value = prediction.value.vector()
     low, high = (Touch.from_vector(value + shift) for shift in (-60.0, 60.0))
@@ -86,9 +86,6 @@ def test_a_sentence_states_how_prediction_and_reading_agree(sample) -> None:
     bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
     assert _agreement(bounded) == f"{text}; within their 90 % intervals: 1 of 2 pressures, 46 of 48 electrodes."
     assert _agreement(replace(one, read=None)) == ""
-
-
-def test_an_interval_changes_the_predicted_pressures_alone(sample, tmp_path) -> None:
     target, prediction, tare = sample
     low, high = (Touch.from_vector(prediction.value.vector() + shift) for shift in (-60.0, 60.0))
     bounded = replace(prediction, lower=low, upper=high)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: pip install foretouch[ros]")
@@ -147,6 +148,12 @@ class Graph:
         """A publisher; wait with `matched` before using it."""
         return self.probe.create_publisher(message, topic, _profile(reliable=reliable))
 
+    def talk_matched(self, message: type, topic: str, *, reliable: bool = True) -> Any:
+        """A publisher that can be used at once."""
+        publisher = self.talk(message, topic, reliable=reliable)
+        self.matched(topic)
+        return publisher
+
     def matched(self, *topics: str, publishers: int = 1, subscribers: int = 1) -> None:
         """Wait until all ends of topics know each other; so many of them at least, nodes of other processes included."""
         for name in map(self.probe.resolve_topic_name, topics):
@@ -249,27 +256,56 @@ def module_graph() -> Iterator[Graph]:
     one.close()
 
 
+@pytest.fixture
+def tf2(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The buffer of a stand-in for tf2_ros, without transforms."""
+    import tf2_stand_in
+
+    monkeypatch.setitem(sys.modules, tf2_stand_in.NAME, tf2_stand_in.module())
+    return tf2_stand_in.Buffer
+
+
 @pytest.fixture(scope="session")
 def model_card(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A small network with random weights: what it predicts is wrong, how it travels is the same."""
-    import torch
+    from calibrated_models import save_small_network
 
-    from foretouch.models.network.checkpoint import save_network
-    from foretouch.models.network.config import ModelConfig
-    from foretouch.models.network.networks import TouchNet
+    return save_small_network(tmp_path_factory.mktemp("model"), "small", np.linspace(1700.0, 3300.0, 50))
 
-    torch.manual_seed(0)
-    config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
-    net = TouchNet(config)
-    net.set_scaling(torch.linspace(1700, 3300, config.output_size), torch.linspace(20, 300, config.output_size))
-    return str(save_network(tmp_path_factory.mktemp("model"), "small", net.eval(), {}))
+
+@pytest.fixture
+def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], list[Any]]]:
+    """Starts a touch predictor; gives it, a function that sends it a cloud with a grasp by stamp, and its answers."""
+    from sensor_msgs.msg import PointCloud2
+
+    from foretouch.models.budget import profile_scene
+    from foretouch.pipeline import FoundObject
+    from foretouch.ros.messages.clouds import objects_to_msg
+    from foretouch.ros.messages.conversions import grasp_to_msg
+    from foretouch.types import ASSUMED_TABLE
+    from foretouch_msgs.msg import GraspArray, TouchPredictionArray
+
+    cloud, planned = profile_scene(1)
+
+    def start(**parameters: Any) -> tuple[Any, Callable[[int], None], list[Any]]:
+        (node,) = graph.add("touch_predictor", **parameters)
+        heard = graph.listen(TouchPredictionArray, "touch")
+        clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
+        graph.matched("object_cloud", "grasps", "touch")
+
+        def send(stamp: int) -> None:
+            message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", stamp)
+            clouds.publish(message)
+            grasps.publish(GraspArray(header=message.header, grasps=[grasp_to_msg(one) for one in planned]))
+
+        return node, send, heard
+
+    return start
 
 
 @pytest.fixture(scope="session")
 def scene_cloud() -> Callable[..., Any]:
     """Builds the cloud of a small scene with one object or more, by seed and stamp."""
-    import numpy as np
-
     from foretouch.simulation.depth_scene import random_scene
 
     def build(seed: int = 0, stamp_ns: int = 1_700_000_000_123_456_789, n_objects: int = 2, width: int = 424) -> Any:

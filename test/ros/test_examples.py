@@ -48,8 +48,9 @@ def test_the_listener_describes_each_reference_and_discards_old_answers_by_their
     assert capsys.readouterr().out.count("60 s old") == 1
 
 
-def test_the_parts_of_the_day_are_those_of_the_level():
-    day, history = example("simulated_day"), HandHistory(load_model("default"))
+def test_the_parts_of_the_day_are_those_of_the_level_and_in_its_model_time_passes_faster(tmp_path):
+    day, released = example("simulated_day"), load_model("default")
+    history = HandHistory(released)
     rng = np.random.default_rng(0)
     for k in range(4):
         history.tracker.add_touch(START + k * 60_000_000_000, np.full(50, 3100.0), rng.normal(3000.0, 20.0, 50))
@@ -60,10 +61,6 @@ def test_the_parts_of_the_day_are_those_of_the_level():
     assert_allclose(parts["state"][0] + parts["object"][0], level.offset[day.VALUE])
     prior = (history.tracker.parameters.basis**2 @ history.tracker.parameters.object[0])[day.VALUE]
     assert_allclose(parts["state"][1] ** 2 + prior, other.variance[day.VALUE])
-
-
-def test_in_the_model_of_the_day_time_passes_faster(tmp_path):
-    day, released = example("simulated_day"), load_model("default")
     model = load_model(day.write_model(tmp_path))
     own, other = (one.calibration.tracker_parameters for one in (model, released))
     assert_allclose(own.slow_time_s * day.SPEED, other.slow_time_s)

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("libusb_package", reason="the camera's libraries are not installed")
 
 from sensor_msgs.msg import PointCloud2
-from sim_builders import CAN, scene
+from sim_builders import CAN, SHORT, scene
 
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
@@ -22,8 +22,6 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
 pytestmark = pytest.mark.ros
-
-SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
 
 
 def write(folder, config):

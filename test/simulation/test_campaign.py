@@ -107,7 +107,7 @@ def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:
 LONG = {"days": [0, 5, 10, 20, 40], "objects": 1, "grasps": 1}
 
 
-def test_drift_has_the_stated_variance_and_memory() -> None:
+def test_drift_has_the_stated_variance_memory_and_shares() -> None:
     """48 electrodes of 40 seeds are 1920 independent paths: the standard error of a correlation is below .03."""
     term = QUIET | {"memory_days": 10, "electrode_counts": 30.0}
     found = np.stack([drift_at(campaign(seed, **LONG, drift=[term]), *range(5))[..., 1:] for seed in range(40)])
@@ -116,10 +116,7 @@ def test_drift_has_the_stated_variance_and_memory() -> None:
     np.testing.assert_allclose(paths.mean(axis=0), 0.0, atol=4 * 30.0 / np.sqrt(len(paths)))
     expected = np.exp(-np.abs(np.subtract.outer(LONG["days"], LONG["days"])) / 10.0)
     np.testing.assert_allclose(np.corrcoef(paths.T), expected, atol=0.09)
-
-
-def test_fingers_and_electrodes_share_what_is_stated() -> None:
-    """Variances 16, 9 and 4: within a finger 25 of 29 is shared, across 16 of 29; PDC is on its own."""
+    # Variances 16, 9 and 4: within a finger 25 of 29 is shared, across 16 of 29; PDC is on its own.
     term = {"memory_days": 0.5, "hand_counts": 4.0, "finger_counts": 3.0, "electrode_counts": 2.0, "pdc_counts": 5.0}
     weeks = {"days": list(range(0, 100, 2)), "objects": 1, "grasps": 1}  # sessions that have forgotten each other
     found = np.concatenate([drift_at(campaign(seed, **weeks, drift=[term]), *range(50)) for seed in range(10)])

@@ -108,16 +108,13 @@ def weights_at(pitch, roll, pad=PAD, **options):
     return fingertip._electrode_weights(pad, window.frame, window.points, **options)
 
 
-def test_nearest_electrodes_weigh_most_and_mirrored_places_alike():
+def test_weights_are_of_the_nearest_electrodes_and_depend_on_neither_grid_nor_window():
     totals = weights_at(0.0, 0.0).sum(axis=1)
     below = np.linalg.norm(electrode_positions()[:, :2], axis=1)  # distance from the middle of the pad, in plan
     assert np.argmax(totals) in np.argsort(below)[:4]
     assert totals[[0, 9, 10, 19]].max() < 0.05  # tip and end, 10 mm away
     left, right = weights_at(0.2, -0.4).sum(axis=1), weights_at(0.2, 0.4).sum(axis=1)
     assert_allclose(left[[*range(10), 20, 21]], right[[*range(10, 20), 20, 22]], rtol=1e-9)
-
-
-def test_weights_depend_on_neither_the_grid_nor_cells_beside_the_pad():
     coarse, fine = weights_at(0.1, 0.2), weights_at(0.1, 0.2, PAD.replace(cells=96))
     assert_allclose(coarse.sum(axis=1), fine.sum(axis=1), atol=1e-3)
     wide = PAD.replace(window_m=0.03, cells=30)

@@ -9,12 +9,12 @@ from sim_builders import CAN, run, scene
 
 from foretouch.camera import RealSenseCamera, RealSenseConfig
 from foretouch.camera.device import realsense
-from foretouch.errors import MissingDependencyError
+from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch.simulation import random_scene
 from foretouch.simulation.depth_scene import FIRST_OBJECT
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera, swinging_frames
-from foretouch.simulation.schedule import ScheduleConfig
+from foretouch.simulation.schedule import ScheduleConfig, centre_of_objects
 
 START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}
@@ -35,7 +35,7 @@ def images(config, **faults) -> tuple[_SceneImages, Clock, ScheduleConfig]:
     return _SceneImages(config, schedule, MessageFaults(FaultConfig(**faults)), clock), clock, schedule
 
 
-def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
+def test_what_is_seen_is_the_sample_of_its_stamp_though_the_clock_is_faulty() -> None:
     config = scene(camera=SMALL)
     camera, clock, schedule = images(config)
     for number, seconds in enumerate((0.0, 1.9, 2.0, 5.0)):
@@ -45,6 +45,16 @@ def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
         assert stamp == clock.now_ns - 123_456, "stamps are whole milliseconds"
         expected = FrameMaker(config).frame(schedule.slot(stamp))
         np.testing.assert_array_equal(image.depth_mm, expected.depth_mm)
+    config = scene(camera=SMALL)
+    camera, clock, schedule = images(config, jitter_s=0.02, skew_s=0.05)
+    for number in range(40):
+        clock.now_ns = START + 1_900_000_000 + number * 5_000_000
+        image, stamp = camera(number), camera.stamp_ns(number)
+        assert 0.029 <= (stamp - clock.now_ns) / 1e9 <= 0.07
+        np.testing.assert_array_equal(image.depth_mm, FrameMaker(config).frame(schedule.slot(stamp)).depth_mm)
+    camera, _, _ = images(config, drop_share=0.5)
+    stamps = [camera(number) and camera.stamp_ns(number) for number in range(100)]
+    assert 25 <= stamps.count(None) <= 75
 
 
 def test_a_sample_is_rendered_once_with_noise_of_each_image_and_without_a_place_not_shown(caplog) -> None:
@@ -57,19 +67,6 @@ def test_a_sample_is_rendered_once_with_noise_of_each_image_and_without_a_place_
     camera, _, _ = images(scene(camera=SMALL, clutter={"count": 20, "distance_m": [0.1, 0.1]}))
     assert not camera(0).depth_mm.any()
     assert "finds no place" in caplog.text
-
-
-def test_a_faulty_clock_still_tells_which_sample_is_seen() -> None:
-    config = scene(camera=SMALL)
-    camera, clock, schedule = images(config, jitter_s=0.02, skew_s=0.05)
-    for number in range(40):
-        clock.now_ns = START + 1_900_000_000 + number * 5_000_000
-        image, stamp = camera(number), camera.stamp_ns(number)
-        assert 0.029 <= (stamp - clock.now_ns) / 1e9 <= 0.07
-        np.testing.assert_array_equal(image.depth_mm, FrameMaker(config).frame(schedule.slot(stamp)).depth_mm)
-    camera, _, _ = images(config, drop_share=0.5)
-    stamps = [camera(number) and camera.stamp_ns(number) for number in range(100)]
-    assert 25 <= stamps.count(None) <= 75
 
 
 def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() -> None:
@@ -114,3 +111,21 @@ def test_the_first_object_of_a_synthetic_scene_swings_and_the_others_rest() -> N
     for noise_m, equal in ((0.0, True), (0.002, False)):
         one, other = swinging_frames(empty, 2, rng=np.random.default_rng(1), noise_m=noise_m)
         assert np.array_equal(one.depth_mm, other.depth_mm) == equal
+
+
+def test_samples_follow_each_other_and_begin_anew_and_what_is_missing_is_named(tmp_path) -> None:
+    schedule = ScheduleConfig(path="scene.yaml", dwell_s=2.5, samples=3, origin_ns=START)
+    seconds = [-1000.0, 0.0, 2.499, 2.5, 4.999, 5.0, 7.499, 7.5, 10.0]
+    assert [schedule.slot(START + round(s * 1e9)) for s in seconds] == [0, 0, 0, 1, 1, 2, 2, 0, 1]
+    with pytest.raises(ConfigError, match="path: is empty"):
+        ScheduleConfig().load()
+    with pytest.raises((ConfigError, FileError), match=r"none\.yaml"):
+        ScheduleConfig(path=str(tmp_path / "none.yaml")).load()
+
+
+def test_the_object_is_found_near_the_middle_however_the_camera_stands() -> None:
+    for tilt in (0, 40):
+        config = scene(CAN, camera={"width": 212, "height": 160, "tilt_deg": tilt}, clutter={})
+        image = FrameMaker(config).frame(0)
+        points = image.cloud().xyz[image.labels == 2]
+        assert np.linalg.norm(points - centre_of_objects(config), axis=1).min() < 0.06

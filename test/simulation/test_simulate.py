@@ -99,7 +99,7 @@ def test_switching_an_effect_leaves_the_other_outputs_alone() -> None:
     every_case(cases, check)
 
 
-def test_a_failure_is_counted_and_fails_again_when_replayed() -> None:
+def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name() -> None:
     config = scene(CAN | {"friction": 0.35, "pose": {"rest": "any"}}, max_attempts=100)
     simulation = Simulation(config)
     samples = list(simulation.samples(3))
@@ -113,9 +113,6 @@ def test_a_failure_is_counted_and_fails_again_when_replayed() -> None:
     last = samples[-1]
     again = replay(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
     np.testing.assert_array_equal(again.touch.e_th, last.touch.e_th)  # type: ignore[union-attr]
-
-
-def test_a_slot_that_always_fails_ends_the_run_by_name() -> None:
     simulation = Simulation(scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, max_attempts=3))
     with pytest.raises(SimulationError, match=r"slot 0: given up after 3 attempts \(3 slips\); the last: can: the"):
         list(simulation.samples(2))

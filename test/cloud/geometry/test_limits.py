@@ -19,7 +19,7 @@ def _ball(radius_m: float, distance_m: float) -> np.ndarray:
     return (points + np.array([0.0, 0.0, distance_m])).astype(np.float32)
 
 
-def test_objects_within_the_limits_which_are_settings_are_accepted() -> None:
+def test_objects_within_the_limits_which_are_settings_and_tables_that_a_camera_sees_are_accepted() -> None:
     def check(radius_m: float, distance_m: float) -> None:
         xyz = _ball(radius_m, distance_m)
         xyz[::7] = np.nan
@@ -30,11 +30,5 @@ def test_objects_within_the_limits_which_are_settings_are_accepted() -> None:
     check_object(_ball(1.0, 50.0), ObjectLimits(max_range_m=60.0, max_extent_m=3.0))
     with pytest.raises(ConfigError, match=r"min_extent_m: 0\.7 is not below"):
         ObjectLimits(min_extent_m=0.7)
-
-
-def test_tables_that_a_camera_sees_are_accepted() -> None:
-    def check(*coefficients: float) -> None:
-        check_table(Plane.from_coefficients(coefficients))
-
     seen = [(0, 0, 1, -1.27), (0, 0, -1, 1.27), (0, 1, 0, 0), (1, 0, 0, 0), (0, -1, 0, 0.4), (0, 1, 0, 0.4)]
-    every_case([*seen, (0, -0.9, -0.4, 1.2)], check)
+    every_case([*seen, (0, -0.9, -0.4, 1.2)], lambda *plane: check_table(Plane.from_coefficients(plane)))

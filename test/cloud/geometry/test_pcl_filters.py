@@ -19,7 +19,7 @@ from foretouch.cloud.geometry.pcl_filters import (
 from foretouch.errors import CloudError
 
 
-def test_cells_stand_on_the_origin_and_nan_spreads_to_its_cell_and_column_only():
+def test_cells_stand_on_the_origin_nan_spreads_to_its_cell_and_column_only_and_too_many_are_refused():
     grid = voxel_grid(np.array([[0.9, 0, 0], [1.1, 0, 0], [1.9, 0, 0], [-0.1, 0, 0]], np.float32), 1.0)
     np.testing.assert_array_equal(grid.cell, [1, 2, 2, 0])
     np.testing.assert_array_equal(grid.counts, [1, 1, 2])
@@ -27,9 +27,6 @@ def test_cells_stand_on_the_origin_and_nan_spreads_to_its_cell_and_column_only()
     np.testing.assert_array_equal(mean, [[0.0, 0.0], [4.0, 5.0], [np.nan, 2.0]])
     xyz = np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32) + np.float32(0.5)
     np.testing.assert_array_equal(voxel_grid(xyz, 1.0).cell, [3, 2, 1, 0])  # by x, then y, then z
-
-
-def test_too_many_cells_are_refused():
     with pytest.raises(CloudError, match="too many to number"):
         voxel_grid(np.array([[0, 0, 0], [1e30, 1e30, 1e30]], np.float32), 0.01)
 

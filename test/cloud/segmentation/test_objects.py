@@ -45,7 +45,7 @@ def test_the_rule_decides_and_no_target_is_explained() -> None:
         TargetConfig(mode="point")
 
 
-def test_of_equal_objects_the_most_central_is_selected_and_named() -> None:
+def test_of_equal_objects_the_most_central_then_the_leftmost_is_selected_and_named() -> None:
     def check(reason: str, objects: list[ObjectSegment], config: TargetConfig, chosen: int) -> None:
         found, why = select_targets(objects, config)
         assert [obj.id for obj in found] == [chosen]
@@ -72,9 +72,6 @@ def test_of_equal_objects_the_most_central_is_selected_and_named() -> None:
         ),
     ]
     every_case(cases, check)
-
-
-def test_of_equally_central_objects_the_leftmost_is_selected() -> None:
     pair = [_object(1, (0.1, 0.0, 0.8), 500), _object(2, (-0.1, 0.0, 0.8), 500)]
     found, why = select_targets(pair, TargetConfig())
     assert [obj.id for obj in found] == [2]

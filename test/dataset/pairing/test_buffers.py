@@ -41,7 +41,7 @@ def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number
     assert np.all(np.diff(kept(crowded)) == 1)
 
 
-def test_wrong_stamps_are_left_out_and_a_clock_that_is_set_back_forgets_what_was_before() -> None:
+def test_wrong_stamps_are_left_out_a_clock_set_back_forgets_and_accepted_readings_are_passed_on() -> None:
     hour, back, later = 3600 * SECOND, T0 - 100 * SECOND, T0 + 10 * SECOND
     steps = [k * PERIOD for k in range(50)]
     for stamps, expected, anomaly in (
@@ -54,6 +54,14 @@ def test_wrong_stamps_are_left_out_and_a_clock_that_is_set_back_forgets_what_was
         feed(buffer, *stamps)
         assert kept(buffer) == expected
         assert dict(buffer.anomalies) == {anomaly: 1}
+    future, back = T0 + 1000 * SECOND, T0 - 1000 * SECOND
+    stamps = [T0, future, T0 + PERIOD, back, future, T0 + 2 * PERIOD, future, future + PERIOD, T0, T0 + PERIOD]
+    buffer = TouchBuffer()
+    passed = [[one.stamp_ns for one in buffer.add(TouchReading(stamp, REST, NONE, stamp))] for stamp in stamps]
+    assert passed == [
+        [T0], [], [T0 + PERIOD], [], [], [T0 + 2 * PERIOD], [], [future, future + PERIOD], [], [T0, T0 + PERIOD]
+    ]  # fmt: skip
+    assert dict(buffer.anomalies) == {"wrong_stamp": 3, "stamp_gap": 1, "clock_jump": 1}
 
 
 def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_stamp_neither() -> None:
@@ -75,14 +83,3 @@ def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_s
     clouds.add(1, cloud(b"b"), 0.2)
     assert clouds.get(1).ambiguous
     assert clouds.bytes == 1
-
-
-def test_only_readings_whose_stamps_are_accepted_are_passed_on() -> None:
-    future, back = T0 + 1000 * SECOND, T0 - 1000 * SECOND
-    stamps = [T0, future, T0 + PERIOD, back, future, T0 + 2 * PERIOD, future, future + PERIOD, T0, T0 + PERIOD]
-    buffer = TouchBuffer()
-    passed = [[one.stamp_ns for one in buffer.add(TouchReading(stamp, REST, NONE, stamp))] for stamp in stamps]
-    assert passed == [
-        [T0], [], [T0 + PERIOD], [], [], [T0 + 2 * PERIOD], [], [future, future + PERIOD], [], [T0, T0 + PERIOD]
-    ]  # fmt: skip
-    assert dict(buffer.anomalies) == {"wrong_stamp": 3, "stamp_gap": 1, "clock_jump": 1}

@@ -93,7 +93,7 @@ def test_a_tare_neither_reaches_into_the_grasp_before_nor_is_taken_while_somethi
     assert info.value.reason == "restless_tare"
 
 
-def test_sensors_that_are_absent_or_frozen_are_refused_by_name() -> None:
+def test_absent_and_frozen_sensors_are_refused_idle_and_repeating_ones_flagged() -> None:
     readings = stream(1)
     absent = REST.copy()
     absent[2:26] = 0
@@ -110,9 +110,6 @@ def test_sensors_that_are_absent_or_frozen_are_refused_by_name() -> None:
 
     with pytest.raises(PairingError, match=r"MF: the same .* through rest and contact"):
         cut_touch(filled([stuck(r) for r in readings]), interval(0), CONFIG)
-
-
-def test_a_frozen_stream_an_idle_finger_and_stamps_that_come_twice_are_flagged() -> None:
     when = interval(0)
     readings = [replace(r, counts=level(0)) if when.contact <= r.stamp_ns < when.release else r for r in stream(1)]
     assert cut_touch(filled(readings), when, CONFIG).flags == ("frozen_TH", "frozen_MF")

@@ -105,7 +105,7 @@ def test_a_grasp_waits_for_what_is_on_its_way_but_not_forever() -> None:
     assert late.reasons() == ["no_tactile"]
 
 
-def test_what_is_reported_twice_at_once_or_unplanned_is_rejected() -> None:
+def test_reports_that_are_repeated_unplanned_ambiguous_or_of_a_lost_cloud_are_rejected() -> None:
     world = Session(2)
     world.feel()
     for number in (0, 1):
@@ -116,9 +116,6 @@ def test_what_is_reported_twice_at_once_or_unplanned_is_rejected() -> None:
     world.report(1, "never planned")
     world.matcher.add_executed(ExecutedGrasp(grasp_id="g-1", interval=None, success=False), 0.0)
     assert world.reasons() == ["recorded", "told_twice", "overlap", "grasp_unknown", "grasp_failed"]
-
-
-def test_an_id_on_two_clouds_two_clouds_of_one_stamp_and_a_cloud_that_is_gone() -> None:
     world = Session(3)
     world.feel()
     world.plan(0, "same")

@@ -13,7 +13,7 @@ def noisy(rng: np.random.Generator) -> np.ndarray:
     return np.round(REST + rng.normal(0, 1, 50) * np.r_[0.5, 0.5, np.full(48, 4.4)]).astype(np.float32)
 
 
-def test_working_sensors_are_alive_silence_is_noticed_and_the_finger_at_fault_is_named() -> None:
+def test_working_sensors_are_alive_and_silence_faults_frozen_streams_and_a_dead_pdc_are_named() -> None:
     health, rng = SensorHealth(), np.random.default_rng(0)
     assert set(health.states.values()) == {"no data"}
     for _ in range(4000):
@@ -30,9 +30,6 @@ def test_working_sensors_are_alive_silence_is_noticed_and_the_finger_at_fault_is
     health.update(counts)
     assert health.states["TH"].startswith("pdc_th: -22072 is not between 0 and 4095")
     assert health.states["MF"] == "alive"
-
-
-def test_a_frozen_stream_and_a_pdc_that_never_moves() -> None:
     health, rng = SensorHealth(), np.random.default_rng(0)
     for _ in range(201):
         counts = noisy(rng)

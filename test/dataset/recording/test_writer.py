@@ -22,6 +22,7 @@ from recording_builders import (
     TACTILE_TYPE,
     assert_same_sample,
     fail_writes,
+    ids,
     record,
     write_dataset,
 )
@@ -39,9 +40,7 @@ from foretouch.dataset.recording import (
 )
 from foretouch.errors import DatasetError, FileError
 
-
-def ids(path: Path) -> list[str]:
-    return [stored.record.sample.id for stored in RecordedDataset(path)]
+CAMPAIGN = Path(__file__).parents[3] / "benchmarks" / "recorder" / "kill.py"
 
 
 def assert_clean(path: Path) -> None:
@@ -369,3 +368,15 @@ def test_memory_does_not_grow_with_the_session(tmp_path: Path) -> None:
             sizes.append(tracemalloc.get_traced_memory()[0])
         tracemalloc.stop()
     assert np.ptp(sizes) < 60_000  # of 2.4 MB written, most of it the index
+
+
+@pytest.mark.slow
+def test_eight_kills_lose_no_acknowledged_sample() -> None:
+    """The short form of the campaign of `benchmarks/recorder`: a recorder is killed at random instants."""
+    command = [sys.executable, CAMPAIGN, "--rounds", "8", "--seed", "5", "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    result = json.loads(ended.stdout)
+    assert (result["kills"], result["lost"], result["wrong"], result["not_clean"]) == (8, 0, 0, 0)
+    assert result["acknowledged"] >= 4  # every second kill waits for a sample, however slow the machine is
+    assert any(one["found"] for one in result["rounds"])

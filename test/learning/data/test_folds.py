@@ -16,7 +16,7 @@ def assert_partition(folds: list[Fold], count: int) -> None:
         assert sorted([*fold.train, *fold.test]) == list(range(count))
 
 
-def test_random_folds_partition_evenly_and_repeat(rng) -> None:
+def test_random_and_time_folds_partition_evenly_and_repeat_or_are_consecutive(rng) -> None:
     folds = random_folds(18, 5, np.random.default_rng(3))
     assert_partition(folds, 18)
     assert {len(fold.test) for fold in folds} == {3, 4}
@@ -24,9 +24,6 @@ def test_random_folds_partition_evenly_and_repeat(rng) -> None:
     assert all(np.array_equal(a.test, b.test) for a, b in zip(folds, again, strict=True))
     other = random_folds(18, 5, np.random.default_rng(4))
     assert any(not np.array_equal(a.test, b.test) for a, b in zip(folds, other, strict=True))
-
-
-def test_time_blocks_are_consecutive_within_each_object(rng) -> None:
     stamps = rng.permutation(18)
     folds = time_folds(OBJECTS, stamps.tolist(), 5)
     assert_partition(folds, 18)

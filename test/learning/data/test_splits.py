@@ -42,7 +42,7 @@ def test_no_id_stands_on_both_sides_and_folds_test_every_labelled_sample_once(bo
         assert all(set(part.train) | set(part.test) == labelled for part in book[kind])
 
 
-def test_label_ratios_share_their_test_and_are_nested(book: dict[str, list[SplitPart]]) -> None:
+def test_label_ratios_share_their_test_are_nested_and_of_the_papers_numbers(book: dict[str, list[SplitPart]]) -> None:
     parts = book["labels"]
     assert [part.name for part in parts] == [f"T{ratio}" for ratio in RATIOS]
     never = {sample.id for sample in facts() if not sample.labelled}
@@ -55,10 +55,7 @@ def test_label_ratios_share_their_test_and_are_nested(book: dict[str, list[Split
         assert without < set(part.unlabelled)
         assert never < set(part.unlabelled)
         without = set(part.unlabelled)
-
-
-def test_the_papers_numbers_come_out_of_the_papers_data() -> None:
-    """P2: 4 objects x 1000 grasps, 200 of each for test, T10 leaves 10 % of 3200 without labels."""
+    # P2: 4 objects x 1000 grasps, 200 of each for test, T10 leaves 10 % of 3200 without labels.
     groups = [name for name in "abcd" for _ in range(1000)]
     test, parts = _label_ratios(groups, np.random.default_rng(0))
     assert [np.sum(np.asarray(groups)[test] == name) for name in "abcd"] == [200, 200, 200, 200]
@@ -75,7 +72,7 @@ def test_the_seed_decides_and_what_cannot_be_split_is_told() -> None:
     assert set(json.loads(make_splits([]))["omitted"]) == {"random", "object", "time", "labels"}
 
 
-def test_an_id_on_two_sides_is_refused(tmp_path: Path) -> None:
+def test_an_id_on_two_sides_and_other_files_are_refused(tmp_path: Path) -> None:
     def check(*sides: str) -> None:
         with pytest.raises(DatasetError, match=r"split fold: [ab] is listed twice"):
             SplitPart("fold", *map(tuple, sides))
@@ -86,8 +83,6 @@ def test_an_id_on_two_sides_is_refused(tmp_path: Path) -> None:
 
     every_case([("ab", "b", ""), ("a", "b", "a"), ("a", "b", "b"), ("aa", "b", "")], check)
 
-
-def test_other_files_are_refused(tmp_path: Path) -> None:
     def read(text: str) -> None:
         (tmp_path / SPLITS_FILE).write_text(text)
         read_splits(tmp_path)

@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 from numpy.testing import assert_allclose
 
+from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.baselines import (
     FEATURE_NAMES,
     clock,
@@ -16,10 +17,6 @@ from foretouch.learning.evaluation.baselines import (
     training_mean,
 )
 from foretouch.types import Cloud
-
-
-def labels_of(samples) -> np.ndarray:
-    return np.array([sample.touch.vector() for sample in samples])
 
 
 def test_means_of_training_and_of_known_and_new_objects(samples) -> None:
@@ -34,7 +31,7 @@ def test_means_of_training_and_of_known_and_new_objects(samples) -> None:
     assert_allclose(predicted[1], labels.mean(axis=0))
 
 
-def test_object_time_trees_see_no_cloud_and_no_grasp(samples) -> None:
+def test_object_time_trees_are_blind_and_geometry_trees_find_what_geometry_tells(samples) -> None:
     labels = labels_of(samples[:40])
     blind = [
         dataclasses.replace(sample, cloud=Cloud(np.ones((1, 3), np.float32)), grasp=samples[0].grasp, touch=None)
@@ -43,9 +40,6 @@ def test_object_time_trees_see_no_cloud_and_no_grasp(samples) -> None:
     assert_allclose(
         object_time_trees(samples[:40], labels, blind, 1), object_time_trees(samples[:40], labels, samples[40:], 1)
     )
-
-
-def test_geometry_trees_find_what_geometry_tells_and_repeat(samples) -> None:
     train, test = samples[:45], samples[45:]
     labels, actual = labels_of(train), labels_of(test)
     predicted = geometry_trees(train, labels, test, 1)

@@ -91,16 +91,13 @@ def test_after_three_touches_they_are_narrower_and_hold_as_many(kept: float) -> 
     assert np.mean(narrowed) < 0.9
 
 
-def test_every_object_weighs_the_same_however_many_samples_it_has() -> None:
+def test_every_object_weighs_the_same_and_each_modality_has_its_own_cut() -> None:
     """Twenty objects of errors 1 to 20 are cut at 0.945: the 19th, though the first has most samples."""
     errors = np.repeat(np.arange(1.0, 21.0), [100, *range(2, 20), 1])
     regime = fit_group(of(errors, [f"{e:02.0f}" for e in errors]))
     assert_allclose(regime.half_width, 19.0)
     few = fit_group(of([10.0, *[1.0] * 99], ["a", *["b"] * 99]))  # two objects, cut at 0.95
     assert_allclose(few.half_width, 10.0)
-
-
-def test_each_modality_has_its_own_cut() -> None:
     rng = np.random.default_rng(0)
     labels = rng.normal(size=(400, SIZE)) * 10.0
     column = columns(["E_TH"])
@@ -137,7 +134,7 @@ def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
     )
 
 
-def test_with_many_objects_both_covariances_are_found() -> None:
+def test_covariances_are_found_with_many_objects_and_few_tell_not_what_errs_together() -> None:
     rng = np.random.default_rng(5)
     B = lasting(rng)
     regime = fit_group(population(rng, B, 1500, 6, 0.5))
@@ -146,9 +143,6 @@ def test_with_many_objects_both_covariances_are_found() -> None:
     # Correlations of 1500 objects have a standard error of 0.03, of which 1225 are looked at.
     assert np.abs((regime.between - B) / scale).max() < 0.16
     assert np.sqrt((((regime.between - B) / scale) ** 2).mean()) < 0.04
-
-
-def test_few_objects_tell_how_much_errs_but_not_what_errs_together() -> None:
     rng = np.random.default_rng(6)
     regime = fit_group(population(rng, lasting(rng), 8, 30))
     deviation = np.sqrt(np.diag(regime.between))
@@ -169,7 +163,7 @@ def test_the_covariance_is_positive_and_touches_never_blow_up(objects: int, each
     Calibration.from_tensors(Calibration(np.zeros(SIZE), {"known": regime, "new": regime}).to_tensors())
 
 
-def test_sessions_of_one_sample_tell_nothing_of_what_lasts() -> None:
+def test_sessions_of_one_sample_tell_nothing_of_what_lasts_and_objects_count() -> None:
     rng = np.random.default_rng(7)
     labels = 20.0 * rng.normal(size=(30, SIZE))
     names = np.array([f"{k:02}" for k in range(30)])
@@ -177,10 +171,7 @@ def test_sessions_of_one_sample_tell_nothing_of_what_lasts() -> None:
     assert_allclose(regime.within, regime.spread)
     assert_allclose(np.diag(regime.between), 0.05 * regime.within, rtol=1e-9)  # the least that is allowed
     assert_allclose(regime.difference_shrinkage, 1.0)
-
-
-def test_a_session_is_part_of_an_object_and_objects_count() -> None:
-    """Offsets of each stretch of a recording last for the stretch; the cut is that of ten objects."""
+    # Offsets of each stretch of a recording last for the stretch; the cut is that of ten objects.
     rng = np.random.default_rng(8)
     objects = np.repeat([f"o{k}" for k in range(10)], 50)
     stretches = np.array([f"{name}/{k // 10 % 5}" for k, name in enumerate(objects)])

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_model_builders import FEW_TREES, labels_of, with_tares
+from contact_model_builders import FEW_TREES, with_tares
 from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,7 +13,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data import object_folds
+from foretouch.learning.data import labels_of, object_folds
 from foretouch.learning.training import generalisation
 from foretouch.learning.training.calibration import rest_level, resting_labels
 from foretouch.learning.training.contact import describe_samples, fit_contact
@@ -31,16 +31,13 @@ def test_samples_are_described_each_on_its_own_cloud() -> None:
         assert_array_equal(row, HandFrameFeatures(sample.cloud.xyz).describe([sample.grasp])[0])
 
 
-def test_without_tares_rest_is_the_end_of_the_labels_that_is_without_pressure() -> None:
+def test_rest_without_tares_is_the_end_without_pressure_and_labels_at_rest_are_free_of_drift() -> None:
     """PDC rises with pressure, so rest is their low end; electrodes fall, so it is their high end."""
     labels = np.tile(np.arange(1.0, 102.0)[:, None], (1, 50))
     samples = [replace(SAMPLES[0], touch=type(SAMPLES[0].touch).from_vector(row)) for row in labels]
     rest, recorded = rest_level(samples)
     assert not recorded
     assert_allclose(rest, [2.0, 2.0, *[96.0] * 48])
-
-
-def test_labels_at_rest_are_free_of_drift() -> None:
     calm, drifting = with_tares(SAMPLES, drift=0.0), with_tares(SAMPLES, drift=50.0)
     rest = calm[0].tare.vector()
     assert_allclose(resting_labels(drifting, labels_of(drifting), rest), labels_of(calm), atol=1e-9)

@@ -6,13 +6,14 @@ from itertools import product
 
 import numpy as np
 import pytest
-from contact_model_builders import FEW_TREES, labels_of, with_tares
+from contact_model_builders import FEW_TREES, with_tares
 from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 from recording_builders import read_folder
 
 from foretouch.errors import DatasetError
+from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import mean_over_objects
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
@@ -127,16 +128,13 @@ def test_new_objects_are_held_out_whole_known_ones_in_stretches_of_time() -> Non
     assert sorted(np.concatenate([fold.test for fold in few["known"][0]])) == list(range(12))
 
 
-def test_a_missing_tare_or_reading_is_refused_by_name(bare, tared) -> None:
+def test_missing_tares_and_readings_are_refused_and_one_object_alone_is_not_calibrated(bare, tared) -> None:
     lacking = [replace(TARED[45], tare=None)]
     for touched, remaining in ((TARED[40:43], lacking), (lacking, TARED[40:43]), ([], lacking)):
         with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
             tared.predict_after(touched, remaining, tare=True)
     with pytest.raises(DatasetError, match=f"{BARE[41].id}: touch: is not labelled"):
         bare.predict_after([BARE[40], replace(BARE[41], touch=None)], BARE[43:])
-
-
-def test_one_object_alone_predicts_but_cannot_be_calibrated() -> None:
     alone = ContactPredictor(BARE[:10], labels_of(BARE[:10]), FEW_TREES)
     assert np.isfinite(alone.predict(BARE[10:20])).all()
     with pytest.raises(DatasetError, match=r"folds: all samples are of .*; to keep groups apart takes 2"):

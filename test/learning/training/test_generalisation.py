@@ -18,14 +18,11 @@ def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tupl
     return rows, (labels - labels.mean(axis=0)) / labels.std(axis=0), objects
 
 
-def test_what_generalises_has_a_gain_and_what_does_not_rarely(rng) -> None:
+def test_what_generalises_has_a_gain_each_object_weighs_the_same_and_a_single_one_has_none(rng) -> None:
     """A slope that is zero exceeds its own standard error, above which there is a gain, in one of six draws."""
     found = {share: [choose_ridge(*made(rng, share)) for _ in range(30)] for share in (0.0, 1.0)}
     assert all(ridge < max(_RIDGES) and (gain > 0.7).all() for ridge, gain in found[1.0])
     assert np.mean([gain > 0.3 for _, gain in found[0.0]]) < 0.35  # 120 draws, four of a set not independent
-
-
-def test_each_object_weighs_the_same_and_of_a_single_one_there_is_no_gain(rng) -> None:
     rows, labels, _ = made(rng, 1.0)
     ridge, gain = choose_ridge(rows, labels, ["only"] * len(rows))
     assert ridge == max(_RIDGES)

@@ -47,7 +47,7 @@ def test_root_mean_square_by_hand_exact_and_zero_at_zero() -> None:
     assert torch.equal(_safe_root(squares), squares.sqrt())
 
 
-def test_as_printed_by_hand_and_equation_4_is_equation_3() -> None:
+def test_as_printed_contrast_and_the_original_srgan_by_hand_and_equation_4_is_equation_3() -> None:
     config = SrganLossConfig(loss_variant="as_printed")
     found = parts(config)
     assert found["unlabeled"] == found["fake"] == pytest.approx((1 + 5) / 2)
@@ -57,9 +57,6 @@ def test_as_printed_by_hand_and_equation_4_is_equation_3() -> None:
     assert float(matching_loss(FAKE, U, config)) == pytest.approx((9 + 64) / 2)
     with pytest.raises(DatasetError, match="2 and 1 samples cannot be compared in pairs"):
         matching_loss(FAKE, U[:1], SrganLossConfig())
-
-
-def test_contrast_by_hand() -> None:
     found = parts(SrganLossConfig(loss_variant="contrast"))
     roots = [2.0, 1.0, 1.0, 3.0]  # sqrt(|Δ| + 1) for |Δ| = 3, 0, 0, 8
     assert found["unlabeled"] == pytest.approx(3.0)
@@ -67,9 +64,6 @@ def test_contrast_by_hand() -> None:
     assert found["total"] == pytest.approx(0.5 + 30 - 0.1 * 7 / 4)
     parted = [parts(SrganLossConfig(), Features(U, U, U + gap))["total"] for gap in (0.0, 0.5, 2.0, 50.0)]
     assert parted == sorted(set(parted), reverse=True)
-
-
-def test_original_srgan_by_hand() -> None:
     config = SrganLossConfig(loss_variant="srgan")
     found = parts(config)
     assert found["unlabeled"] == pytest.approx((1.5 + 0.5) / 2)

@@ -108,7 +108,9 @@ def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path,
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_known_failures_are_one_line_and_status_one(folder: Path, config: Path, tmp_path, capsys) -> None:
+def test_known_failures_are_one_line_and_status_one_and_no_folder_is_wrong_usage(
+    folder: Path, config: Path, tmp_path, capsys
+) -> None:
     assert train(config, tmp_path / "absent", "--compare", "random") == 1
     assert f"{tmp_path / 'absent'}: " in capsys.readouterr().err
     for words, message in (
@@ -125,9 +127,6 @@ def test_known_failures_are_one_line_and_status_one(folder: Path, config: Path, 
     assert train(config, folder, "--compare", "blocks") == 1
     assert "split: 'blocks' is none of random, time, object" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_no_folder_to_write_to_is_wrong_usage(folder: Path, config: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
         train(config, folder)
     assert stopped.value.code == 2

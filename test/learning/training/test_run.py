@@ -147,7 +147,7 @@ def test_an_evaluation_counts_all_parts_of_a_split_and_recognises_training_data(
     assert not evaluate_model(card, other, data.parts("object"), baselines={})["same_data"]
 
 
-def test_a_contact_model_trains_and_is_evaluated_with_its_intervals(data, tmp_path) -> None:
+def test_a_contact_model_has_intervals_and_one_object_alone_no_calibration(data, tmp_path) -> None:
     said: list[dict] = []
     part = data.parts("object")[0].name
     run = run_config(method="contact", split=f"object/{part}", contact={"trees": 5})
@@ -160,12 +160,9 @@ def test_a_contact_model_trains_and_is_evaluated_with_its_intervals(data, tmp_pa
     assert card_content["calibration"]["regimes"]["new"]["objects"] == len({s.object for s in data.samples}) - 1
     again = train_run(run, data, tmp_path / "run", quiet, resume=True)
     assert json.loads(again.read_text())["sha256"] == card_content["sha256"]
-
-
-def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
     name = data.samples[0].object
     alone = Dataset("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
-    card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
+    card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "alone", quiet)
     card_content = json.loads(card.read_text())
     assert card_content["calibration"] is None
     assert card_content["limits"][0].startswith("No calibration: ")
@@ -187,7 +184,7 @@ def test_the_recipes_that_come_along_are_understood_and_that_of_p2s_srgan_is_the
     assert chosen.srgan.generator.n_points == 750
 
 
-def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
+def test_tensorboard_shows_the_figures_of_the_log_and_is_named_where_it_is_absent(data, tmp_path, monkeypatch) -> None:
     pytest.importorskip("tensorboard", reason="an extra")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -201,9 +198,6 @@ def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
     ):
         assert [scalar.step for scalar in shown.Scalars(tag)] == [0, 1, 2, 3]
         assert [scalar.value for scalar in shown.Scalars(tag)] == pytest.approx(values, rel=1e-6)
-
-
-def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ConfigError, match=r"tensorboard: needs TensorBoard: pip install 'foretouch\[tensorboard\]'"):
         train_run(run_config(tensorboard=True), data, tmp_path / "run", quiet)

@@ -82,14 +82,11 @@ def test_a_full_disk_leaves_the_calibrated_model_before(card: Path) -> None:
         assert {path.name: path.read_bytes() for path in card.parent.iterdir()} == before
 
 
-def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> None:
+def test_a_model_without_calibration_has_no_bounds_and_a_networks_brings_its_fallback(tmp_path: Path, make_net) -> None:
     card = save_contact(tmp_path, "bare", small_estimator(), {})
     assert load_calibration(card, read_card(card)) == (None, None)
     (prediction,) = load_model(card).predict(SAMPLES[0].cloud, [SAMPLES[0].grasp])
     assert prediction.lower is None
-
-
-def test_a_calibration_of_a_network_brings_its_fallback(make_net, tmp_path: Path) -> None:
     sizes = np.array([object_sizes(sample.cloud.xyz) for sample in SAMPLES])
     fallback = Fallback.fit(sizes, np.tile(np.linspace(1000.0, 3000.0, 50), (len(SAMPLES), 1)))
     card = save_network(tmp_path, "net", make_net(), {}, (make_calibration(), FACTS), fallback)
@@ -103,7 +100,7 @@ def test_a_calibration_of_a_network_brings_its_fallback(make_net, tmp_path: Path
     assert ("unfamiliar" in prediction.flags) is not inside
 
 
-def test_absent_or_replaced_files_are_named(card: Path) -> None:
+def test_absent_replaced_and_unfit_files_are_named_with_file_and_field(card: Path) -> None:
     for which in ("toy.safetensors", "toy.trust.safetensors"):
         path = card.with_name(which)
         original = path.read_bytes()
@@ -114,9 +111,6 @@ def test_absent_or_replaced_files_are_named(card: Path) -> None:
         with pytest.raises(ModelError, match=rf"{which}: no such weights; toy.json names them"):
             load_model(card)
         path.write_bytes(original)
-
-
-def test_what_does_not_fit_is_named_with_file_and_field(card: Path) -> None:
     files = {path: path.read_bytes() for path in card.parent.iterdir()}
 
     def check(rule: str, name: str, value: Any) -> None:
@@ -126,14 +120,12 @@ def test_what_does_not_fit_is_named_with_file_and_field(card: Path) -> None:
         with pytest.raises(ModelError, match=rule):
             load_model(card)
 
-    every_case(
-        [
-            ("toy.safetensors: mean: is missing", "mean", None),
-            ("toy.safetensors: forest_E_MF/forest: its arrays", "forest_E_MF/leaf", np.zeros(3, np.int32)),
-            ("toy.trust.safetensors: rest: is missing", "rest", None),
-        ],
-        check,
-    )
+    cases = [
+        ("toy.safetensors: mean: is missing", "mean", None),
+        ("toy.safetensors: forest_E_MF/forest: its arrays", "forest_E_MF/leaf", np.zeros(3, np.int32)),
+        ("toy.trust.safetensors: rest: is missing", "rest", None),
+    ]
+    every_case(cases, check)
 
 
 def test_a_card_that_cannot_be_right_is_refused_by_field(card: Path) -> None:
@@ -145,19 +137,17 @@ def test_a_card_that_cannot_be_right_is_refused_by_field(card: Path) -> None:
         with pytest.raises(ModelError, match=rule):
             load_model(card)
 
-    every_case(
-        [
-            ("toy.json: weights: is missing", {"weights": ...}),
-            ("toy.json: calibration: 'yes' is of type str", {"calibration": "yes"}),
-            ("toy.json: calibration.weights: is missing", {"calibration": {}}),
-            ("toy.json: calibration.sha256: is missing", {"calibration": {"weights": "x.safetensors"}}),
-            ("toy.json: ranges: .*e_th", {"ranges": {"e_th": [9.0, 1.0]}}),
-            ("toy.json: ranges: e_xx: unknown", {"ranges": {"e_xx": [1.0, 9.0]}}),
-            ("toy.json: ranges: 5 is of type int", {"ranges": 5}),
-            ("toy.json: kind: 'contacts' is none of", {"kind": "contacts"}),
-        ],
-        check,
-    )
+    cases = [
+        ("toy.json: weights: is missing", {"weights": ...}),
+        ("toy.json: calibration: 'yes' is of type str", {"calibration": "yes"}),
+        ("toy.json: calibration.weights: is missing", {"calibration": {}}),
+        ("toy.json: calibration.sha256: is missing", {"calibration": {"weights": "x.safetensors"}}),
+        ("toy.json: ranges: .*e_th", {"ranges": {"e_th": [9.0, 1.0]}}),
+        ("toy.json: ranges: e_xx: unknown", {"ranges": {"e_xx": [1.0, 9.0]}}),
+        ("toy.json: ranges: 5 is of type int", {"ranges": 5}),
+        ("toy.json: kind: 'contacts' is none of", {"kind": "contacts"}),
+    ]
+    every_case(cases, check)
     card.write_text(original)
     edit_card(card, weights="../../elsewhere/toy.safetensors")  # weights are looked for beside the card only
     assert load_model(card).name == "toy"

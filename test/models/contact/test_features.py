@@ -100,16 +100,13 @@ def test_another_place_changes_the_distance_alone_and_a_hand_s_x_turned_round_no
     assert_array_equal(describe(lump, other), describe(lump, grasp))
 
 
-def test_every_point_twice_changes_the_spacing_alone(grasp, rng) -> None:
+def test_every_point_twice_changes_the_spacing_alone_and_thinning_only_within_the_noise(grasp, rng) -> None:
     lump = HERE + rng.uniform(-0.5, 0.5, (20_000, 3)) * [0.05, 0.09, 0.14]  # slopes need four points
     (before,), (after,) = describe(lump, grasp), describe(np.concatenate([lump, lump]), grasp)
     means = [name for name in SEEN if not name.startswith(("extent", "radius", "height", "g1_depth", "g2_depth"))]
     assert_allclose(named(after, *means), named(before, *means), atol=1e-9)
     assert_allclose(named(after, *SEEN), named(before, *SEEN), atol=2e-3)  # quantiles between the same points
     assert_allclose(named(after, "spacing") / named(before, "spacing"), np.sqrt(0.5), rtol=0.01)
-
-
-def test_thinning_moves_no_column_by_more_than_its_noise(grasp, rng) -> None:
     dense = HERE + rng.uniform(-0.5, 0.5, (40_000, 3)) * [0.05, 0.09, 0.14]
     (before,), (after,) = describe(dense, grasp), describe(dense[rng.random(len(dense)) < 0.5], grasp)
     sizes = [name for name in SEEN if not name.startswith(("g1_slope", "g2_slope", "oblique", "along"))]
@@ -151,7 +148,7 @@ def test_slopes_of_planes_are_those_of_their_normals() -> None:
     every_case([*cases, ("the other finger", other, np.array([other[2], 0.0, other[0]]))], check)
 
 
-def test_slopes_of_a_cylinder_and_of_a_sphere_are_their_radii_at_the_contact() -> None:
+def test_slopes_of_a_cylinder_and_of_a_sphere_are_their_radii_and_do_not_jump_across_the_finger() -> None:
     def check(name: str, points: np.ndarray, out: np.ndarray, radius: float, atol: float) -> None:
         at = HERE + radius * out
         found = slopes(describe(points, Grasp(at, at - [0.3, 0.0, 0.0], HAND))[0])
@@ -159,17 +156,12 @@ def test_slopes_of_a_cylinder_and_of_a_sphere_are_their_radii_at_the_contact() -
         assert_allclose(directions, np.tile([out[2], out[1], -out[0]], (3, 1)), atol=atol, err_msg=name)
 
     # The smallest patch of the sphere holds about 80 of 8000 points, whose lattice is not symmetric: a degree or so.
-    every_case(
-        [
-            ("cylinder", cylinder(0.033, HERE), np.array([1.0, 0.0, 0.0]), 0.033, 1e-6),
-            ("sphere", sphere(0.04, HERE), np.array([0.8, 0.36, -0.48]), 0.04, 0.04),
-        ],
-        check,
-    )
-
-
-def test_a_slope_across_the_finger_does_not_jump() -> None:
-    """Its normal's sign turns there; the column passes through zero."""
+    cases = [
+        ("cylinder", cylinder(0.033, HERE), np.array([1.0, 0.0, 0.0]), 0.033, 1e-6),
+        ("sphere", sphere(0.04, HERE), np.array([0.8, 0.36, -0.48]), 0.04, 0.04),
+    ]
+    every_case(cases, check)
+    # Its normal's sign turns there; the column passes through zero.
     grasp = Grasp(HERE, here(-0.3, 0.0, 0.0), HAND)
     found = [
         slopes(describe(patch(np.array([np.cos(a), np.sin(a), 0.0]), HERE), grasp)[0]) for a in np.radians([89.9, 90.1])
@@ -185,11 +177,17 @@ def test_a_grasp_is_described_alike_alone_and_among_others(lump, rng) -> None:
     assert describe(lump).shape == (0, len(FEATURES))
 
 
-def test_a_contact_in_empty_space_is_described_by_zeros(lump) -> None:
+def test_a_contact_in_empty_space_is_described_by_zeros_and_what_shows_no_shape_is_refused(lump) -> None:
     (row,) = describe(lump, Grasp(here(1.0, 0.0, 0.0), here(0.5, 0.0, 0.0), HAND))
     assert_array_equal(slopes(row), np.zeros((3, 3)))
     assert_array_equal(named(row, "g1_share", "g1_roughness", "g1_pad_x", "g1_pad_y", "g1_pad_z"), np.zeros(5))
     assert np.isfinite(row).all()
+    cases = (
+        ("cloud: 0 finite points are fewer than 8", np.zeros((0, 3))),
+        ("cloud: 3 finite points are fewer than 8", np.vstack([np.eye(3), np.full((9, 3), np.nan)])),
+        ("cloud: all 20 finite points are in one place", np.ones((20, 3))),
+    )
+    every_refusal(CloudError, cases, HandFrameFeatures)
 
 
 @settings(max_examples=60, deadline=None)
@@ -197,12 +195,3 @@ def test_a_contact_in_empty_space_is_described_by_zeros(lump) -> None:
 def test_lines_sheets_and_repeated_points_are_finite(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     points, g1, g2 = found
     assert np.isfinite(describe(points, Grasp(g1, g2, HAND))).all()
-
-
-def test_what_shows_no_shape_is_refused() -> None:
-    cases = (
-        ("cloud: 0 finite points are fewer than 8", np.zeros((0, 3))),
-        ("cloud: 3 finite points are fewer than 8", np.vstack([np.eye(3), np.full((9, 3), np.nan)])),
-        ("cloud: all 20 finite points are in one place", np.ones((20, 3))),
-    )
-    every_refusal(CloudError, cases, HandFrameFeatures)

@@ -55,19 +55,17 @@ def test_wrong_weights_are_named(card: Path) -> None:
         edit_card(card, sha256=file_sha256(weights))
         refused(card, rule)
 
-    every_case(
-        [
-            (r"output.bias: .* \(24,\) is not .* \(50,\)", lambda t: t.update({"output.bias": torch.zeros(24)})),
-            ("output.bias: torch.float16", lambda t: t.update({"output.bias": torch.zeros(50).half()})),
-            ("output.bias: is missing; the card describes another", lambda t: t.pop("output.bias")),
-            ("extra: is not part of the card's architecture", lambda t: t.update({"extra": torch.zeros(1)})),
-            ("output.bias: holds a value that is not finite", lambda t: t["output.bias"].fill_(float("nan"))),
-        ],
-        check,
-    )
+    cases = [
+        (r"output.bias: .* \(24,\) is not .* \(50,\)", lambda t: t.update({"output.bias": torch.zeros(24)})),
+        ("output.bias: torch.float16", lambda t: t.update({"output.bias": torch.zeros(50).half()})),
+        ("output.bias: is missing; the card describes another", lambda t: t.pop("output.bias")),
+        ("extra: is not part of the card's architecture", lambda t: t.update({"extra": torch.zeros(1)})),
+        ("output.bias: holds a value that is not finite", lambda t: t["output.bias"].fill_(float("nan"))),
+    ]
+    every_case(cases, check)
 
 
-def test_wrong_cards_are_named(card: Path, make_net, small, tmp_path: Path) -> None:
+def test_wrong_cards_and_what_is_none_are_named(card: Path, make_net, small, tmp_path: Path) -> None:
     original = card.read_text()
 
     def check(rule: str, changes: dict[str, Any]) -> None:
@@ -76,27 +74,22 @@ def test_wrong_cards_are_named(card: Path, make_net, small, tmp_path: Path) -> N
         refused(card, rule)
 
     config = json.loads(original)["config"]
-    every_case(
-        [
-            ("tiny.json: format: is no foretouch-model card", {"format": "other"}),
-            ("format_version: 1 is not 2", {"format_version": 1}),
-            ("kind: 'tree' is none of network, contact", {"kind": "tree"}),
-            ("skill: is missing", {"skill": ...}),
-            ("data: 3 is of type int", {"data": 3}),
-            ("config: widht: unknown setting; known: n_points", {"config": {"widht": 3}}),
-            ("n_points: 'many' is not a whole number", {"config": {"n_points": "many"}}),
-            (r"head.1.linear.bias: .*\(8,\) is not .*\(9,\)", {"config": {**config, "head_widths": [16, 9]}}),
-            ("gone.safetensors: no such weights", {"weights": "gone.safetensors"}),
-            ("familiar: must give", {"familiar": {"range_m": [0, 1]}}),
-            ("calibration.weights: is missing", {"calibration": {}}),
-        ],
-        check,
-    )
+    cases = [
+        ("tiny.json: format: is no foretouch-model card", {"format": "other"}),
+        ("format_version: 1 is not 2", {"format_version": 1}),
+        ("kind: 'tree' is none of network, contact", {"kind": "tree"}),
+        ("skill: is missing", {"skill": ...}),
+        ("data: 3 is of type int", {"data": 3}),
+        ("config: widht: unknown setting; known: n_points", {"config": {"widht": 3}}),
+        ("n_points: 'many' is not a whole number", {"config": {"n_points": "many"}}),
+        (r"head.1.linear.bias: .*\(8,\) is not .*\(9,\)", {"config": {**config, "head_widths": [16, 9]}}),
+        ("gone.safetensors: no such weights", {"weights": "gone.safetensors"}),
+        ("familiar: must give", {"familiar": {"range_m": [0, 1]}}),
+        ("calibration.weights: is missing", {"calibration": {}}),
+    ]
+    every_case(cases, check)
     part = save_network(tmp_path, "one", make_net(small.replace(outputs=("PDC_TH", "E_TH"))), {})
     refused(part, "one.json: outputs: PDC_MF, E_MF: not predicted by this network")
-
-
-def test_what_is_no_card_is_named(tmp_path: Path) -> None:
     (tmp_path / "x.json").write_text("{")
     refused(tmp_path / "x.json", r"x\.json: not JSON")
     refused(tmp_path / "y.json", r"y\.json: no such model card")

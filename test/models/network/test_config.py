@@ -7,7 +7,7 @@ from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
 
 
-def test_p2_widths() -> None:
+def test_p2_widths_and_the_rules_across_fields() -> None:
     config = ModelConfig(outputs=("PDC_TH",))
     assert (config.feature_size, config.head_size, config.output_size) == (1024, 1039, 1)
     assert config.head_widths == (1024, 512, 256)
@@ -16,9 +16,6 @@ def test_p2_widths() -> None:
     assert ModelConfig(n_points=500, use_grasp=False, outputs=("E_TH",)).head_size == 1024  # P1 feeds features only
     assert ModelConfig(metric_inputs=True).head_size == 1041
     assert [ModelConfig(channels=c).channel_count for c in ("xyz", "xyz+rgb", "xyz+normals")] == [3, 6, 6]
-
-
-def test_rules() -> None:
     cases = (
         ("outputs: .* at least one modality", {"outputs": ()}),
         ("each once", {"outputs": ("E_TH", "E_TH")}),

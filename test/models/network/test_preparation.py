@@ -38,7 +38,7 @@ def test_shift_and_size_vanish_but_for_the_metric_inputs(can, small, make_grasps
     assert a[16] == pytest.approx(0.66)  # a width of 66 mm in dm
 
 
-def test_channels(can, small) -> None:
+def test_channels_of_a_cloud_are_one_input_without_the_points_that_have_no_depth(can, small) -> None:
     colour = prepare_cloud(can, small.replace(channels="xyz+rgb")).points
     assert colour.shape == (64, 6)
     assert colour[:, 3:].min() >= -1.0
@@ -46,9 +46,6 @@ def test_channels(can, small) -> None:
     normal = prepare_cloud(can, small.replace(channels="xyz+normals")).points
     assert_allclose(np.linalg.norm(normal[:, 3:], axis=1), 1.0, atol=1e-5)
     assert_allclose(normal[:, :3], colour[:, :3])
-
-
-def test_one_cloud_gives_one_input_and_points_without_depth_are_left_out(can, small) -> None:
     assert np.array_equal(prepare_cloud(can, small).points, prepare_cloud(can, small).points)
     other = prepare_cloud(can, small, np.random.default_rng(99)).points
     assert not np.array_equal(other, prepare_cloud(can, small).points)

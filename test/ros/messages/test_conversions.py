@@ -105,13 +105,9 @@ def test_planes_are_received_to_the_last_bit_or_refused(rng):
     assert plane_from_msg(message) is None
     message.coef = np.array([0.0, 0.0, -2.0, 3.0])
     np.testing.assert_array_equal(plane_from_msg(message).coefficients, [0.0, 0.0, -1.0, 1.5])
-    for coefficients, match in (
-        ([0.0, 0.0, 0.0, 1.0], "normal has zero length"),
-        ([0.0, math.nan, 1.0, 1.0], "not four finite numbers"),
-    ):
-        message.coef = np.array(coefficients)
-        with pytest.raises(CloudError, match=match):
-            plane_from_msg(message)
+    message.coef[1] = math.nan
+    with pytest.raises(CloudError, match="not four finite numbers"):
+        plane_from_msg(message)
 
 
 def test_a_prediction_puts_each_electrode_in_its_place_and_a_refusal_holds_no_number():
@@ -203,16 +199,13 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     assert lines[1:] == [{"status": "failed", "reason": reason}, {"status": "bad_grasp", "reason": "g1: is not finite"}]
 
 
-def test_messages_hold_each_finger_at_its_index():
+def test_tactile_messages_hold_each_finger_at_its_index_and_a_missing_package_is_named():
     counts = {name: np.arange(25, dtype=np.int16) + 100 * k for k, name in enumerate(("TH", "FF"))}
     sent = biotac_all_to_msg(counts, "hand", 1_763_000_000_000_000_000)
     assert (sent.header.frame_id, stamp_ns(sent.header.stamp)) == ("hand", 1_763_000_000_000_000_000)
     assert [list(one.electrodes[:2]) for one in sent.tactiles] == [[101, 102], [0, 0], [0, 0], [0, 0], [1, 2]]
     for name in FINGER_ORDER:
         np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
-
-
-def test_a_class_is_found_by_its_type_and_a_missing_package_is_named():
     assert tactile_class("std_msgs/String") is String
     with pytest.raises(MissingDependencyError, match="sr_robot_msgs is not installed"):
         tactile_class("sr_robot_msgs/BiotacAll")

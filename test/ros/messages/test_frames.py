@@ -40,15 +40,12 @@ def random_grasp(rng):
     return Grasp(rng.normal(size=3), rng.normal(size=3), Rotation.random(random_state=3).as_matrix(), 1.5, "7", "2")
 
 
-def test_points_and_their_way_back(rng):
+def test_points_and_a_grasp_with_contacts_pose_and_matrix_move_and_points_come_back(rng):
     points, back = rng.normal(size=(50, 3)), TRANSFORM.inverse()
     assert_allclose(TRANSFORM.points(points), to_base(points), atol=1e-15)
     assert_allclose(back.points(TRANSFORM.points(points)), points, atol=1e-14)
     assert (back.target, back.source) == ("cam", "base")
     assert abs(abs(quaternion_xyzw(TRANSFORM.rotation) @ TURN.as_quat()) - 1.0) < 1e-15
-
-
-def test_a_grasp_moves_with_contacts_pose_and_matrix(rng):
     one = random_grasp(rng)
     message = grasp_to_msg(one)
     before = copy.deepcopy(message)

@@ -20,6 +20,7 @@ from websocket_client import WebSocketClient
 
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, TACTILE_TOPIC, full_name
 from foretouch_msgs.msg import TouchPredictionArray
 
@@ -61,7 +62,7 @@ def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
         while len(received[TOUCH]) < 3 or len(received[POINTS]) < 3 or not received[MARKERS]:
             topic, content = client.next_data()
             received[topic].append(decoded(client, topic, content))
-    assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in received[TOUCH]] == stamps
+    assert [stamp_ns(one.header.stamp) for one in received[TOUCH]] == stamps
     for mine, theirs in zip(heard, received[TOUCH], strict=True):
         (expected,), (found,) = mine.predictions, theirs.predictions
         assert found.pdc_th.value == expected.pdc_th.value

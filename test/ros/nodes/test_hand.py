@@ -7,7 +7,7 @@ import weakref
 
 import numpy as np
 import pytest
-from sim_builders import SPONGE, run, scene
+from sim_builders import SHORT, SPONGE, run, scene
 from std_srvs.srv import Trigger
 
 from foretouch.errors import ConfigError
@@ -24,7 +24,6 @@ from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 pytestmark = pytest.mark.ros
 
 SECOND = 1_000_000_000
-SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
 
 
 @pytest.fixture
@@ -37,8 +36,7 @@ def start(graph, tmp_path):
         tactile, reports = graph.listen(BiotacAll, "/rh/tactile"), graph.listen(ExecutedGrasp, "executed_grasp")
         (node,) = graph.add("hand", **{"scene__path": str(path), "scene__samples": 1, **SHORT, **parameters})
         assert node.state_name == "active"
-        publisher = graph.talk(GraspArray, "grasps")
-        graph.matched("grasps")
+        publisher = graph.talk_matched(GraspArray, "grasps")
 
         def send(name, grasp=None, nanoseconds=None, frame=CAMERA_FRAME):
             message = grasp_to_msg(grasp or planned(config or scene()))

@@ -5,7 +5,6 @@ import sys
 import time
 
 import pytest
-from sensor_msgs.msg import PointCloud2
 
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
@@ -13,9 +12,9 @@ from foretouch.models.budget import levels_of, profile_scene
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.types import ASSUMED_TABLE
-from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
+from foretouch_msgs.msg import Status
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -40,27 +39,6 @@ def request(count=1):
 
 def ask(graph, count=1):
     return graph.call(PredictTouch, "predict_touch", request(count)).touch
-
-
-@pytest.fixture
-def topics(graph):
-    """Starts a predictor; gives it, a function that sends it a cloud with grasps, and its answers."""
-
-    def run(**parameters):
-        (node,) = graph.add("touch_predictor", late_after_s=0.0, **parameters)
-        heard = graph.listen(TouchPredictionArray, "touch")
-        clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
-        graph.matched("object_cloud", "grasps", "touch")
-
-        def send(stamp):
-            message = request()
-            message.cloud.header = header_to_msg("cam", stamp)
-            clouds.publish(message.cloud)
-            grasps.publish(GraspArray(header=message.cloud.header, grasps=message.grasps))
-
-        return node, send, heard
-
-    return run
 
 
 def delayed(monkeypatch, owner, name, seconds):
@@ -88,9 +66,9 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
         graph.remove(node)
 
 
-def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, topics, monkeypatch):
+def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, predictor, monkeypatch):
     reports = graph.reports("touch_predictor")
-    node, send, heard = topics(latency_budget_ms=60.0, diagnostics_period_s=0.1)
+    node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=60.0, diagnostics_period_s=0.1)
     delayed(monkeypatch, type(node._predictor), "array", 0.1)
     for stamp in (1, 2, 3):
         send(stamp)
@@ -112,8 +90,8 @@ def test_a_budget_that_nothing_meets_uses_the_fastest_level_and_is_reported(grap
     assert sys.getswitchinterval() == before
 
 
-def test_an_answer_that_becomes_late_while_it_is_made_or_encoded_is_flagged(graph, topics, monkeypatch):
-    node, send, heard = topics(latency_budget_ms=1000.0)
+def test_an_answer_that_becomes_late_while_it_is_made_or_encoded_is_flagged(graph, predictor, monkeypatch):
+    node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=1000.0)
     delayed(monkeypatch, TouchAnswer, "prediction", 0.6)
     assert [one.flags.count("late") for one in ask(graph, 2).predictions] == [1, 1]
     assert node.notes()["budget.late"] == "1"

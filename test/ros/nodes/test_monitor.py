@@ -4,23 +4,14 @@
 import numpy as np
 import pytest
 from pair_builders import REST, level
-from robot_builders import FRAME, QUICK, Robot
+from robot_builders import QUICK, Robot
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.pairing import AssemblerConfig, PairingConfig
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
-from foretouch_msgs.msg import (
-    BiotacAll,
-    ExecutedGrasp,
-    Grasp,
-    GraspArray,
-    Status,
-    TouchPrediction,
-    TouchPredictionArray,
-)
+from foretouch_msgs.msg import BiotacAll, Grasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
 
@@ -43,9 +34,6 @@ class PredictedRobot(Robot):
     def _predict(self, message):
         one = [TouchPrediction(header=message.header, grasp=grasp, status=Status.OK) for grasp in message.grasps]
         self.answers.publish(TouchPredictionArray(header=message.header, predictions=one))
-
-    def report(self, name, times, *, success=True):
-        self.told.publish(ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=success, **times))
 
 
 def test_readings_of_a_successful_grasp_are_shown_and_others_are_not(graph, monkeypatch):

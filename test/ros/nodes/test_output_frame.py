@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps, predictions, markers, service and action in the frame of the robot, over DDS and handed over in one process."""
 
-import sys
-
 import numpy as np
 import pytest
-import tf2_stand_in
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
@@ -108,12 +105,6 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     graph.until(lambda: monitor.view().last is not None)
     assert monitor.view().answers == {"ok": 1}
     assert monitor.last_drawables() == []  # a prediction in another frame than its cloud is not drawn
-
-
-@pytest.fixture
-def tf2(monkeypatch):
-    monkeypatch.setitem(sys.modules, "tf2_ros", tf2_stand_in.module())
-    return tf2_stand_in.Buffer
 
 
 def test_a_moving_camera_is_looked_up_at_the_stamp_and_a_missing_transform_is_named(

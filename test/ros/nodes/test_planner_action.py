@@ -64,16 +64,13 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(gra
     assert not node.internal_errors.counts()
 
 
-def test_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
+def test_the_type_is_a_parameter_and_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
     for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
         monkeypatch.setitem(sys.modules, module, None)
     (node,) = graph.add("touch_predictor", model=model_card)
     assert "sample_grasp_poses" not in node.notes()
     graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
     assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
-
-
-def test_the_type_is_a_parameter():
     for name in ("SampleGraspPoses", "a/b/c"):
         with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' is not package/Type"):
             planner_action_class(name)

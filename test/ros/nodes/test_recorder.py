@@ -26,9 +26,8 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
     node, robot, _ = start(graph, tmp_path / "set")
     clouds = []
     for number in range(3):
-        robot.grasp(f"g-{number}", number)
+        robot.record(f"g-{number}", number)
         clouds.append(robot.cloud)
-        graph.until(lambda number=number: node.status().samples == number + 1)
     graph.until(lambda: sum(topic.received for topic in node.status().topics) == sum(robot.sent.values()))
     answer = graph.call(StopRecording, "stop_recording")
     assert (answer.success, answer.samples, answer.path) == (True, 3, str(tmp_path / "set"))
@@ -83,14 +82,12 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
 def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
     begin = lambda **fields: graph.call(StartRecording, "start_recording", StartRecording.Request(**fields))  # noqa: E731
-    robot.grasp("g-0", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("g-0", 0)
     busy = begin(path=str(tmp_path / "other"))
     assert (busy.success, busy.message) == (False, f"{tmp_path / 'set'} is being recorded; stop it first")
     node.end()
     assert begin(path=str(tmp_path / "set"), object="x").success
-    robot.grasp("g-1", 1)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("g-1", 1)
     node.end()
     assert [one.record.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
     bad = begin(path="y", object="../x")
@@ -133,8 +130,7 @@ def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is
 
 def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(graph, tmp_path):
     node, robot, statuses = start(graph, tmp_path / "set", writing__min_free_mb=0.0)
-    robot.grasp("g-0", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("g-0", 0)
     writer = node._session.writer
     writer.config = writer.config.replace(min_free_mb=1e9)
     robot.feel(REST, 30)

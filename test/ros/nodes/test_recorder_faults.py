@@ -16,7 +16,7 @@ from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_da
 from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, RecorderStatus, Status
+from foretouch_msgs.msg import BiotacAll, RecorderStatus, Status
 from foretouch_msgs.srv import StartRecording
 
 pytestmark = pytest.mark.ros
@@ -46,8 +46,7 @@ def begin(graph, path):
 
 def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set", pairing__wait_s=0.5)
-    robot.grasp("before", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("before", 0)
     assert set(sensors(node.status()).values()) == {"alive"}
 
     graph.until(lambda: sensors(node.status())["TH"] == sensors(node.status())["MF"] == "no data")
@@ -55,18 +54,17 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     robot.now += 100 * MS  # its stamps run ahead of the clock
     robot.see("numb")  # a grasp while the hand sends nothing
     times = {name: stamp_to_msg(robot.now + k * 100 * MS) for k, name in enumerate(("start", "contact", "release"), 1)}
-    robot.told.publish(ExecutedGrasp(grasp_id="numb", success=True, **times))
+    robot.report("numb", times)
     graph.until(lambda: outcomes(node.status()) == {"recorded": 1, "no_tactile": 1})
 
     robot.now += 1000 * MS
     graph.until(lambda: robot.feel(REST, 1) or sensors(node.status())["camera"] == "no data")
     assert sensors(node.status()) == {"TH": "alive", "MF": "alive", "camera": "no data"}
     times = {name: stamp_to_msg(robot.now - k * 50 * MS) for name, k in (("start", 4), ("contact", 3), ("release", 2))}
-    robot.told.publish(ExecutedGrasp(grasp_id="blind", success=True, **times))  # nobody has seen it planned
+    robot.report("blind", times)  # nobody has seen it planned
     graph.until(lambda: outcomes(node.status()) == {"recorded": 1, "no_tactile": 1, "grasp_unknown": 1})
 
-    robot.grasp("after", 1)
-    graph.until(lambda: node.status().samples == 2)
+    robot.record("after", 1)
     assert set(sensors(node.status()).values()) == {"alive"}
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
@@ -124,8 +122,7 @@ def test_an_override_of_qos_takes_effect_outlives_what_publishers_offer_and_may_
     wanted = [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]
     assert [info.qos_profile.reliability for info in found] == wanted
     assert node.get_parameter(f"{wish}.depth").value == 7
-    sender = graph.talk(BiotacAll, "/rh/tactile")
-    graph.matched("/rh/tactile")
+    sender = graph.talk_matched(BiotacAll, "/rh/tactile")
     time.sleep(1.1)  # two looks at what is offered
     sender.publish(biotac_all_to_msg({}, FRAME, time.time_ns()))
     graph.until(lambda: tactile().received == 1)
@@ -146,8 +143,7 @@ def removed_during_a_recording(graph, path, **parameters):
     """Record two samples, remove the folder, and wait until the status names it; gives the time that took [s]."""
     node, robot, statuses = start(graph, path, **parameters)
     for number in range(2):
-        robot.grasp(f"g-{number}", number)
-        graph.until(lambda number=number: node.status().samples == number + 1)
+        robot.record(f"g-{number}", number)
     shutil.rmtree(path)
     began = time.monotonic()
     graph.until(lambda: statuses and "was removed during the recording" in statuses[-1].reason)
@@ -190,8 +186,7 @@ def test_a_removed_folder_is_written_to_the_fallback_folder(graph, tmp_path):
 
 def test_a_folder_that_was_moved_keeps_its_samples(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
-    robot.grasp("g-0", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("g-0", 0)
     (tmp_path / "set").rename(tmp_path / "moved")
     graph.until(lambda: node.reason)
     reason = "was moved or unmounted during the recording, with its 1 samples: the session has ended"
@@ -201,8 +196,7 @@ def test_a_folder_that_was_moved_keeps_its_samples(graph, tmp_path):
 
 def test_bytes_that_are_no_message_are_counted_and_the_recording_continues(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
-    robot.grasp("before", 0)
-    graph.until(lambda: node.status().samples == 1)
+    robot.record("before", 0)
     for publisher, topic in (
         (robot.hand, "/rh/tactile"),
         (robot.grasps, "/foretouch/grasps"),
@@ -210,8 +204,7 @@ def test_bytes_that_are_no_message_are_counted_and_the_recording_continues(graph
     ):
         publisher.publish(b"\0\1\0\0" + b"\xff" * 60)
         graph.until(lambda topic=topic: f"unreadable {topic}" in node.session_status().anomalies)
-    robot.grasp("after", 1)
-    graph.until(lambda: node.status().samples == 2)
+    robot.record("after", 1)
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
     recorded(tmp_path / "set")

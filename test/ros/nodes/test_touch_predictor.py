@@ -71,7 +71,9 @@ def without_orientation(message):
     return message
 
 
-def test_many_grasps_are_answered_in_order_with_the_models_own_numbers(planner, model_card):
+def test_grasps_are_answered_in_order_with_the_models_own_numbers_and_posed_on_the_table_if_need_be(
+    planner, model_card
+):
     answer = planner.ask(planner.request(10))
     expected = load_model(model_card).predict(planner.target.cloud, planner.grasps)
     assert len(answer.predictions) == len(planner.grasps) > 1
@@ -80,9 +82,6 @@ def test_many_grasps_are_answered_in_order_with_the_models_own_numbers(planner, 
         assert message.status == Status.OK
         assert message.pdc_th.value == np.float32(prediction.value.pdc_th)
         np.testing.assert_array_equal([i.value for i in message.e_mf], prediction.value.e_mf.astype(np.float32))
-
-
-def test_a_grasp_without_orientation_is_posed_on_the_table(planner, model_card):
     request = planner.request()
     without_orientation(request.grasps[0])
     (posed,) = planner.ask(request).predictions

@@ -70,14 +70,12 @@ def test_gaps_and_events_of_the_same_loss_are_counted_once():
 @pytest.mark.skipif(not SUPPORTED, reason="rclpy does not pass the publisher of a message before Kilted")
 def test_a_message_that_is_replaced_in_the_queue_is_counted(graph):
     (node,) = graph.add("grasp", diagnostics_period_s=0.1)
-    reports, tables = graph.reports("grasp"), graph.talk(TablePlane, "table")
-    graph.matched("table")
+    reports, tables = graph.reports("grasp"), graph.talk_matched(TablePlane, "table")
     tables.publish(TablePlane())
     graph.until(lambda: node.statistics.summary().received)
     blocked, released = threading.Event(), threading.Event()
     node.subscribe(TablePlane, "other", lambda _: (blocked.set(), released.wait()))  # it takes all inputs of the node
-    other = graph.talk(TablePlane, "other")
-    graph.matched("other")
+    other = graph.talk_matched(TablePlane, "other")
     other.publish(TablePlane())
     assert blocked.wait(5.0)
     for number in range(20):

@@ -119,8 +119,7 @@ def test_another_participant_gets_the_same_content_and_the_counts_are_the_same(g
 def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cloud, model_card):
     nodes = graph.add(*PERCEPTION, model=model_card)
     outsider.listen("touch")
-    publisher = graph.talk(PointCloud2, "points")
-    graph.matched("points")
+    publisher = graph.talk_matched(PointCloud2, "points")
     graph.until(lambda: outsider.node.count_publishers("/foretouch/touch"))
     graph.until(lambda: nodes[2]._touch.get_subscription_count() == 1)
     for stamp in (1, 2, 3):
@@ -167,8 +166,7 @@ def test_a_node_deactivated_in_the_middle_counts_its_clouds(graph, scene_cloud, 
 
 def test_overload_is_superseded_at_the_first_node_only(graph, scene_cloud, model_card):
     nodes = graph.add(*PERCEPTION, model=model_card, queue_depth=2)
-    publisher = graph.talk(PointCloud2, "points")
-    graph.matched("points")
+    publisher = graph.talk_matched(PointCloud2, "points")
     for stamp in range(1, 16):
         publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp, width=160)))
     graph.until(lambda: nodes[0].statistics.summary().used > 0)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
 import platform
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from command_answer import run_python
 
 from foretouch.ros.runtime.environment import SHARED_MEMORY_PROFILE, prepare_environment, profile_variable
 
@@ -24,10 +24,8 @@ def bare(monkeypatch):
 
 def printed(code, **environment):
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_TUNABLES"))}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=kept | environment
-    )
-    assert not done.stderr
+    done = run_python(code, env=kept | environment)
+    assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.split()
 
 

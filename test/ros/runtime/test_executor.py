@@ -7,34 +7,12 @@ from collections import Counter
 from itertools import count
 
 import pytest
-from sensor_msgs.msg import PointCloud2
 
-from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.ros.runtime.processing_node import StampSynchronizer, warm_up_cloud
-from foretouch.types import ASSUMED_TABLE
-from foretouch_msgs.msg import GraspArray, TablePlane, TouchPredictionArray
+from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.runtime.processing_node import StampSynchronizer
+from foretouch_msgs.msg import TablePlane
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def predictor(graph, model_card):
-    """A touch predictor, a function that sends it a cloud with grasps, and its answers."""
-    (node,) = graph.add("touch_predictor", model=model_card)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
-    graph.matched("object_cloud", "grasps", "touch")
-    target = Pipeline().segment(warm_up_cloud()).targets[0]
-    planned = [grasp_to_msg(one) for one in Pipeline().plan(target).grasps]
-
-    def send(stamp):
-        message = objects_to_msg([FoundObject("1", target.cloud, ASSUMED_TABLE)], "cam", stamp)
-        clouds.publish(message)
-        grasps.publish(GraspArray(header=message.header, grasps=planned))
-
-    return node, send, heard
 
 
 def slowed(monkeypatch, node, seconds, begun=None):
@@ -52,8 +30,8 @@ def slowed(monkeypatch, node, seconds, begun=None):
     return threads
 
 
-def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, monkeypatch):
-    node, send, heard = predictor
+def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, model_card, monkeypatch):
+    node, send, heard = predictor(model=model_card)
     threads = slowed(monkeypatch, node, 0.0)
     for stamp in (1, 2, 3):
         send(stamp)
@@ -61,10 +39,9 @@ def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, mon
     assert threads == ["inputs"] * 3
 
 
-def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, monkeypatch):
-    node, send, heard = predictor
-    tables = graph.talk(TablePlane, "table")
-    graph.matched("table")
+def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, model_card, monkeypatch):
+    node, send, heard = predictor(model=model_card)
+    tables = graph.talk_matched(TablePlane, "table")
     begun = threading.Event()
     slowed(monkeypatch, node, 1.0, begun)
     send(1)
@@ -99,7 +76,7 @@ def test_a_set_is_complete_in_either_order_and_keeps_its_first_arrival():
     assert sets.add("table", 1_000_000_000_000_000_001, "t") is None  # a nanosecond apart
 
 
-def test_the_oldest_incomplete_set_makes_room_and_every_dropped_one_is_counted():
+def test_the_oldest_incomplete_set_and_the_first_of_a_stamp_make_room_and_are_counted():
     sets, drops = make(depth=3)
     for stamp in range(5):
         sets.add("cloud", stamp, stamp)
@@ -109,9 +86,6 @@ def test_the_oldest_incomplete_set_makes_room_and_every_dropped_one_is_counted()
     waiting = len(sets._waiting)
     sets.clear("stopped")
     assert (drops["stopped"], len(sets._waiting)) == (waiting, 0)
-
-
-def test_a_repeated_stamp_drops_the_first():
     sets, drops = make()
     sets.add("cloud", 1, "first")
     sets.add("cloud", 1, "second")

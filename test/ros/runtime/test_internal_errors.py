@@ -58,8 +58,7 @@ def test_timers_and_topics_that_fail_are_counted_and_reported_in_diagnostics(gra
     reports = graph.reports("segmentation")
     node.create_timer(0.02, fail)
     node.subscribe(String, "words", fail)
-    talk = graph.talk(String, "words")
-    graph.matched("words")
+    talk = graph.talk_matched(String, "words")
     talk.publish(String(data="a"))
     graph.until(lambda: node.internal_errors.counts()["words"] == 1 and node.internal_errors.counts()["fail"] >= 3)
     graph.until(lambda: reports and "internal errors in fail" in reports[-1].message)
@@ -98,8 +97,7 @@ def test_a_node_that_cannot_stop_is_deactivated_nevertheless(graph, monkeypatch)
 
 def test_a_cloud_whose_refusal_fails_too_is_counted_and_the_worker_goes_on(graph, scene_cloud, monkeypatch):
     (node,) = graph.add("segmentation")
-    clouds = graph.talk(PointCloud2, "points")
-    graph.matched("points")
+    clouds = graph.talk_matched(PointCloud2, "points")
     with monkeypatch.context() as patch:
         patch.setattr(node, "_answer", fail)
         patch.setattr(node, "_refuse", fail)

@@ -47,8 +47,7 @@ def test_without_autostart_it_waits_and_walks_through_its_states(graph, scene_cl
 
 def test_a_best_effort_camera_is_heard_and_diagnostics_hold_counts_ages_and_latencies(graph, scene_cloud):
     graph.add("segmentation", diagnostics_period_s=0.1)
-    reports, publisher = graph.reports("segmentation"), graph.talk(PointCloud2, "points", reliable=False)
-    graph.matched("points")
+    reports, publisher = graph.reports("segmentation"), graph.talk_matched(PointCloud2, "points", reliable=False)
     publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=graph.probe.get_clock().now().nanoseconds)))
     graph.until(lambda: reports and reports[-1].values.get("used") == "1")
     known = reports[-1].values

@@ -5,7 +5,6 @@ import sys
 
 import numpy as np
 import pytest
-import tf2_stand_in
 from every_case import every_case
 from numpy.testing import assert_allclose
 from rclpy.node import Node
@@ -90,7 +89,7 @@ def of_file(path, frame="base"):
     return OutputFrame(None, OutputFrameConfig(output_frame=frame, hand_eye=path))
 
 
-def test_a_calibration_is_for_the_frames_that_it_names(write):
+def test_a_calibration_is_for_the_frames_that_it_names_and_without_one_and_tf2_a_frame_is_refused(write, monkeypatch):
     path = write(OWN)
     frame = of_file(path)
     assert frame.transform(Header(frame_id="base")) is None
@@ -107,18 +106,9 @@ def test_a_calibration_is_for_the_frames_that_it_names(write):
     default = OutputFrame(None, OutputFrameConfig())
     assert (default.transform(Header(frame_id="cam")), default.notes()) == (None, {})
     default.close()
-
-
-def test_without_tf2_and_calibration_a_frame_is_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_ros", None)
     with pytest.raises(MissingDependencyError, match="output_frame: 'base' needs tf2_ros, which is not installed"):
         of_file("")
-
-
-@pytest.fixture
-def tf2(monkeypatch):
-    monkeypatch.setitem(sys.modules, "tf2_ros", tf2_stand_in.module())
-    return tf2_stand_in.Buffer
 
 
 def test_a_transform_of_tf2_is_that_of_the_stamp_of_the_cloud(tf2, monkeypatch):

@@ -16,20 +16,6 @@ def follow(tare, until_ns):
             tare.update(reading.stamp_ns, reading.counts, reading.stamp_ns * 1e-9)
 
 
-def test_rest_makes_a_tare_and_contact_keeps_the_one_before():
-    tare = LiveTare(ContactConfig())
-    hold = interval(0)
-    follow(tare, hold.release - 100 * MS)
-    found = tare.tare((hold.release - 100 * MS) * 1e-9, 60.0)
-    np.testing.assert_allclose(found.vector(), REST, atol=4.0)
-    age_s = tare.age_s((hold.release - 100 * MS) * 1e-9)
-    assert 0.8 < age_s < 1.6  # from before the fingers closed in
-    now_s = hold.release * 1e-9
-    tare.exclude(hold.contact, hold.release)  # the report of the grasp leaves the rest before it alone
-    assert tare.tare(now_s, 60.0) is not None
-    assert tare.tare(now_s, 0.1) is tare.tare(now_s + 100.0, 60.0) is None
-
-
 def test_it_is_renewed_after_the_release_and_follows_drift():
     tare = LiveTare(ContactConfig())
     follow(tare, T0 + 3000 * MS)

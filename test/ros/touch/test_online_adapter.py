@@ -18,7 +18,7 @@ from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
@@ -26,7 +26,7 @@ from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, Status, TouchPredictionArray
+from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 from foretouch_msgs.srv import PredictTouch
 
@@ -67,10 +67,6 @@ class CanRobot(Robot):
     def message(self, counts):
         self.felt.append(super().message(counts))
         return self.felt[-1]
-
-    def report(self, name, times, *, success=True):
-        header = header_to_msg(FRAME, self.now)
-        self.told.publish(ExecutedGrasp(header=header, grasp_id=name, success=success, **times))
 
     def cut(self, times):
         """What the recorder would cut out of the messages of this hand."""
@@ -386,8 +382,7 @@ def test_a_named_hand_remembers_across_a_restart(graph, card, tmp_path):
 
 def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(graph, card, model_card):
     (node,) = graph.add("touch_predictor", model=card, tactile__type="std_msgs/String")
-    lines = graph.talk(String, "/rh/tactile")
-    graph.matched("/rh/tactile")
+    lines = graph.talk_matched(String, "/rh/tactile")
     lines.publish(String(data="not,a,reading"))
     graph.until(lambda: node.notes()["tactile.unreadable"] == "1")
     assert "CSV: 3 fields" in node.notes()["tactile.last_unreadable"]
