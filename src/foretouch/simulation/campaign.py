@@ -25,6 +25,7 @@ from foretouch.simulation.scene.campaign import (
     CampaignConfig,
     DriftTermConfig,
     ExchangeConfig,
+    ThermistorConfig,
 )
 from foretouch.simulation.world import SampleKey
 from foretouch.tactile import FULL_SCALE
@@ -91,6 +92,20 @@ class Campaign:
         """Thumb and middle finger as they are mounted in a session."""
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
+
+    def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[float, float]:
+        """How warm the fingers are at power-on, and an object minus that [K]."""
+        start = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal()
+        low, high = config.object_kelvin
+        return config.session_kelvin * start, SampleKey(self.scene.seed, visit).stream("temperature of an object").uniform(low, high)
+
+    def slopes(self, config: ThermistorConfig, session: int) -> Float64:
+        """(2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""
+        drawn = []
+        for finger, (name, mean) in enumerate(zip(_FINGERS, (config.slope_th, config.slope_mf), strict=True)):
+            rng = SampleKey(self.scene.seed, self._exchanges_before(finger, session)).stream(f"slopes of the {name}")
+            drawn.append(mean + config.slope_spread * rng.standard_normal(ELECTRODES))
+        return np.array(drawn)
 
     def drift(self, now: CampaignTime, times_s: Float64, load: Float64) -> Float64:
         """(T, 2, 25) float64 [counts]: how far PDC and electrodes of both fingers have drifted.

@@ -22,6 +22,11 @@ _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring 
 PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
 ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
+TDC_PER_KELVIN: Final = 75.0  # [counts/K]; the slope of the converter's curve where recordings are, between 2350 and 2700
+TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; so that TAC of a middle finger varies in contact as recorded
+TAC_REST: Final = 2048.0  # TAC at a steady temperature
+TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded
+
 WANDER_COUNTS: Final = 1.9  # standard deviation of the slow fluctuation of an electrode
 WANDER_S: Final = 0.4  # time in which its correlation falls to 1/e
 
@@ -97,10 +102,14 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
     return result
 
 
+def warming(config: TemperatureConfig, times_s: Float64) -> Float64:
+    """(T,) float64: rise of the liquid's temperature [K] at times since power-on [s]."""
+    return np.asarray(config.body_kelvin * -np.expm1(-times_s / config.warming_s))
+
+
 def temperature_drift(config: TemperatureConfig, times_s: Float64) -> Float64:
     """(T, 25) float64: drift of PDC and electrodes [counts] at times (T,) since power-on [s]."""
-    kelvin = config.body_kelvin * -np.expm1(-times_s / config.warming_s)
-    return np.outer(kelvin, [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
+    return np.outer(warming(config, times_s), [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
 
 
 def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "low") -> Float64:

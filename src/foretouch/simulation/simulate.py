@@ -22,6 +22,7 @@ from foretouch.simulation.campaign import object_index
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine
+from foretouch.simulation.fingertip import quantise
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
 from foretouch.types import ELECTRODES, GraspSample
@@ -29,6 +30,7 @@ from foretouch.types import ELECTRODES, GraspSample
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
 """The keys of the state that every sample is made of."""
 
+THERMAL = ("TAC", "TDC")  # channels of `SampleState.thermal`
 _BLOCK = 16  # slots that a worker makes at a time
 _AHEAD = 3  # blocks a worker that may wait for the reader
 
@@ -60,7 +62,7 @@ class Simulation:
         """The first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
-        takes, and targets and contacts of both fingers.
+        takes, targets and contacts of both fingers, and TAC and TDC as a recording has them where the scene has a temperature.
 
         Args:
             count: How many.
@@ -104,7 +106,7 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
 
 
 def _engine_of(scene: SceneConfig) -> Engine:
-    return Engine(scene, EFFECTS, SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time"))
+    return Engine(scene, EFFECTS, SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time", "thermal"))
 
 
 _Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
@@ -164,6 +166,13 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
     for finger, sensor, moved in zip(("th", "mf"), state.sensors, level, strict=True):
         values[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
         values[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
+    if hasattr(state, "thermal"):
+        rows = {"": state.thermal[state.hold_row]}
+        if state.tare is not None:
+            rows["tare_"] = np.median(state.thermal[: int(np.argmax(state.load > 0.0))], axis=0)
+        for prefix, row in rows.items():
+            names = [f"{prefix}{channel}_{finger}" for finger in ("TH", "MF") for channel in THERMAL]
+            values |= dict(zip(names, quantise(row).ravel().astype(float).tolist(), strict=True))
     return values
 
 

@@ -35,14 +35,18 @@ class TactileInput(Settings):
 
 
 def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds: int) -> BiotacAll:
-    """A message of all five fingers with a frame and a stamp [ns]; vibration and temperature are not simulated and are 0.
+    """A message of all five fingers with a frame and a stamp [ns]; vibration is not simulated and is 0.
 
-    `fingers` holds (25,) int16 counts by finger, PDC then electrodes. An absent finger sends zeros, as one without a BioTac
-    does.
+    `fingers` holds (25,) int16 counts by finger, PDC then electrodes, or (27,) with TAC and TDC, which are 0 otherwise. An
+    absent finger sends zeros, as one without a BioTac does.
     """
     # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
     tactiles = [
-        Biotac(pdc=int(counts[0]), electrodes=array.array("h", counts[1:].tobytes()))
+        Biotac(
+            pdc=int(counts[0]),
+            electrodes=array.array("h", counts[1 : 1 + ELECTRODES].tobytes()),
+            **{name: int(value) for name, value in zip(("tac", "tdc"), counts[1 + ELECTRODES :], strict=False)},
+        )
         for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER)
     ]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)

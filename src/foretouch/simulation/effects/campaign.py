@@ -4,11 +4,22 @@
 import numpy as np
 
 from foretouch.simulation.campaign import Campaign
-from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
+from foretouch.simulation.disturbances import (
+    TAC_PER_KELVIN_S,
+    TAC_REST,
+    TDC_PER_KELVIN,
+    TDC_REST,
+    TemperatureConfig,
+    creep,
+    temperature_drift,
+    warming,
+)
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.scene import CampaignConfig, ObjectConfig, SceneConfig
-from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig
+from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig, ThermistorConfig
 from foretouch.types import ELECTRODES
+
+_CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
 
 
 def _campaign(job: Job) -> Campaign:
@@ -33,9 +44,26 @@ def _drift(job: Job, state: SampleState) -> None:
 
 
 def _warm_up(job: Job, state: SampleState) -> None:
-    config: TemperatureConfig = job.settings
-    now = state.campaign_time
+    config, now = _campaign(job).config.warm_up, state.campaign_time
+    assert config is not None  # noqa: S101  # which calls for it
     state.level += temperature_drift(config, now.powered_s + now.speed * state.times)[:, None]
+
+
+def _finger_temperature(job: Job, state: SampleState) -> None:
+    """Fingers warm on, and approach the temperature of an object as long as they touch it."""
+    config: ThermistorConfig = job.settings
+    campaign, now, timeline = _campaign(job), state.campaign_time, job.scene.fingers.timeline
+    warm_up = campaign.config.warm_up
+    assert warm_up is not None  # noqa: S101  # it holds the settings
+    start_k, object_k = campaign.kelvin(config, now.session, job.key.slot // campaign.config.grasps)
+    rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
+    cooled = creep(state.load, rate_hz, share=1.0, time_s=config.contact_s)
+    warm_k = start_k + warming(warm_up, now.powered_s + now.speed * state.times)
+    change = TDC_PER_KELVIN * (warm_k + object_k * cooled)
+    flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / config.contact_s
+    tac = np.broadcast_to((TAC_REST + flow)[:, None], (len(flow), 2))
+    state.thermal = np.stack([tac, np.add.outer(change, TDC_REST)], axis=2)
+    state.level[..., 1:] += change[:, None, None] * campaign.slopes(config, now.session)
 
 
 def _shift(_job: Job, state: SampleState) -> None:
@@ -71,8 +99,18 @@ def _warm_up_detail(config: TemperatureConfig) -> str:
     return f"{config.warming_s:g} s after each power-on"
 
 
+def _thermistor_detail(config: ThermistorConfig) -> str:
+    return f"{config.slope_th:g} and {config.slope_mf:g} electrode counts per count of TDC"
+
+
+def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
+    config = scene.campaign and scene.campaign.warm_up
+    return None if config is None or config.tdc is not None else f"campaign.warm_up: {_warm_up_detail(config)}"
+
+
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    return _DRIFT.reason(scene, item) or _WARM_UP.reason(scene, item)
+    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, _FINGER_TEMPERATURE))
+    return next(filter(None, reasons), None)
 
 
 def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
@@ -94,7 +132,20 @@ _DRIFT = Effect(
     detail=_drift_detail,
 )
 _WARM_UP = Effect(
-    "warm_up", _warm_up, "campaign.warm_up", reads=(_TIME, "times", _LEVEL), writes=(_LEVEL,), detail=_warm_up_detail
+    "warm_up",
+    _warm_up,
+    _warms_up,
+    reads=(_TIME, "times", _LEVEL),
+    writes=(_LEVEL,),
+    off="no campaign.warm_up, or finger_temperature holds it",
+)
+_FINGER_TEMPERATURE = Effect(
+    "finger_temperature",
+    _finger_temperature,
+    "campaign.warm_up.tdc",
+    reads=(_TIME, "times", "load", _LEVEL),
+    writes=("thermal", _LEVEL),
+    detail=_thermistor_detail,
 )
 
 MOUNTING = (
@@ -107,6 +158,7 @@ DRIFT = (
     Effect("level", _level, _needs_level, reads=("times",), writes=(_LEVEL,), off=_NO_DRIFT),
     _DRIFT,
     _WARM_UP,
+    _FINGER_TEMPERATURE,
     Effect("level_shift", _shift, _needs_level, reads=(_LEVEL, "series"), writes=("series",), off=_NO_DRIFT),
 )
 """How far their levels have drifted."""
