@@ -27,6 +27,7 @@ from foretouch.simulation.scene.campaign import (
     ExchangeConfig,
     ThermistorConfig,
 )
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import ELECTRODES, Float64
@@ -93,11 +94,12 @@ class Campaign:
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
 
-    def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[float, float]:
-        """How warm the fingers are at power-on, and an object minus that [K]."""
-        start = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal()
-        low, high = config.object_kelvin
-        return config.session_kelvin * start, SampleKey(self.scene.seed, visit).stream("temperature of an object").uniform(low, high)
+    def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[Float64, float]:
+        """(2,) temperature of both fingers at power-on, and how much warmer than they are the object of a visit is [K]."""
+        shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
+        rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
+        start = config.session_kelvin * shared + config.finger_kelvin * np.array(own)
+        return start, draw(rng, config.object_kelvin)
 
     def slopes(self, config: ThermistorConfig, session: int) -> Float64:
         """(2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""

@@ -22,7 +22,9 @@ _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring 
 PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
 ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
-TDC_PER_KELVIN: Final = 75.0  # [counts/K]; the slope of the converter's curve where recordings are, between 2350 and 2700
+TDC_PER_KELVIN: Final = (
+    75.0  # [counts/K]; the slope of the converter's curve where recordings are, between 2350 and 2700
+)
 TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; so that TAC of a middle finger varies in contact as recorded
 TAC_REST: Final = 2048.0  # TAC at a steady temperature
 TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded

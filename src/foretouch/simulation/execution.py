@@ -54,7 +54,9 @@ class GraspTimingConfig(TimelineConfig):
 class GraspTrajectory:
     """One executed grasp."""
 
-    counts: Counts  # (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them; where the
+    counts: (
+        Counts  # (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them; where the
+    )
     # scene has a temperature (T, 2, 27), with TAC and TDC
     start: int  # row at which the hand starts to close
     onset: int | None  # row of first touch; None where a finger never touches

@@ -18,6 +18,9 @@ def test_messages_hold_each_finger_at_its_index():
     assert [list(one.electrodes[:2]) for one in sent.tactiles] == [[101, 102], [0, 0], [0, 0], [0, 0], [1, 2]]
     for name in FINGER_ORDER:
         np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
+    assert {(one.tac, one.tdc) for one in sent.tactiles} == {(0, 0)}
+    warm = biotac_all_to_msg({"TH": np.arange(27, dtype=np.int16)}, "hand", START).tactiles[-1]
+    assert (len(warm.electrodes), warm.tac, warm.tdc) == (24, 25, 26)
 
 
 def test_a_class_is_found_by_its_type_and_a_missing_package_is_named():

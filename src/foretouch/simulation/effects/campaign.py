@@ -58,12 +58,12 @@ def _finger_temperature(job: Job, state: SampleState) -> None:
     start_k, object_k = campaign.kelvin(config, now.session, job.key.slot // campaign.config.grasps)
     rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
     cooled = creep(state.load, rate_hz, share=1.0, time_s=config.contact_s)
-    warm_k = start_k + warming(warm_up, now.powered_s + now.speed * state.times)
-    change = TDC_PER_KELVIN * (warm_k + object_k * cooled)
+    common_k = warming(warm_up, now.powered_s + now.speed * state.times) + object_k * cooled
+    change = TDC_PER_KELVIN * (common_k[:, None] + start_k)  # (T, 2)
     flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / config.contact_s
-    tac = np.broadcast_to((TAC_REST + flow)[:, None], (len(flow), 2))
-    state.thermal = np.stack([tac, np.add.outer(change, TDC_REST)], axis=2)
-    state.level[..., 1:] += change[:, None, None] * campaign.slopes(config, now.session)
+    tac = np.broadcast_to((TAC_REST + flow)[:, None], change.shape)
+    state.thermal = np.stack([tac, change + TDC_REST], axis=2)
+    state.level[..., 1:] += change[..., None] * campaign.slopes(config, now.session)
 
 
 def _shift(_job: Job, state: SampleState) -> None:
@@ -104,8 +104,8 @@ def _thermistor_detail(config: ThermistorConfig) -> str:
 
 
 def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    config = scene.campaign and scene.campaign.warm_up
-    return None if config is None or config.tdc is not None else f"campaign.warm_up: {_warm_up_detail(config)}"
+    config = scene.campaign.warm_up if scene.campaign else None
+    return None if config is None or config.tdc else f"campaign.warm_up: {_warm_up_detail(config)}"
 
 
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:

@@ -70,8 +70,9 @@ class ThermistorConfig(RangedSettings):
     """
 
     session_kelvin: float = setting(
-        0.6, "Standard deviation of the temperature at power-on between sessions", unit="K", minimum=0.0, maximum=50.0
+        1.0, "Standard deviation of the temperature at power-on between sessions", unit="K", minimum=0.0, maximum=50.0
     )
+    finger_kelvin: float = setting(0.2, "The same of each finger on its own", unit="K", minimum=0.0, maximum=50.0)
     object_kelvin: tuple[float, ...] = setting(
         (-3.0, 0.0),
         "Temperature of an object minus that of the fingers, low and high",

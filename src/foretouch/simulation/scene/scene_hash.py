@@ -71,7 +71,14 @@ _CONSTANTS: Final[dict[str, Any]] = {
         },
     },
 }
-_OFF: Final = {"campaign": None, "sessions": None, "method": "original", "first_variant": 0, "file_sha256": "", "tdc": None}
+_OFF: Final = {
+    "campaign": None,
+    "sessions": None,
+    "method": "original",
+    "first_variant": 0,
+    "file_sha256": "",
+    "tdc": None,
+}
 """Settings that do not count at these values."""
 
 
