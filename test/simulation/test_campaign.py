@@ -208,7 +208,7 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
     assert (tdc[grasp.release] < tdc[0]).all()
 
 
-def test_temperature_improves_electrodes_before_the_first_touch() -> None:
+def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     """On a campaign that the tracker was not fitted to; where the scene has no temperature, nothing changes to the bit."""
     days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}
     warm_up = {"warm_up": {"tdc": {"session_kelvin": 2.0}}}
@@ -231,7 +231,6 @@ def test_temperature_improves_electrodes_before_the_first_touch() -> None:
         squared = ((counts - warm.readings) ** 2)[warm.begins()][5:, 2:].reshape(-1, 2, 24).mean(axis=2)
         errors.append(squared)
     gain = errors[1] - errors[0]
-    rng = np.random.default_rng(0)
     draws = gain[rng.integers(0, len(gain), (1000, len(gain)))].mean(axis=1)
     assert (np.quantile(draws, 0.025, axis=0) > 0.0).all()
     cold = recorded(1, {}, first.expected[0])
