@@ -29,7 +29,17 @@ from foretouch.types import GraspSample
 SCENES = Path(__file__).parents[2] / "config" / "scenes"
 HELD = {"grasps": {"insertion_m": 0.01}}
 BOX = {"name": "box", "shape": "box", "size_m": [0.06, 0.09, 0.07]}
-EFFECTS = ("calendar", "exchange", "level", "level_drift", "warm_up", "finger_temperature", "level_shift", "tares")
+EFFECTS = (
+    "calendar",
+    "exchange",
+    "level",
+    "level_drift",
+    "warm_up",
+    "finger_temperature",
+    "fluid_loss",
+    "level_shift",
+    "tares",
+)
 QUIET = {"hand_counts": 0.0, "finger_counts": 0.0, "electrode_counts": 0.0, "pdc_counts": 0.0}
 NOW = np.zeros(1)
 
@@ -255,6 +265,17 @@ def test_an_exchange_changes_level_and_drift_once_and_of_one_finger() -> None:
     np.testing.assert_array_equal(new[:, 0], kept[:, 0])  # the other finger goes on
     np.testing.assert_array_equal(new[0], kept[0])
     assert (new[1:, 1] != kept[1:, 1]).all()
+
+
+def test_liquid_leaves_a_fingertip_until_another_is_mounted() -> None:
+    loss = {"pdc_per_day": 2.0, "electrodes_per_day": 5.0}
+    settings = {"days": [0, 3, 10], "objects": 1, "grasps": 1, "fluid_loss": loss, "exchanges": [{"session": 1}]}
+    config = scene(CAN, campaign=settings, **HELD)
+    states = [run(config, "level", "campaign_time", slot=slot) for slot in range(3)]
+    days = np.array([[0.0, 0.0], [0.0, 3.0], [7.0, 10.0]]) + POWER_ON_S / 86400.0  # the thumb is exchanged
+    for state, mounted in zip(states, days, strict=True):
+        expected = -np.outer(mounted, [2.0, *[5.0] * 24])
+        np.testing.assert_allclose(state.level, np.broadcast_to(expected, (2, 2, 25)))
 
 
 def test_tare_and_touch_follow_the_state_and_samples_hold_the_true_rest_levels() -> None:

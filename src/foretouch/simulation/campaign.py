@@ -94,6 +94,13 @@ class Campaign:
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
 
+    def mounted_days(self, now: CampaignTime) -> Float64:
+        """(2,) time since both fingertips were mounted [days]."""
+        changes = (
+            [each.session for each in self._exchanges(finger) if each.session <= now.session] for finger in (0, 1)
+        )
+        return now.time_s / DAY_S - np.array([self.config.days[max(sessions, default=0)] for sessions in changes])
+
     def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[Float64, float]:
         """(2,) temperature of both fingers at power-on, and how much warmer than they are the object of a visit is [K]."""
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)

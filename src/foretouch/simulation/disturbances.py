@@ -89,6 +89,14 @@ def scan(series: Float64, rng: np.random.Generator) -> Float64:
     return np.asarray(np.take_along_axis(series, np.maximum.accumulate(sampled, axis=0), axis=0))
 
 
+@dataclass(frozen=True, kw_only=True)
+class CreepConfig(Settings):
+    """The skin relaxes under load within seconds; with a slow share, a part of the response comes later still."""
+
+    slow_share: float = setting(0.0, "Part of the response that comes later still", minimum=0.0, maximum=0.9)
+    slow_s: float = setting(30.0, "Time constant of that part", unit="s", minimum=0.1, maximum=1e5)
+
+
 def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:
     """The skin as a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
 

@@ -16,7 +16,7 @@ from foretouch.simulation.disturbances import (
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.scene import CampaignConfig, ObjectConfig, SceneConfig
-from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig, ThermistorConfig
+from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig, FluidLossConfig, ThermistorConfig
 from foretouch.types import ELECTRODES
 
 _CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
@@ -66,6 +66,12 @@ def _finger_temperature(job: Job, state: SampleState) -> None:
     state.level[..., 1:] += change[..., None] * campaign.slopes(config, now.session)
 
 
+def _fluid_loss(job: Job, state: SampleState) -> None:
+    config: FluidLossConfig = job.settings
+    fall = np.array([config.pdc_per_day, *[config.electrodes_per_day] * ELECTRODES])
+    state.level -= np.outer(_campaign(job).mounted_days(state.campaign_time), fall)
+
+
 def _shift(_job: Job, state: SampleState) -> None:
     state.series += state.level
 
@@ -109,7 +115,7 @@ def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
 
 
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, _FINGER_TEMPERATURE))
+    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, _FINGER_TEMPERATURE, _FLUID_LOSS))
     return next(filter(None, reasons), None)
 
 
@@ -119,7 +125,7 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
 
 
 _TIME = "campaign_time"
-_NO_DRIFT = "no campaign.drift or campaign.warm_up"
+_NO_DRIFT = "no campaign.drift, campaign.warm_up or campaign.fluid_loss"
 
 _LEVEL = "level"
 
@@ -147,6 +153,7 @@ _FINGER_TEMPERATURE = Effect(
     writes=("thermal", _LEVEL),
     detail=_thermistor_detail,
 )
+_FLUID_LOSS = Effect("fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=(_TIME, _LEVEL), writes=(_LEVEL,))
 
 MOUNTING = (
     Effect("calendar", _calendar, "campaign", writes=(_TIME,), detail=_calendar_detail),
@@ -159,6 +166,7 @@ DRIFT = (
     _DRIFT,
     _WARM_UP,
     _FINGER_TEMPERATURE,
+    _FLUID_LOSS,
     Effect("level_shift", _shift, _needs_level, reads=(_LEVEL, "series"), writes=("series",), off=_NO_DRIFT),
 )
 """How far their levels have drifted."""

@@ -9,6 +9,7 @@ from foretouch.simulation.contact import ContactSolution, PadWindow, solve_conta
 from foretouch.simulation.disturbances import (
     WANDER_COUNTS,
     WANDER_S,
+    CreepConfig,
     NoiseConfig,
     creep,
     mask_dead_electrodes,
@@ -103,7 +104,11 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
 
 
 def _creep(job: Job, state: SampleState) -> None:
-    state.series = creep(state.series, _rate_hz(job))
+    config: CreepConfig = job.settings
+    late = creep(state.series, _rate_hz(job))
+    if config.slow_share > 0.0:
+        late += creep(state.series, _rate_hz(job), share=config.slow_share, time_s=config.slow_s) - state.series
+    state.series = late
 
 
 def _drift(job: Job, state: SampleState) -> None:

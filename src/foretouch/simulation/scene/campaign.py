@@ -108,6 +108,19 @@ class WarmUpConfig(TemperatureConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FluidLossConfig(Settings):
+    """Liquid leaves a fingertip from the day on which it is mounted: its pressure falls, and the skin comes closer to the core.
+
+    The defaults are assumptions: between two refills, a lab would notice ten times as much.
+    """
+
+    pdc_per_day: float = setting(1.0, "Fall of PDC at rest", unit="counts/day", minimum=0.0, maximum=100.0)
+    electrodes_per_day: float = setting(
+        2.0, "Fall of the electrodes at rest", unit="counts/day", minimum=0.0, maximum=100.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class CampaignConfig(Settings):
     """When grasps are executed, and what the sensors do in the course of the campaign.
 
@@ -136,6 +149,7 @@ class CampaignConfig(Settings):
         maximum=1e6,
     )
     warm_up: WarmUpConfig | None = None
+    fluid_loss: FluidLossConfig | None = None
     drift: tuple[DriftTermConfig, ...] = field(default=())
     exchanges: tuple[ExchangeConfig, ...] = field(default=())
 

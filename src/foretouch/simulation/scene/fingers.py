@@ -7,7 +7,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig
 from foretouch.simulation.contact import PadConfig
-from foretouch.simulation.disturbances import NoiseConfig, TemperatureConfig
+from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
 from foretouch.simulation.scene.ranges import RangedSettings, Switch
 
@@ -86,7 +86,6 @@ class FingersConfig(Settings):
     """Both fingers. What is absent is off.
 
     Attributes:
-        creep: The skin relaxes under load.
         slip: The object slides over the skin during the hold.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
         scan: Electrodes are sampled one after the other, so that a message repeats about eight of them.
@@ -101,7 +100,7 @@ class FingersConfig(Settings):
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
     timeline: TimelineConfig | None = None
-    creep: Switch | None = None
+    creep: CreepConfig | None = None
     slip: Switch | None = None
     drift: DriftConfig | None = None
     sessions: Switch | None = None

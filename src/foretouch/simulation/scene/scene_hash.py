@@ -78,6 +78,9 @@ _OFF: Final = {
     "first_variant": 0,
     "file_sha256": "",
     "tdc": None,
+    "fluid_loss": None,
+    "slow_share": 0.0,
+    "slow_s": 30.0,
 }
 """Settings that do not count at these values."""
 
