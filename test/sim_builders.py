@@ -19,6 +19,7 @@ EVERY_FINGER_EFFECT = {
     "timeline": {},
     "creep": {},
     "slip": {},
+    "vibration": {},
     "drift": {},
     "noise": {},
     "scan": {},

@@ -206,13 +206,14 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
     settings = {"days": [0, 1], "objects": 1, "grasps": 2, "warm_up": {"tdc": {"object_kelvin": [-2, -2]}}}
     config, plain = (scene(CAN, campaign=one, **HELD) for one in (settings, {**settings, "warm_up": {}}))
     hand = SimulatedHand(config)
-    assert hand.rest(3).shape == (3, 2, 27)
+    assert hand.rest(3).shape == (3, 2, 29)
     assert SimulatedHand(plain).rest(3).shape == (3, 2, 25)
-    rise = hand.rest(1, elapsed_s=600.0)[0, :, 26] - hand.rest(1)[0, :, 26]
+    rise = hand.rest(1, elapsed_s=600.0)[0, :, 28] - hand.rest(1)[0, :, 28]
     np.testing.assert_allclose(rise, 75.0 * 3.0 * (1.0 - np.exp(-1.0)), atol=1.0)
     grasp = hand.execute(run(config, "grasp", slot=0).grasp, 0)
-    tac, tdc = np.moveaxis(grasp.counts[..., 25:].astype(int), 2, 0)
+    tac, tdc = np.moveaxis(grasp.counts[..., 27:].astype(int), 2, 0)
     assert grasp.contact is not None
+    assert not grasp.counts[..., 25:27].any()  # no vibration
     assert (tac[: grasp.start] == 2048).all()
     assert (tac[grasp.contact] < 2012).all()
     assert (tdc[grasp.release] < tdc[0]).all()

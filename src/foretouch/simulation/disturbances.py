@@ -26,6 +26,8 @@ TDC_PER_KELVIN: Final = (
     75.0  # [counts/K]; the slope of the converter's curve where recordings are, between 2350 and 2700
 )
 TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; so that TAC of a middle finger varies in contact as recorded
+VIBRATION_S: Final = 0.03  # time in which a vibration of the skin falls to 1/e
+PAC_REST: Final = 2048.0  # PAC of a still fingertip
 TAC_REST: Final = 2048.0  # TAC at a steady temperature
 TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded
 

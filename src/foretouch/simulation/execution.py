@@ -54,10 +54,7 @@ class GraspTimingConfig(TimelineConfig):
 class GraspTrajectory:
     """One executed grasp."""
 
-    counts: (
-        Counts  # (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them; where the
-    )
-    # scene has a temperature (T, 2, 27), with TAC and TDC
+    counts: Counts  # (T, 2, 25 or 29) int16: thumb and middle finger, PDC, electrodes and, if simulated, the others
     start: int  # row at which the hand starts to close
     onset: int | None  # row of first touch; None where a finger never touches
     contact: int | None  # row from which on contact is steady; None likewise
@@ -109,10 +106,12 @@ class SimulatedHand:
             for e in EFFECTS
             if e.name not in _NOT_LIVE
         ]
-        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts", "thermal"))
-        at_rest = Effect("rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load"))
+        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts", "others"))
+        at_rest = Effect(
+            "rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load", "slid")
+        )
         effects = [at_rest if e.name == "moments" else e for e in effects if e.name not in _NOT_AT_REST]
-        self._resting = Engine(self.scene, effects, ("series", "thermal"))
+        self._resting = Engine(self.scene, effects, ("series", "others"))
 
     def execute(self, grasp: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
         """Take an object.
@@ -168,7 +167,7 @@ class SimulatedHand:
         low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
         state.series = np.repeat(low[None], self._idle_rows, axis=0)
         state.times = np.arange(self._idle_rows) / self.config.rate_hz
-        state.load = np.zeros(self._idle_rows)
+        state.load, state.slid = np.zeros((2, self._idle_rows))
 
     def _calendar(self, job: Job, state: SampleState) -> None:
         """The campaign passes with the time since the hand was switched on."""
@@ -210,7 +209,7 @@ class RestingFingers:
 
 
 def _counts(state: SampleState) -> Counts:
-    series = np.concatenate([state.series, state.thermal], axis=2) if hasattr(state, "thermal") else state.series
+    series = np.concatenate([state.series, state.others], axis=2) if hasattr(state, "others") else state.series
     return quantise(series).astype(np.int16)
 
 

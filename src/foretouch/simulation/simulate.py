@@ -25,12 +25,12 @@ from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine
 from foretouch.simulation.fingertip import quantise
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import ELECTRODES, GraspSample
 
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
 """The keys of the state that every sample is made of."""
 
-THERMAL = ("TAC", "TDC")  # channels of `SampleState.thermal`
 _BLOCK = 16  # slots that a worker makes at a time
 _AHEAD = 3  # blocks a worker that may wait for the reader
 
@@ -62,7 +62,7 @@ class Simulation:
         """The first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
-        takes, targets and contacts of both fingers, and TAC and TDC as a recording has them where the scene has a temperature.
+        takes, targets and contacts of both fingers, and PAC, TAC and TDC as a recording has them where the scene calls for them.
 
         Args:
             count: How many.
@@ -106,7 +106,7 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
 
 
 def _engine_of(scene: SceneConfig) -> Engine:
-    return Engine(scene, EFFECTS, SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time", "thermal"))
+    return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
 
 
 _Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
@@ -146,6 +146,8 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
     if scene.campaign is not None:
         extra |= _campaign_values(state)
+    if hasattr(state, "others"):
+        extra |= _other_values(state)
     return GraspSample(
         id=f"{item.name}/{key.slot:06d}",
         object=item.name,
@@ -166,14 +168,21 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
     for finger, sensor, moved in zip(("th", "mf"), state.sensors, level, strict=True):
         values[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
         values[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
-    if hasattr(state, "thermal"):
-        rows = {"": state.thermal[state.hold_row]}
-        if state.tare is not None:
-            rows["tare_"] = np.median(state.thermal[: int(np.argmax(state.load > 0.0))], axis=0)
-        for prefix, row in rows.items():
-            names = [f"{prefix}{channel}_{finger}" for finger in ("TH", "MF") for channel in THERMAL]
-            values |= dict(zip(names, quantise(row).ravel().astype(float).tolist(), strict=True))
     return values
+
+
+def _other_values(state: SampleState) -> dict[str, float]:
+    """Simulated channels beside PDC and electrodes in contact, and with `tare_` before it where a tare is recorded [counts]."""
+    rows = {"": state.others[state.hold_row]}
+    if state.tare is not None:
+        rows["tare_"] = np.median(state.others[: int(np.argmax(state.load > 0.0))], axis=0)
+    simulated = np.flatnonzero(state.others.any(axis=(0, 1)))
+    return {
+        f"{prefix}{OTHERS[k]}_{finger}": float(counts[k])
+        for prefix, row in rows.items()
+        for finger, counts in zip(FINGERS, quantise(row), strict=True)
+        for k in simulated
+    }
 
 
 def _given_up(failures: list[Failure]) -> SimulationError:

@@ -19,8 +19,8 @@ def test_messages_hold_each_finger_at_its_index():
     for name in FINGER_ORDER:
         np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
     assert {(one.tac, one.tdc) for one in sent.tactiles} == {(0, 0)}
-    warm = biotac_all_to_msg({"TH": np.arange(27, dtype=np.int16)}, "hand", START).tactiles[-1]
-    assert (len(warm.electrodes), warm.tac, warm.tdc) == (24, 25, 26)
+    warm = biotac_all_to_msg({"TH": np.arange(29, dtype=np.int16)}, "hand", START).tactiles[-1]
+    assert (len(warm.electrodes), warm.pac0, warm.pac1, warm.tac, warm.tdc) == (24, 25, 26, 27, 28)
 
 
 def test_a_class_is_found_by_its_type_and_a_missing_package_is_named():

@@ -62,7 +62,7 @@ def _finger_temperature(job: Job, state: SampleState) -> None:
     change = TDC_PER_KELVIN * (common_k[:, None] + start_k)  # (T, 2)
     flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / config.contact_s
     tac = np.broadcast_to((TAC_REST + flow)[:, None], change.shape)
-    state.thermal = np.stack([tac, change + TDC_REST], axis=2)
+    state.others[..., 2:] = np.stack([tac, change + TDC_REST], axis=2)
     state.level[..., 1:] += change[..., None] * campaign.slopes(config, now.session)
 
 
@@ -105,17 +105,13 @@ def _warm_up_detail(config: TemperatureConfig) -> str:
     return f"{config.warming_s:g} s after each power-on"
 
 
-def _thermistor_detail(config: ThermistorConfig) -> str:
-    return f"{config.slope_th:g} and {config.slope_mf:g} electrode counts per count of TDC"
-
-
 def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     config = scene.campaign.warm_up if scene.campaign else None
     return None if config is None or config.tdc else f"campaign.warm_up: {_warm_up_detail(config)}"
 
 
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, _FINGER_TEMPERATURE, _FLUID_LOSS))
+    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, FINGER_TEMPERATURE, _FLUID_LOSS))
     return next(filter(None, reasons), None)
 
 
@@ -145,13 +141,12 @@ _WARM_UP = Effect(
     writes=(_LEVEL,),
     off="no campaign.warm_up, or finger_temperature holds it",
 )
-_FINGER_TEMPERATURE = Effect(
+FINGER_TEMPERATURE = Effect(
     "finger_temperature",
     _finger_temperature,
     "campaign.warm_up.tdc",
-    reads=(_TIME, "times", "load", _LEVEL),
-    writes=("thermal", _LEVEL),
-    detail=_thermistor_detail,
+    reads=(_TIME, "times", "load", _LEVEL, "others"),
+    writes=("others", _LEVEL),
 )
 _FLUID_LOSS = Effect("fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=(_TIME, _LEVEL), writes=(_LEVEL,))
 
@@ -165,7 +160,7 @@ DRIFT = (
     Effect("level", _level, _needs_level, reads=("times",), writes=(_LEVEL,), off=_NO_DRIFT),
     _DRIFT,
     _WARM_UP,
-    _FINGER_TEMPERATURE,
+    FINGER_TEMPERATURE,
     _FLUID_LOSS,
     Effect("level_shift", _shift, _needs_level, reads=(_LEVEL, "series"), writes=("series",), off=_NO_DRIFT),
 )

@@ -82,6 +82,21 @@ class DeadConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class VibrationConfig(Settings):
+    """PAC swings at first touch, release and slip; the defaults are assumptions, not measurements."""
+
+    noise_counts: float = setting(
+        5.0, "Standard deviation of PAC of a still fingertip", unit="counts", minimum=0.0, maximum=500.0
+    )
+    contact_counts: float = setting(
+        200.0, "Standard deviation of PAC at first touch and at release", unit="counts", minimum=0.0, maximum=2000.0
+    )
+    slip_counts_mm: float = setting(
+        200.0, "Standard deviation of PAC per slip of 1 mm", unit="counts/mm", minimum=0.0, maximum=1e4
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class FingersConfig(Settings):
     """Both fingers. What is absent is off.
 
@@ -102,6 +117,7 @@ class FingersConfig(Settings):
     timeline: TimelineConfig | None = None
     creep: CreepConfig | None = None
     slip: Switch | None = None
+    vibration: VibrationConfig | None = None
     drift: DriftConfig | None = None
     sessions: Switch | None = None
     noise: NoiseConfig | None = None
@@ -110,7 +126,7 @@ class FingersConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("creep", "slip", "scan"):
+        for name in ("creep", "slip", "vibration", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
                 raise ConfigError(f"FingersConfig.{name}: acts over time, but there is no timeline; give one")
 

@@ -72,13 +72,10 @@ _CONSTANTS: Final[dict[str, Any]] = {
     },
 }
 _OFF: Final = {
-    "campaign": None,
-    "sessions": None,
+    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration")),
     "method": "original",
     "first_variant": 0,
     "file_sha256": "",
-    "tdc": None,
-    "fluid_loss": None,
     "slow_share": 0.0,
     "slow_s": 30.0,
 }
