@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Surfaces whose normals are known, grasps on them, and a small contact model that is really fitted."""
 
+import json
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from experiment_samples import make_samples
@@ -99,3 +102,9 @@ def lines_sheets_and_repeated_points(draw: st.DrawFn, place: np.ndarray) -> tupl
     g1, g2 = points[0] + step * rng.integers(-1, 2, 3), points[1] + [0.0, 0.0, 2 * step]
     assume((g1 != g2).any())
     return points, g1, g2
+
+
+def edit_card(card: Path, **changes: Any) -> None:
+    """Replace fields of a model card, or remove those whose value is `...`."""
+    document = json.loads(card.read_text()) | changes
+    card.write_text(json.dumps({key: value for key, value in document.items() if value is not ...}))

@@ -95,5 +95,9 @@ def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[A
     return node, Robot(graph), told
 
 
+def outcomes(status: Any) -> dict[str, int]:
+    return dict(zip(status.outcomes, status.outcome_counts, strict=True))
+
+
 def accounts(status: Any) -> dict[str, Any]:
     return {topic.topic.removeprefix("/foretouch/"): topic for topic in status.topics}

@@ -8,7 +8,7 @@ from collections import Counter
 from foretouch.bounded_queue import BoundedQueue
 
 
-def test_a_full_queue_drops_its_oldest_items() -> None:
+def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones() -> None:
     dropped: list[tuple[int, str]] = []
     queue = BoundedQueue[int](2, on_drop=lambda item, reason: dropped.append((item, reason)))
     assert all(queue.put(item) for item in range(5))
@@ -19,14 +19,11 @@ def test_a_full_queue_drops_its_oldest_items() -> None:
     sized.put(bytes(4))
     assert not sized.put(bytes(11))  # larger than the whole queue
     assert sized.dropped == Counter(superseded=1, full=1)
-
-
-def test_a_full_queue_may_reject_new_items_by_their_size() -> None:
-    queue = BoundedQueue[bytes](10, when_full="reject", size_of=len)
-    assert [queue.put(bytes(size)) for size in (4, 4, 4, 2, 11)] == [True, True, False, True, False]
-    assert queue.dropped == {"full": 2}
-    assert [len(item) for item in queue.get_all(0.0)] == [4, 4, 2]
-    assert queue.put(bytes(10))
+    sized = BoundedQueue[bytes](10, when_full="reject", size_of=len)
+    assert [sized.put(bytes(size)) for size in (4, 4, 4, 2, 11)] == [True, True, False, True, False]
+    assert sized.dropped == {"full": 2}
+    assert [len(item) for item in sized.get_all(0.0)] == [4, 4, 2]
+    assert sized.put(bytes(10))
 
 
 def test_a_full_queue_may_block_the_sender_until_it_is_read_or_closed() -> None:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of another format version are refused by name."""
+"""Files of earlier releases are read with the same numbers, and files of another format version are refused by name."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from compatibility_files import EXPECTED, read
 from every_case import every_case
 from recording_builders import write_grasps
 
@@ -18,6 +20,30 @@ from foretouch.dataset.store import SEAL, Store
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import FileError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits, read_splits
+
+RELEASES = sorted((Path(__file__).parent / "data").glob("from_*"))
+
+
+@pytest.mark.committed_numbers
+def test_files_of_releases_are_read_with_the_same_numbers(tmp_path: Path) -> None:
+    """Keys may be added, but none may be missing and no value may differ."""
+
+    def check(folder: Path) -> None:
+        expected = json.loads((folder / EXPECTED).read_text(encoding="utf-8"))
+        assert not list(_differences(expected, read(folder, tmp_path / folder.name)))[:10]
+
+    every_case(RELEASES, check)
+
+
+def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key, value in old.items():
+            yield from _differences(value, new.get(key, "absent"), f"{where}.{key}")
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for k, (one, other) in enumerate(zip(old, new, strict=True)):
+            yield from _differences(one, other, f"{where}[{k}]")
+    elif type(old) is not type(new) or old != new:
+        yield f"{where}: {new!r}, not {old!r}"
 
 
 def test_other_format_versions_are_refused_by_name(tmp_path: Path) -> None:

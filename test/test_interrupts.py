@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals wait for the end of an import and of a clean-up, and processes of a pool never see them."""
+"""Signals wait for the end of an import and of a clean-up; those sent to processes of a pool are in test_abuses.py."""
 
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 from every_case import every_case
@@ -62,43 +61,6 @@ def test_a_signal_is_an_exception_that_waits_for_imports_and_clean_ups(tmp_path:
         "what the parent ignores stays ignored": (IGNORED, "SIGINT\n", 0),
     }
     every_case(cases, check)
-
-
-POOL = """
-import sys, time
-from foretouch.interrupts import raise_interrupts, signal_number
-from foretouch.processes import process_pool
-def main():
-    raise_interrupts()
-    try:
-        with process_pool(2) as pool:
-            for _ in range(4):
-                pool.submit(time.sleep, 100.0)
-            print("started", flush=True)
-            while True:  # a signal just before a sleep takes effect after it
-                time.sleep(0.1)
-    except KeyboardInterrupt as err:
-        print(signal_number(err))
-if __name__ == "__main__":
-    main()
-"""
-
-
-def test_processes_of_a_pool_end_silently_with_it(tmp_path: Path) -> None:
-    script, pipe = tmp_path / "pool.py", subprocess.PIPE
-    script.write_text(POOL)
-
-    def check(number: signal.Signals) -> None:
-        command = [sys.executable, str(script)]
-        process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "started\n"
-        began = time.monotonic()
-        os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
-        assert process.communicate(timeout=60) == (f"{number}\n", "")
-        assert time.monotonic() - began < 30.0
-
-    every_case([signal.SIGINT, signal.SIGTERM], check)
 
 
 EARLY = """

@@ -108,15 +108,12 @@ def required(*extras: str | None) -> dict[str, Requirement]:
     return {IMPORT_NAMES.get(one.name, one.name.replace("-", "_")): one for one in kept}
 
 
-def test_the_metadata_requires_what_is_imported() -> None:
+def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     ros = {name.removeprefix("ros_") for name in required("ros")}
     assert ros == {name.removeprefix("ros_jazzy_") for name in required("jazzy")}
     others = {"foretouch_msgs", "rcl_interfaces", "builtin_interfaces", "std_msgs", "ament_index_python", "action_msgs"}
     needed = imported("src") - ros - others - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS
     assert needed == set(required(None))
-
-
-def test_package_xml_declares_what_is_imported() -> None:
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}
     renamed = {"pil": "PIL"}
     modules = {renamed.get(name, name) for name in (one.removeprefix("python3-") for one in declared)}

@@ -73,14 +73,12 @@ def test_a_process_that_crashes_or_hangs_is_a_failed_row(monkeypatch, tmp_path) 
         (row,) = selftest.run_rows(["models"])
         assert (row.row, row.state, row.cause) == ("models", "failed", cause)
 
-    every_case(
-        [
-            ("kill -ABRT $$", "its process ended by SIGABRT"),
-            ("echo words; echo 'first\nlast' >&2; exit 1", "its process ended by exit status 1: last"),
-            ("exec sleep 60", "takes more than 0.5 s"),
-        ],
-        check,
-    )
+    cases = [
+        ("kill -ABRT $$", "its process ended by SIGABRT"),
+        ("echo words; echo 'first\nlast' >&2; exit 1", "its process ended by exit status 1: last"),
+        ("exec sleep 60", "takes more than 0.5 s"),
+    ]
+    every_case(cases, check)
 
 
 def test_ros_is_skipped_by_name_where_it_is_not_installed(monkeypatch) -> None:

@@ -23,6 +23,8 @@ def test_what_breaks_a_rule_is_refused() -> None:
         ("zero length", CloudError, lambda: Plane.from_coefficients([0, 0, 0, 1])),
         ("not four finite numbers", CloudError, lambda: Plane.from_coefficients([0, 0, 1])),
         ("not four finite numbers", CloudError, lambda: Plane.from_coefficients([0, 0, np.nan, 1])),
+        ("plane: ", CloudError, lambda: Plane.from_coefficients([0, 0, 5e-324, 1])),
+        ("plane: ", CloudError, lambda: Plane.from_coefficients([0, 0, 1, np.inf])),
         ("offset of .* is not finite", CloudError, lambda: Plane.from_coefficients([0.0, 0.0, 1e-10, 1e300])),
         ("offset of .* is not finite", CloudError, lambda: Plane.from_coefficients([0.0, 0.0, 1e-200, 1e300])),
         (r"g2: .* is not finite", GraspError, lambda: Grasp(zeros(3), np.array([np.inf, 0, 0]), eye)),
@@ -56,13 +58,10 @@ def test_plane_is_normalised_with_its_offset() -> None:
         np.testing.assert_allclose(plane.coefficients, np.array([1.0, -2.0, 2.0, 3.0]) / 3.0, rtol=1e-13)
 
 
-def test_grasp_midpoint_and_width() -> None:
+def test_midpoint_and_width_of_a_grasp_and_the_vector_of_a_touch_with_the_thumb_first() -> None:
     grasp = Grasp(np.array([0.0, 0.0, 1.0]), np.array([0.03, 0.04, 1.0]), np.eye(3))
     np.testing.assert_allclose(grasp.midpoint, [0.015, 0.02, 1.0])
     assert grasp.width_m == pytest.approx(0.05)
-
-
-def test_touch_vector_is_thumb_first_and_returns() -> None:
     vector = np.arange(50.0)
     touch = Touch.from_vector(vector)
     assert (touch.pdc_th, touch.pdc_mf) == (0.0, 1.0)

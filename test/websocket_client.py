@@ -6,7 +6,7 @@ import json
 import os
 import socket
 import struct
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 from urllib.parse import urlparse
 
 _REQUEST = """\
@@ -21,24 +21,8 @@ Sec-WebSocket-Protocol: foxglove.sdk.v1
 """
 
 
-class Data(NamedTuple):
-    """One message of a channel."""
-
-    topic: str
-    log_time_ns: int
-    content: bytes
-
-
 class WebSocketClient:
-    """Connects, learns the channels, subscribes, and receives; a context manager.
-
-    Args:
-        url: Such as `ws://127.0.0.1:8765`.
-        receive_buffer: Size of the socket's buffer [bytes]; None for the system's.
-
-    Attributes:
-        channels: By topic, as the server advertises them.
-    """
+    """Connects, learns the channels, subscribes, and receives; a context manager. `receive_buffer` is in bytes."""
 
     def __init__(self, url: str, receive_buffer: int | None = None, timeout_s: float = 20.0) -> None:
         address = urlparse(url)
@@ -55,16 +39,13 @@ class WebSocketClient:
             raise ConnectionError(status.decode())
         while self._file.readline() != b"\r\n":
             pass
-        self.channels: dict[str, dict[str, Any]] = {}
+        self.channels: dict[str, dict[str, Any]] = {}  # by topic, as the server advertises them
         self._topics: dict[int, str] = {}
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         self._file.close()
         self._socket.close()
 
@@ -84,19 +65,16 @@ class WebSocketClient:
     def unsubscribe_all(self) -> None:
         self._send({"op": "unsubscribe", "subscriptionIds": list(self._topics)})
 
-    def receive(self) -> Data | None:
-        """The next message; None if it is none of a channel."""
+    def receive(self) -> tuple[str, bytes] | None:
+        """Topic and content of the next message; None if it is none of a channel."""
         kind, content = self._frame()
         if kind == 2 and content[0] == 1:
-            subscription, log_time = struct.unpack_from("<IQ", content, 1)
-            return Data(self._topics[subscription], log_time, content[13:])
-        if kind == 1:
-            message = json.loads(content)
-            if message["op"] == "advertise":
-                self.channels |= {one["topic"]: one for one in message["channels"]}
+            return self._topics[struct.unpack_from("<I", content, 1)[0]], content[13:]
+        if kind == 1 and (message := json.loads(content))["op"] == "advertise":
+            self.channels |= {one["topic"]: one for one in message["channels"]}
         return None
 
-    def next_data(self) -> Data:
+    def next_data(self) -> tuple[str, bytes]:
         while (found := self.receive()) is None:
             pass
         return found

@@ -71,11 +71,7 @@ class BoundedQueue(Generic[_Item]):
             return [self._pop() for _ in range(len(self._items))]
 
     def close(self, discard: str = "") -> None:
-        """Drop what is put from now on, and release blocked threads.
-
-        Args:
-            discard: Reason to drop the waiting items too; without one they can still be taken out.
-        """
+        """Drop what is put from now on and release blocked threads; items are dropped too for the reason `discard`."""
         with self._changed:
             self._closed_reason = discard or "closed"
             while discard and self._items:

@@ -23,7 +23,6 @@ import yaml
 from foretouch.checked_files import read_bytes
 from foretouch.errors import ConfigError, FileError, quoted, shown
 
-_YAML_LIMIT: Final = 100_000  # bytes; the largest file of the package has 5000
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_VALUES: Final = 100_000
 
@@ -76,19 +75,13 @@ class Settings:
 
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
-            value = _checked(info, getattr(self, info.name), type(self).__name__)
-            object.__setattr__(self, info.name, value)
+            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name), type(self).__name__))
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
         """Settings from plain data, such as a YAML document; keys may be nested or dotted, absent ones keep defaults.
 
-        Args:
-            mapping: Setting names to values.
-            source: Origin of the data, for error messages.
-
-        Raises:
-            ConfigError: For an unknown key (the known ones are listed), a wrong type or a value out of bounds.
+        A `ConfigError`, which names the `source`, for an unknown key, a wrong type or a value out of bounds.
         """
         return _build(cls, _nested(mapping, source), f"{source}: " if source else "", "")
 
@@ -126,7 +119,7 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
 def load_yaml(path: str | Path) -> dict[str, Any]:
     """Load one YAML mapping safely; a `ConfigError` if the file cannot be read or is not a mapping."""
     try:
-        content = read_bytes(path, _YAML_LIMIT)
+        content = read_bytes(path, 100_000)  # the largest file of the package has 5000
     except FileError as err:
         raise ConfigError(str(err)) from err
     try:
@@ -141,12 +134,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
 
 
 def _parse_yaml(text: str) -> Any:
-    """The document in a YAML text, loaded safely.
-
-    Raises:
-        ValueError: If it is no YAML, a value is none of its type, it nests more than 32 levels, an alias is inside of
-            what it repeats, or it holds more than 100 000 values, those that aliases repeat counted each time.
-    """
+    """The document in a YAML text, loaded safely; a ValueError if it is no YAML or exceeds a limit of `_check_events`."""
     try:
         _check_events(yaml.parse(text, Loader=_LOADER))
         return yaml.load(text, Loader=_LOADER)  # noqa: S506 - a safe loader, in C where it is installed
@@ -155,7 +143,10 @@ def _parse_yaml(text: str) -> Any:
 
 
 def _check_events(events: Iterable[yaml.Event]) -> None:
-    """Count levels and values before anything is made of them; a YAMLError at the first that exceeds a limit."""
+    """Count levels and values before anything is made of them; a YAMLError at the first that exceeds a limit.
+
+    The values that aliases repeat are counted each time.
+    """
     sizes: dict[str, int] = {}  # values under each anchor
     groups: list[tuple[str | None, int]] = []  # anchor of each open list or mapping, and the count before it
     count = 0
@@ -179,6 +170,13 @@ def _check_events(events: Iterable[yaml.Event]) -> None:
             raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
         if count > _YAML_VALUES:
             raise yaml.YAMLError(f"more than {_YAML_VALUES} values, aliases included")
+
+
+def flattened(values: Any, name: str = "") -> dict[str, Any]:
+    """Nested mappings by dotted name."""
+    if not isinstance(values, Mapping):
+        return {name: values}
+    return {key: one for k, v in values.items() for key, one in flattened(v, f"{name}.{k}" if name else k).items()}
 
 
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
@@ -214,8 +212,9 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
-        kind: dict[str, Any] = {"type": item, "is_list": is_list, "optional": optional}
-        infos.append(SettingInfo(name=f.name, default=f.default, **kind, **f.metadata))
+        infos.append(
+            SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **f.metadata)
+        )
     _INFOS[cls] = tuple(infos)
     return _INFOS[cls]
 
@@ -252,8 +251,9 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
         try:
             value = float(value)
         except OverflowError:
-            rule = f"a whole number of {value.bit_length()} bits is no number that can be used"
-            raise ConfigError(f"{name}: {rule}") from None
+            raise ConfigError(
+                f"{name}: a whole number of {value.bit_length()} bits is no number that can be used"
+            ) from None
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
         kinds = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
         raise ConfigError(f"{name}: {quoted(value)} is not {kinds.get(info.type, info.type.__name__)}")

@@ -14,7 +14,6 @@ from typing import Final
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _AGAIN_S: Final = 0.02  # until a signal that waits is tried once more
-_PATIENCE: Final = 3  # the third signal while one waits ends the process at once
 
 _held = 0  # blocks of `uninterrupted` that are open
 _waiting: list[int] = []  # signals that came meanwhile
@@ -66,7 +65,7 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
     if not (_held or _imports(frame)):
         raise KeyboardInterrupt(number)
     _waiting.append(number)
-    if len(_waiting) >= _PATIENCE:
+    if len(_waiting) >= 3:  # the third signal while one waits ends the process at once
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
     signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)

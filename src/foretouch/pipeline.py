@@ -155,12 +155,7 @@ class Pipeline:
         return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
 
     def grasp_between(self, target: FoundObject, g1: Float64, g2: Float64) -> Grasp:
-        """The grasp with given contacts, and the rotation that GeoGrasp computes for them.
-
-        Args:
-            target: The object; its axis determines the rotation.
-            g1: (3,) first contact [m], cloud frame.
-            g2: (3,) second contact [m], cloud frame.
+        """The grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
 
         Raises:
             GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
@@ -188,9 +183,8 @@ class Pipeline:
         """
         if not grasps:
             return []
-        limits, reach = self.config.limits, self.config.reach
         predictions = (model or self.model).predict(
-            target.cloud, grasps, tare=tare, history=history, limits=limits, reach=reach
+            target.cloud, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )
         if not target.flags:
             return predictions
@@ -205,8 +199,8 @@ class Pipeline:
         """
         ms: dict[str, float] = {}
         scene: SegmentedScene | None = None
-        targets: tuple[FoundObject, ...]
         results: list[TargetResult] = []
+        targets: tuple[FoundObject, ...]
         if plane is not None:
             targets = (FoundObject("1", cloud, plane),)
         else:

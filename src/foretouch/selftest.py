@@ -12,11 +12,13 @@ import signal
 import subprocess
 import sys
 import time
+import timeit
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -24,9 +26,6 @@ import numpy as np
 from foretouch.errors import ConfigError, ForetouchError, ModelError
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Grasp
 
-_REINSTALL: Final = "pip install --force-reinstall foretouch"
-_LIBRARIES: Final = "foretouch doctor: compare the versions of numpy, scipy and torch"
-_ROS_FIX: Final = "foretouch doctor: check rclpy, foretouch_msgs and shared memory"
 _CRASHED: Final = "foretouch doctor: a library that crashes is named there"
 _PATIENCE_S: Final = 120.0  # of one row; the longest takes 6 s on an idle machine
 _ROS_PATIENCE_S: Final = 20.0  # of one step of the ROS row
@@ -110,8 +109,7 @@ def exact_cloud() -> Cloud:
 
     Its size is one that the shipped models know, so that they do not answer with their mean.
     """
-    width, depth, height = np.arange(28), np.arange(29), np.arange(1, 39)
-    tops, fronts = np.meshgrid(width, depth), np.meshgrid(width, height)
+    tops, fronts = np.meshgrid(np.arange(28), np.arange(29)), np.meshgrid(np.arange(28), np.arange(1, 39))
     x = np.concatenate([one[0].ravel() for one in (tops, fronts)])
     y = np.concatenate([tops[1].ravel(), 0 * fronts[1].ravel()])
     z = np.concatenate([0 * tops[1].ravel(), fronts[1].ravel()])
@@ -139,11 +137,11 @@ def _models() -> RowResult:
     from foretouch.models import available_models
 
     expected = read_json(_EXPECTED)
-    names = sorted({*expected, *available_models()})
     checks = [
-        (f"model {name} [counts]", _TOLERANCE_COUNTS, partial(_difference, name, expected.get(name))) for name in names
+        (f"model {name} [counts]", _TOLERANCE_COUNTS, partial(_difference, name, expected.get(name)))
+        for name in sorted({*expected, *available_models()})
     ]
-    return _run_checks("models", checks, _REINSTALL)
+    return _run_checks("models", checks, "pip install --force-reinstall foretouch")
 
 
 def _difference(name: str, expected: Any) -> float:
@@ -192,7 +190,7 @@ def _references() -> RowResult:
         ("impedance [relative]", 1e-12, _impedance),
         ("released network in float32 [counts]", 0.1, _network),  # one bit in each coordinate moves it by 0.002
     ]
-    return _run_checks("references", checks, _LIBRARIES)
+    return _run_checks("references", checks, "foretouch doctor: compare the versions of numpy, scipy and torch")
 
 
 def table_scene(tilt: float = 0.6, rise: float = 0.05, width: int = 320, height: int = 240) -> Float32:
@@ -315,7 +313,8 @@ def _ros() -> RowResult:
     try:
         _run_node()
     except ForetouchError as err:
-        return RowResult("ROS", "failed", "stopped", str(err), _ROS_FIX)
+        fix = "foretouch doctor: check rclpy, foretouch_msgs and shared memory"
+        return RowResult("ROS", "failed", "stopped", str(err), fix)
     finally:
         rclpy.try_shutdown()
     return RowResult("ROS", "ok", "cloud over DDS, hostile request refused")
@@ -406,22 +405,16 @@ def _timings() -> RowResult:
     from foretouch.models import DEFAULT_MODEL, load_model
 
     image, cloud, grasps, model = Cloud(table_scene(width=848, height=480)), exact_cloud(), exact_grasps(), load_model()
-    config = GeoGraspConfig(method="stable")
     steps: dict[str, Callable[[], object]] = {
         "segment 848x480": lambda: segment(image),
-        "grasp": lambda: plan_grasps(cloud, ASSUMED_TABLE, config),
+        "grasp": lambda: plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig(method="stable")),
         DEFAULT_MODEL: lambda: model.predict(cloud, grasps),
     }
     return RowResult("timings", "ok", ", ".join(f"{name} {_median_ms(step):.1f} ms" for name, step in steps.items()))
 
 
 def _median_ms(step: Callable[[], object]) -> float:
-    spans = []
-    for _ in range(7):
-        began = time.perf_counter()
-        step()
-        spans.append(time.perf_counter() - began)
-    return 1e3 * sorted(spans)[len(spans) // 2]
+    return 1e3 * median(timeit.repeat(step, number=1, repeat=7))
 
 
 ROWS: Final = {"models": _models, "references": _references, "ROS": _ros, "timings": _timings}
@@ -432,10 +425,10 @@ def _main(name: str) -> int:
     """Run one row in this process and print its result as JSON."""
     if name == "renew":
         _renew()
-        return 0
-    began = time.monotonic()
-    result = ROWS[name]()
-    sys.stdout.write(json.dumps(asdict(replace(result, seconds=time.monotonic() - began))) + "\n")
+    else:
+        began = time.monotonic()
+        result = ROWS[name]()
+        sys.stdout.write(json.dumps(asdict(replace(result, seconds=time.monotonic() - began))) + "\n")
     return 0
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time blocks, time calls in random order, and distinguish a loaded machine from an idle one."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re
@@ -10,16 +8,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-_FEWEST: Final = 5  # calls of each function and size
-_MOST: Final = 400
-_SLOWEST_S: Final = 3.0  # a size that would take longer is not timed
-_IDLE_CORES: Final = 0.15  # that other processes may use on an idle machine
-_JIFFY_S: Final = 1.0 / os.sysconf("SC_CLK_TCK")
 
 
 class MachineLoad:
@@ -34,7 +26,7 @@ class MachineLoad:
         busy, own, wall = (now - before for now, before in zip(self._now(), self._start, strict=True))
         others = max(0.0, busy - own) / max(wall, 1e-9)
         return {
-            "state": "idle" if others < _IDLE_CORES else "loaded",
+            "state": "idle" if others < 0.15 else "loaded",
             "other_cores": round(others, 2),
             "load_before": round(self._before, 2),
             "load_after": round(os.getloadavg()[0], 2),
@@ -45,7 +37,8 @@ class MachineLoad:
         """Busy time of all cores, processor time of this process, and wall time [s]."""
         fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:]
         user, nice, system, _idle, _wait, irq, softirq, steal = map(int, fields[:8])
-        return (user + nice + system + irq + softirq + steal) * _JIFFY_S, time.process_time(), time.monotonic()
+        busy_s = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
+        return busy_s, time.process_time(), time.monotonic()
 
 
 def cpu_name() -> str:
@@ -88,26 +81,25 @@ def time_calls(
     """
     first = {(name, size): s for name, call in functions.items() for size, s in _first_calls(call, sizes).items()}
     share = seconds / max(len(first), 1)
-    counts = [int(np.clip(share / (s + pause_s), _FEWEST, _MOST)) for s in first.values()]
+    counts = [int(np.clip(share / (s + pause_s), 5, 400)) for s in first.values()]
     order = np.random.default_rng(seed).permutation(np.repeat(np.arange(len(first)), counts))
     keys = list(first)
     times: dict[tuple[str, int], list[tuple[float, float]]] = {key: [] for key in first}
     for done, k in enumerate(order):
         name, size = keys[k]
-        call = functions[name]
         time.sleep(pause_s)
         start, start_cpu = time.perf_counter(), time.process_time()
-        call(size)
+        functions[name](size)
         times[keys[k]].append((time.perf_counter() - start, time.process_time() - start_cpu))
         progress(done + 1, len(order))
     return {key: np.array(found) for key, found in times.items()}
 
 
 def _first_calls(call: Callable[[int], object], sizes: Sequence[int]) -> dict[int, float]:
-    """Warm up, and estimate the time of one call by size [s]."""
+    """Warm up, and estimate the time of one call by size [s]; sizes that would take too long are left out."""
     found: dict[int, float] = {}
     for size in sizes:
-        if found and (last := max(found)) and found[last] * size / last > _SLOWEST_S:
+        if found and (last := max(found)) and found[last] * size / last > 3.0:
             break
         call(size)
         start = time.perf_counter()

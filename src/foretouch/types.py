@@ -5,20 +5,25 @@ All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile va
 everything derived from them are in the camera's optical frame (x right, y down, z forward) unless `frame_id` differs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Self, overload
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, GraspError, TactileError
 
+AnyArray = npt.NDArray[Any]
+Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
+Floating = npt.NDArray[np.floating]
+Index = npt.NDArray[np.intp]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Integer = npt.NDArray[np.integer]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches", "history"]
 
@@ -66,7 +71,7 @@ class Cloud:
         """Number of points, including those without depth."""
         return self.xyz.size // 3
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Cloud:
+    def take(self, index: Index | Bool) -> "Cloud":
         """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
@@ -82,7 +87,7 @@ class Plane:
     offset: float  # d [m]
 
     @classmethod
-    def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
+    def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
         """A plane from (a, b, c, d) of any scale.
 
         A `CloudError` if they or the offset are not finite or (a, b, c) is zero.
@@ -106,7 +111,7 @@ class Plane:
         """(4,) float64: a, b, c, d."""
         return np.append(self.normal, self.offset)
 
-    def height(self, xyz: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    def height(self, xyz: Floating) -> Floating:
         """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
@@ -194,12 +199,11 @@ class Touch:
 
     def __post_init__(self) -> None:
         for name in ("e_th", "e_mf"):
-            shape = getattr(self, name).shape
-            if shape != (ELECTRODES,):
-                raise TactileError(f"{name}: shape {shape} is not ({ELECTRODES},)")
+            if getattr(self, name).shape != (ELECTRODES,):
+                raise TactileError(f"{name}: shape {getattr(self, name).shape} is not ({ELECTRODES},)")
 
     @classmethod
-    def from_vector(cls, vector: npt.NDArray[np.floating]) -> Touch:
+    def from_vector(cls, vector: Floating) -> Self:
         """A reading from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
         if vector.shape != (TOUCH_SIZE,):
             raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")
@@ -267,8 +271,7 @@ class TouchPredictions(Sequence[TouchPrediction]):
         refused: Mapping[int, TouchPrediction],
     ) -> None:
         self._grasps, self._values, self._bounds, self._flags = grasps, values, bounds, flags
-        self._reference: Reference = reference
-        self._evidence = evidence
+        self._shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
         self._made: list[TouchPrediction | None] = [refused.get(number) for number in range(len(grasps))]
 
     def __len__(self) -> int:
@@ -284,8 +287,7 @@ class TouchPredictions(Sequence[TouchPrediction]):
         made = self._made[index]
         if made is None:
             k = range(len(self))[index]
-            (made,) = self._build(slice(k, k + 1))
-            self._made[k] = made
+            made = self._made[k] = self._build(slice(k, k + 1))[0]
         return made
 
     def __iter__(self) -> Iterator[TouchPrediction]:
@@ -300,13 +302,12 @@ class TouchPredictions(Sequence[TouchPrediction]):
         upper = lower
         if self._bounds is not None:
             lower, upper = (_touches(bound[part]) for bound in self._bounds)
-        shared = {"reference": self._reference, "status": "ok", "reason": "", "evidence": self._evidence}
         built = []
         for grasp, value, low, high, flags in zip(
             self._grasps[part], values, lower, upper, self._flags[part], strict=True
         ):
             one = TouchPrediction.__new__(TouchPrediction)  # a frozen class sets each field by a call
-            one.__dict__.update(shared, grasp=grasp, value=value, lower=low, upper=high, flags=flags)
+            one.__dict__.update(self._shared, grasp=grasp, value=value, lower=low, upper=high, flags=flags)
             built.append(one)
         return built
 

@@ -7,14 +7,6 @@ from foretouch.camera import RealSenseConfig
 from foretouch.errors import ConfigError
 
 
-def test_settings_survive_the_way_to_plain_data_and_back() -> None:
-    config = RealSenseConfig.from_mapping(
-        {"filters.spatial.enabled": True, "align": "colour_to_depth", "timeouts.stall_s": 2}
-    )
-    assert RealSenseConfig.from_mapping(config.to_mapping()) == config
-    assert (config.filters.spatial.enabled, config.timeouts.stall_s) == (True, 2.0)
-
-
 def test_bad_settings_are_named() -> None:
     cases = [
         ("RealSenseConfig.file: 'a.db3' and serial '1' exclude each other", {"file": "a.db3", "serial": "1"}),

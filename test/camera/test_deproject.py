@@ -40,16 +40,11 @@ def test_directions_are_those_of_the_library(rs: Any) -> None:
 
     models = ("none", "brown_conrady", "inverse_brown_conrady")
     every_case(product(models, ([0.0] * 5, [0.1, -0.05, 0.002, -0.003, 0.02])), check)
-
-
-def test_distortion_is_undone_by_projecting_again(rs: Any) -> None:
+    # Distortion is undone by projecting again.
     i = _intrinsics(rs, "inverse_brown_conrady", [0.05, -0.02, 0.001, -0.001, 0.0])
     lens = _lens_of(i)
     pixel = rs.rs2_project_point_to_pixel(i, [float(lens.x[40, 60]), float(lens.y[40, 60]), 1.0])
     np.testing.assert_allclose(pixel, [60.0, 40.0], atol=0.01)
-
-
-def test_a_model_without_an_inverse_is_named(rs: Any) -> None:
     with pytest.raises(CameraError, match="distortion model kannala_brandt4: cannot be deprojected"):
         _lens_of(_intrinsics(rs, "kannala_brandt4", [0.1, 0.0, 0.0, 0.0, 0.0]))
 

@@ -9,7 +9,7 @@ import pytest
 
 from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.errors import CameraError
-from foretouch.simulation import DepthImage, DepthScene, random_scene
+from foretouch.simulation import DepthImage, random_scene
 
 
 def test_it_feeds_at_its_rate_and_its_thread_ends(images: list[DepthImage]) -> None:
@@ -21,25 +21,6 @@ def test_it_feeds_at_its_rate_and_its_thread_ends(images: list[DepthImage]) -> N
     time.sleep(0.1)
     assert source._number == fed
     assert not any(thread.name == "synthetic-camera" for thread in threading.enumerate())
-
-
-def test_frames_may_be_made_one_by_one(config: RealSenseConfig) -> None:
-    scene: DepthScene = random_scene(np.random.default_rng(2), 424, 240)
-    asked: list[int] = []
-
-    def frame(number: int) -> DepthImage:
-        asked.append(number)
-        return scene.moved(0, np.array([0.002 * number, 0.0, 0.0])).render()
-
-    source = SyntheticCamera(frame)
-    with RealSenseCamera(config, source) as camera:
-        camera.read(0.0)
-        for number in range(3):
-            assert source.feed() == number
-            cloud = camera.read(1.0)
-            assert cloud is not None
-            assert np.array_equal(cloud.xyz, frame(number).cloud().xyz, equal_nan=True)
-    assert asked[:2] == [0, 0]  # once for the size of the device, then as the first frame
 
 
 def test_no_frames_and_a_frame_of_another_size_are_refused(images: list[DepthImage]) -> None:

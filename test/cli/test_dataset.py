@@ -18,7 +18,7 @@ def dataset(tmp_path) -> Path:
     return tmp_path / "ds"
 
 
-def test_info_tells_counts_and_ranges(call, dataset) -> None:
+def test_info_tells_counts_and_ranges_and_show_draws_the_samples_that_are_asked_for(call, dataset, tmp_path) -> None:
     answer = call("dataset", "info", dataset, "--json")
     (record,) = answer.records
     assert answer.status == 0
@@ -27,6 +27,9 @@ def test_info_tells_counts_and_ranges(call, dataset) -> None:
     assert record["pairing_ms"] == [16, 0, 0, 0, 0, 0]
     assert set(record["ranges"]) == {"PDC_TH", "PDC_MF", "E_TH", "E_MF"}
     assert "ball 8, sponge 8" in call("dataset", "info", dataset).out
+    answer = call("dataset", "show", dataset, "-o", tmp_path / "a.png", "--id", "ball/000002", "--json")
+    assert answer.records[0]["samples"] == ["ball/000002"]
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_verify_repair_and_verify_again(call, dataset) -> None:
@@ -52,6 +55,10 @@ def test_verify_repair_and_verify_again(call, dataset) -> None:
 
 def test_build_puts_splits_into_a_store_that_can_be_verified(call, dataset, tmp_path) -> None:
     (record,) = call("dataset", "build", dataset, "-o", tmp_path / "store", "--seed", 4, "--json").records
+    one, other = (call("predict", path, "--json").records for path in (dataset, tmp_path / "store"))
+    assert len(one) == len(other) == 16
+    for key in ("sample", "predictions"):  # the same from either
+        assert [found[key] for found in one] == [found[key] for found in other]
     assert (record["samples"], record["renumbered"]) == (16, 0)
     assert list(record["splits"]) == ["random", "object", "time", "labels"]
     book = read_splits(tmp_path / "store").parts
@@ -78,37 +85,20 @@ def test_export_and_import_come_round(call, dataset, tmp_path) -> None:
     assert builds[0].records[0]["sha256"] == builds[1].records[0]["sha256"]
 
 
-def test_show_draws_the_samples_that_are_asked_for(call, dataset, tmp_path) -> None:
-    answer = call("dataset", "show", dataset, "-o", tmp_path / "a.png", "--id", "ball/000002", "--json")
-    assert answer.records[0]["samples"] == ["ball/000002"]
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:
     none, edit = tmp_path / "nothing", ("edit", dataset)
 
     def check(words: tuple[object, ...], line: str) -> None:
         call("dataset", *words).check_refused(f"foretouch: {line}\n")
 
-    every_case(
-        [
-            *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),
-            (("import", dataset, "-o", tmp_path / "x", "--hand", "serial"), "serial: is not NAME=VALUE"),
-            (("show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7"), f"{dataset}: holds no sample ball/7"),
-            ((*edit, "--drop"), "--relabel and --drop need --id"),
-            ((*edit, "--id", "x"), "--id needs --relabel or --drop"),
-        ],
-        check,
-    )
-
-
-def test_predictions_are_the_same_from_folder_dataset_and_store(call, dataset, tmp_path) -> None:
-    call("dataset", "build", dataset, "-o", tmp_path / "store", "--json")
-    answers = [call("predict", path, "--json").records for path in (dataset, tmp_path / "store")]
-    assert [len(answer) for answer in answers] == [16, 16]
-    for one, other in zip(*answers, strict=True):
-        assert one["sample"] == other["sample"]
-        assert one["predictions"] == other["predictions"]
+    cases = [
+        *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),
+        (("import", dataset, "-o", tmp_path / "x", "--hand", "serial"), "serial: is not NAME=VALUE"),
+        (("show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7"), f"{dataset}: holds no sample ball/7"),
+        ((*edit, "--drop"), "--relabel and --drop need --id"),
+        ((*edit, "--id", "x"), "--id needs --relabel or --drop"),
+    ]
+    every_case(cases, check)
 
 
 def test_edits_are_listed_and_undone(call, dataset) -> None:

@@ -2,7 +2,7 @@
 from importlib import metadata
 
 import pytest
-from packaging.specifiers import SpecifierSet
+from packaging.requirements import Requirement
 
 from foretouch.cli import doctor
 
@@ -22,15 +22,15 @@ def test_this_environment_has_no_problem(call) -> None:
 
 def test_another_version_is_a_mismatch_with_its_fix(monkeypatch) -> None:
     monkeypatch.setattr(metadata, "version", lambda _: "0.1")
-    found = doctor._requirement("numpy", SpecifierSet(">=1.26"), None)
+    found = doctor._requirement(Requirement("numpy>=1.26"), None)
     assert (found.state, found.found, found.fix) == ("mismatch", "0.1 is not >=1.26", "pip install 'numpy>=1.26'")
 
 
 def test_an_absent_package_is_missing_unless_only_an_extra_needs_it() -> None:
     for needed in (None, "ros"):
-        assert doctor._requirement("no-such-package", SpecifierSet(), needed).state == "missing"
+        assert doctor._requirement(Requirement("no-such-package"), needed).state == "missing"
     for extra in ("camera", "sweep", "tensorboard"):
-        assert doctor._requirement("no-such-package", SpecifierSet(), extra).state == "optional"
+        assert doctor._requirement(Requirement("no-such-package"), extra).state == "optional"
 
 
 def test_a_crash_of_a_library_does_not_end_the_doctor() -> None:

@@ -53,21 +53,19 @@ def test_the_command_names_option_and_rule_in_one_line(call, capsys) -> None:
         command, line = words.split(maxsplit=1)[0], capsys.readouterr().err.splitlines()[-1]
         assert line == f"foretouch {command}: error: argument {message}"
 
-    every_case(
-        [
-            ("record -o none --seconds -1", "--seconds: -1 is not above 0"),
-            ("run --source none --count 0", "--count: 0 is not 1 or more"),
-            ("replay none --rate fast", "--rate: 'fast' is not a finite number"),
-            ("train none -o none --workers 2.5", "--workers: '2.5' is not a whole number"),
-            ("run --source none --plane 0,0,1", "--plane: '0,0,1' is not 4 numbers with commas between them"),
-            ("replay none --plane x,0,1,1", "--plane: 'x,0,1,1' is not 4 numbers with commas between them"),
-            *(
-                (f"run --source none --serve {one}", f"--serve: {one!r} is not HOST:PORT, such as 127.0.0.1:8765")
-                for one in ("8765", "localhost:", "127.0.0.1:99999", "127.0.0.1:x")
-            ),
-        ],
-        check,
-    )
+    cases = [
+        ("record -o none --seconds -1", "--seconds: -1 is not above 0"),
+        ("run --source none --count 0", "--count: 0 is not 1 or more"),
+        ("replay none --rate fast", "--rate: 'fast' is not a finite number"),
+        ("train none -o none --workers 2.5", "--workers: '2.5' is not a whole number"),
+        ("run --source none --plane 0,0,1", "--plane: '0,0,1' is not 4 numbers with commas between them"),
+        ("replay none --plane x,0,1,1", "--plane: 'x,0,1,1' is not 4 numbers with commas between them"),
+        *(
+            (f"run --source none --serve {one}", f"--serve: {one!r} is not HOST:PORT, such as 127.0.0.1:8765")
+            for one in ("8765", "localhost:", "127.0.0.1:99999", "127.0.0.1:x")
+        ),
+    ]
+    every_case(cases, check)
 
 
 def test_a_setting_is_refused_in_one_line(call, files) -> None:

@@ -92,15 +92,11 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     assert "too wide" in printed(live_panel(View(last=TouchPredictionArray(predictions=[refused])), "title"))
 
 
-def topic(name: str, **fields: Any) -> TopicAccount:
-    return TopicAccount(topic=name, **fields)
-
-
-def test_the_state_of_a_recording_is_whole() -> None:
+def test_the_state_of_a_recording_is_whole_with_what_was_dropped_and_which_sensor_is_dead() -> None:
     names = ("object_cloud", "table", "grasps", "touch", "executed_grasp")
     lost: dict[str, Any] = {"drop_reasons": ["queue full"], "drop_counts": [3123], "lost": 5}
     topics = [
-        topic(name, received=100123, written=97000, **lost)
+        TopicAccount(topic=name, received=100123, written=97000, **lost)
         for name in ("/rh/tactile", *(f"/foretouch/{name}" for name in names))
     ]
     states = ["alive", "frozen: the same 300 times, or simulated without noise", "no data"]
@@ -112,9 +108,6 @@ def test_the_state_of_a_recording_is_whole() -> None:
         assert {"100123", "97000", "executed_grasp", "disk", "frozen:", "camera"} <= words
 
     every_case([60, 80], check)
-
-
-def test_what_was_dropped_and_why_and_which_sensor_is_dead_is_shown() -> None:
     status = RecorderStatus(
         recording=True,
         samples=12,
@@ -127,9 +120,9 @@ def test_what_was_dropped_and_why_and_which_sensor_is_dead_is_shown() -> None:
         pairing_error_max=0.034,
         disk_left=600.0,
         topics=[
-            topic("/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3]),
-            topic("/foretouch/grasps", lost=5),
-            topic("/foretouch/touch"),
+            TopicAccount(topic="/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3]),
+            TopicAccount(topic="/foretouch/grasps", lost=5),
+            TopicAccount(topic="/foretouch/touch"),
         ],
     )
     text = printed(record_panel(status, "title"))

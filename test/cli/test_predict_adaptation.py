@@ -151,22 +151,20 @@ def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:
         with pytest.raises(FileError, match=f"t.json: .*{rule}"):
             _read_tare([str(path)])
 
-    every_case(
-        [
-            ("{", "is no JSON"),
-            ([], "no reading"),
-            ({"pdc_th": 1}, "it must hold pdc_th, pdc_mf, e_th, e_mf"),
-            (good | {"e_mf": [1.0] * 23}, "e_mf: is not 24 numbers"),
-            (good | {"pdc_th": "high"}, "pdc_th: is not numbers"),
-            (good | {"pdc_th": True}, "pdc_th: is not numbers"),
-            (good | {"e_th": ["3100"] * 24}, "e_th: is not numbers"),
-            (good | {"e_th": [[3100.0]] * 24}, "e_th: is not numbers"),
-            (good | {"pdc_mf": [1676.0]}, "pdc_mf: is not one number"),
-            (good | {"e_th": [0.0] * 24}, "absent sensor"),
-            (good | {"pdc_th": -22072.0}, "absent or dead sensor"),
-        ],
-        check,
-    )
+    cases = [
+        ("{", "is no JSON"),
+        ([], "no reading"),
+        ({"pdc_th": 1}, "it must hold pdc_th, pdc_mf, e_th, e_mf"),
+        (good | {"e_mf": [1.0] * 23}, "e_mf: is not 24 numbers"),
+        (good | {"pdc_th": "high"}, "pdc_th: is not numbers"),
+        (good | {"pdc_th": True}, "pdc_th: is not numbers"),
+        (good | {"e_th": ["3100"] * 24}, "e_th: is not numbers"),
+        (good | {"e_th": [[3100.0]] * 24}, "e_th: is not numbers"),
+        (good | {"pdc_mf": [1676.0]}, "pdc_mf: is not one number"),
+        (good | {"e_th": [0.0] * 24}, "absent sensor"),
+        (good | {"pdc_th": -22072.0}, "absent or dead sensor"),
+    ]
+    every_case(cases, check)
 
 
 def test_what_cannot_be_adapted_to_is_refused_in_one_line(call, model, session, files, tmp_path) -> None:
@@ -178,19 +176,17 @@ def test_what_cannot_be_adapted_to_is_refused_in_one_line(call, model, session, 
         assert answer.status == 1
         assert all(line in one for one in answer.err.splitlines()), answer.err
 
-    every_case(
-        [
-            ((session, "--tare", session / "none.json"), "none.json"),
-            ((session, "--touched", session / "none.json"), "none.json"),
-            ((session, "--touched", session, "--touched", other), "ball, cup: touches must be of one object"),
-            ((other, "--touched", session), "is of cup, the touches are of ball"),
-            ((cloud, *sample), "has no recorded tare"),
-            ((cloud, *sample, "--tare", "x.json"), "cannot be combined with files"),
-            ((scene, "--touched", session, "--target", "all"), "the cloud holds 2 objects"),
-            ((session, "--prequential", *sample), "--tare: cannot be combined with --prequential"),
-        ],
-        check,
-    )
+    cases = [
+        ((session, "--tare", session / "none.json"), "none.json"),
+        ((session, "--touched", session / "none.json"), "none.json"),
+        ((session, "--touched", session, "--touched", other), "ball, cup: touches must be of one object"),
+        ((other, "--touched", session), "is of cup, the touches are of ball"),
+        ((cloud, *sample), "has no recorded tare"),
+        ((cloud, *sample, "--tare", "x.json"), "cannot be combined with files"),
+        ((scene, "--touched", session, "--target", "all"), "the cloud holds 2 objects"),
+        ((session, "--prequential", *sample), "--tare: cannot be combined with --prequential"),
+    ]
+    every_case(cases, check)
     (result,) = call("predict", scene, "--model", model, "--touched", session, "--target", "nearest", "--json").records
     assert result["predictions"][0]["reference"] == "touches"
 

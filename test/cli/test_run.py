@@ -5,7 +5,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,16 +50,6 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
-def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path, environment) -> None:
-    for k in range(3):
-        write_cloud(tmp_path / f"{k + 8}.npz", scene_cloud(k))
-    status, lines, err = run(environment, "--source", tmp_path)
-    assert status == 0, err
-    stamps = [line["stamp_ns"] for line in lines[:-1]]
-    assert (len(stamps), stamps) == (3, sorted(set(stamps)))
-
-
 def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
@@ -69,18 +58,16 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     def check(words: tuple[object, ...], line: str) -> None:
         call(*words).check_refused(f"foretouch: {line}")
 
-    every_case(
-        [
-            (("run", "--source", none), f"{none}: does not exist\n"),
-            (("replay", none), f"{none}: does not exist\n"),
-            (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
-            (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
-            (("run", "--source", none, "--model", "nope"), "nope: is no run folder, no card"),
-            (("run", "--source", none, "--model", tmp_path / "a.json"), f"{tmp_path / 'a.json'}: no such"),
-            (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),
-        ],
-        check,
-    )
+    cases = [
+        (("run", "--source", none), f"{none}: does not exist\n"),
+        (("replay", none), f"{none}: does not exist\n"),
+        (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
+        (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
+        (("run", "--source", none, "--model", "nope"), "nope: is no run folder, no card"),
+        (("run", "--source", none, "--model", tmp_path / "a.json"), f"{tmp_path / 'a.json'}: no such"),
+        (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),
+    ]
+    every_case(cases, check)
 
 
 @pytest.mark.slow
@@ -106,19 +93,6 @@ def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(tmp_path, en
     assert 10 <= last["answered"] == len(answers) <= 15
     assert last["executed"]["success"] >= 1
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_ctrl_c_ends_it_cleanly(tmp_path, environment) -> None:
-    with started(environment, "--source", write_scenes(tmp_path / "bag", 150)) as process:
-        assert process.stdout is not None
-        process.stdout.readline()  # the first answer: it is under way
-        time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
-    assert process.returncode == 0, err
-    assert 0 < json.loads(out.splitlines()[-1])["answered"] < 150
-    assert "Traceback" not in err
 
 
 @pytest.mark.slow
@@ -148,7 +122,7 @@ def test_serve_gives_the_answers_to_a_websocket_client(tmp_path, environment) ->
         line = next(line for line in process.stderr if "serving at ws://127.0.0.1:" in line and "open it" in line)
         with WebSocketClient(line.split()[3].rstrip(":")) as client:
             client.subscribe("/foretouch/touch")
-            assert client.next_data().topic == "/foretouch/touch"
+            assert client.next_data()[0] == "/foretouch/touch"
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert "Traceback" not in err

@@ -173,41 +173,22 @@ def test_numbers_end_at_the_right_and_rows_beyond_the_limit_are_counted() -> Non
     assert drawn(FittedTable(["k"], []), 40)
 
 
-@pytest.fixture
-def terminal(monkeypatch) -> None:
-    """Let rich treat stderr as a terminal."""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "120")
+def test_a_bar_advances_on_a_terminal_alone_unless_hidden_and_is_erased_in_the_end(capsys, monkeypatch) -> None:
+    def shown(title: str, *updates: tuple[object, ...], error: str = "", **options: object) -> str:
+        with suppress(ForetouchError), progress_bar(title, **options) as update:
+            for values in updates:
+                update(*values)
+            if error:
+                raise ForetouchError(error)
+        out, err = capsys.readouterr()
+        assert out == ""
+        return err
 
-
-def test_nothing_is_shown_without_a_terminal(capsys) -> None:
-    with progress_bar("simulating", 3) as update:
-        update()
-    assert capsys.readouterr() == ("", "")
-
-
-@pytest.mark.usefixtures("terminal")
-def test_updates_advance_or_set_the_bar_unless_it_is_hidden(capsys) -> None:
-    with progress_bar("reading the data") as update:
-        update(7, 9, "ablation seed=1")
-        update()
-    out, err = capsys.readouterr()
-    assert (out, "8/9" in err, "ablation seed=1" in err, err.endswith(ERASE)) == ("", True, True, False)
-    with progress_bar("simulating", 3, hidden=True) as update:
-        update()
-    assert capsys.readouterr().err == ""
-
-
-@pytest.mark.usefixtures("terminal")
-def test_the_bar_is_erased_if_transient_without_progress_or_after_an_error(capsys) -> None:
-    with progress_bar("importing", transient=True) as update:
-        update()
-    assert capsys.readouterr().err.endswith(ERASE)
-    with progress_bar("epoch"):
-        pass
-    assert capsys.readouterr().err.endswith(ERASE)
-    with suppress(ForetouchError), progress_bar("epoch", 3) as update:
-        update()
-        raise ForetouchError("disk full")
-    assert capsys.readouterr().err.endswith(ERASE)
+    assert shown("simulating", (), total=3) == ""  # without a terminal
+    for name, value in (("FORCE_COLOR", "1"), ("TERM", "xterm"), ("COLUMNS", "120")):
+        monkeypatch.setenv(name, value)  # rich treats stderr as a terminal
+    text = shown("reading the data", (7, 9, "ablation seed=1"), ())
+    assert ("8/9" in text, "ablation seed=1" in text, text.endswith(ERASE)) == (True, True, False)
+    assert shown("simulating", (), total=3, hidden=True) == ""
+    erased = (shown("importing", (), transient=True), shown("epoch"), shown("epoch", (), total=3, error="disk full"))
+    assert all(one.endswith(ERASE) for one in erased)

@@ -71,14 +71,12 @@ def test_mistakes_are_one_line_and_leave_no_data_set(scene, tmp_path, call) -> N
     def check(words: tuple[object, ...], message: str) -> None:
         call("simulate", *words).check_refused(message)
 
-    every_case(
-        [
-            ((scene,), "-n and -o are needed"),
-            ((scene, "-n", "3", "-o", "."), "exists already"),
-            ((scene, "--replay", "x"), "--replay: x is not SLOT"),
-            ((scene, "--set", "camera.zoom=2", "--explain"), "camera.zoom: unknown setting"),
-            ((slippery, "-n", 2, "-o", out, "--workers", 1), "slot 0: given up after 2 attempts (2 slips)"),
-        ],
-        check,
-    )
+    cases = [
+        ((scene,), "-n and -o are needed"),
+        ((scene, "-n", "3", "-o", "."), "exists already"),
+        ((scene, "--replay", "x"), "--replay: x is not SLOT"),
+        ((scene, "--set", "camera.zoom=2", "--explain"), "camera.zoom: unknown setting"),
+        ((slippery, "-n", 2, "-o", out, "--workers", 1), "slot 0: given up after 2 attempts (2 slips)"),
+    ]
+    every_case(cases, check)
     assert not out.exists()

@@ -206,16 +206,14 @@ def test_what_cannot_be_shown_is_refused_in_one_line(call, answers, files, tmp_p
         answer = call("view", path, "--save", tmp_path / "v.rrd")
         assert (answer.status, message in answer.err.splitlines()[0]) == (1, True), answer.err
 
-    every_case(
-        [
-            ("{", "line 1: is no JSON"),
-            ("[1]", "line 1: is no JSON object"),
-            ("", "holds no answers"),
-            ('{"played": 3}', "holds no answers"),
-            (json.dumps(incomplete), "predictions: E_TH: is not as `predict --json` writes it"),
-        ],
-        check,
-    )
+    cases = [
+        ("{", "line 1: is no JSON"),
+        ("[1]", "line 1: is no JSON object"),
+        ("", "holds no answers"),
+        ('{"played": 3}', "holds no answers"),
+        (json.dumps(incomplete), "predictions: E_TH: is not as `predict --json` writes it"),
+    ]
+    every_case(cases, check)
     call("view", tmp_path / "none.pcd", "--save", tmp_path / "v.rrd").check_refused("none.pcd: does not exist\n")
     cloud = files / "object.pcd"
     call("view", cloud, "--save", tmp_path / "none" / "v.rrd").check_refused("No such file or directory")

@@ -4,8 +4,6 @@
 An outcome is "ok" or the pattern of the reason with which the case is refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

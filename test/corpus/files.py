@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hard clouds written to every format and read back: equal to the bit, or refused by name; for `check_outcome`."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from functools import partial

@@ -4,8 +4,6 @@
 Cases are tuples for `every_case(cases, check_outcome)`: a name, a function, and what is expected of it, see there.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable, Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hard cases of the simulator, for `check_outcome`: contacts, meshes, scenes, and every effect at its bounds."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import typing

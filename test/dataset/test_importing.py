@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags with named topics become the samples that the recorder would have made of their messages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace

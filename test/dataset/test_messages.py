@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Headers in serialised messages, against the serialiser of rosbags."""
 
-from __future__ import annotations
-
 import pytest
 from every_case import every_case
 from rosbags.typesys import Stores, get_typestore

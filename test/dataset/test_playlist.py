@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sources as timed messages."""
 
-from __future__ import annotations
-
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 

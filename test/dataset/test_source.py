@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `open_source` takes a path for, and what comes out in which order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from recording_builders import readable

@@ -38,7 +38,7 @@ def _row(condition: str, part: str, name: str, share: float, touches: int = 0) -
     return {**head, "coverage": [share] * 4, "width": [0.5] * 4, "unfamiliar": 0.2}
 
 
-def test_objects_have_equal_weight_however_often_they_were_tested() -> None:
+def test_objects_have_equal_weight_and_means_outside_the_accepted_range_are_marked() -> None:
     rows = [_row("simulated", "0", "a", 1.0), _row("simulated", "1", "a", 0.8), _row("simulated", "1", "b", 0.5)]
     table = coverage_table(rows, FEW_DRAWS)
     together = next(row for row in table if row["object"] == "all")
@@ -47,9 +47,6 @@ def test_objects_have_equal_weight_however_often_they_were_tested() -> None:
     assert together["grasps"] == 20  # both splits tested the same ten grasps of a
     blocks = coverage_table([_row("time blocks", str(k), "a", 0.9) for k in range(5)], FEW_DRAWS)
     assert {row["grasps"] for row in blocks} == {50}  # but each block of time has others
-
-
-def test_means_outside_the_accepted_range_are_marked() -> None:
     rows = [_row("left out", "", f"o{k}", 0.6 + 0.02 * k, touches) for k in range(8) for touches in (0, 1)]
     found, table, each = find_experiment("coverage").summarise(coverage_table(rows, FEW_DRAWS))
     assert all("☒" in cell for row in table.rows for cell in row[1:])

@@ -100,7 +100,7 @@ def test_the_figure_shows_errors_and_differences_of_all_modalities(tmp_path: Pat
         rows = [cell(90, -3.0, "better"), cell(10, 2.0, "tie"), other]
         (path,) = draw_models(rows, tmp_path)
         assert path.stat().st_size > 5000
-        drawn = []
+        drawn: list[Any] = []
         with monkeypatch.context() as patch:
             patch.setattr(figures, "save_small", lambda figure, path, drawn=drawn: drawn.append(figure))
             draw_models(rows, tmp_path)

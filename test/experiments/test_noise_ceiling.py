@@ -121,7 +121,7 @@ def test_noise_ceiling(swept, scenes: Path) -> None:
     assert rmse["only sensor hidden"] < rmse["ceiling"] < rmse["object_mean"]
 
 
-def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, scenes: Path) -> None:
+def test_a_store_is_made_once_refused_for_another_scene_and_asked_for_where_absent(tmp_path, scenes) -> None:
     path = simulate_store(scenes / "clean.yaml", 3, tmp_path)
     before = (path / "manifest.json").stat().st_mtime_ns
     assert simulate_store(scenes / "clean.yaml", 3, tmp_path) == path
@@ -129,9 +129,6 @@ def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, scen
     assert load_simulated(SimulatedSettings(), path).scene.objects[0].name == "can"
     with pytest.raises(ConfigError, match="another scene or size"):
         simulate_store(scenes / "clean.yaml", 4, tmp_path)
-
-
-def test_without_data_what_is_wanted_is_told(tmp_path: Path) -> None:
     for name, wanted in (("noise_ceiling", "give --data a scene"), ("sim_to_real", "no real grasps")):
         with pytest.raises(ConfigError, match=wanted):
             run_sweep(find_experiment(name), find_experiment(name).resolve("smoke", {}), tmp_path / "out")

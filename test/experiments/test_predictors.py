@@ -79,7 +79,7 @@ def test_recipes_hold_the_settings_of_the_papers_and_of_the_released_network() -
     assert loaded["touchnet_v1"].model == ModelConfig(
         tnet=False, trunk_widths=(32, 64, 128), head_widths=(128,), head_dropout=0.3, metric_inputs=True
     )
-    assert [len(one.outputs) for one in loaded.values()] == [1, 1, 4]
+    assert [len(one.model.outputs) for one in loaded.values()] == [1, 1, 4]
 
 
 def test_unknown_ones_are_told(samples) -> None:

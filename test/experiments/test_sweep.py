@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 from own_experiments.counting import EXPERIMENT, CountingSettings
 
 from foretouch.errors import ConfigError, FileError
@@ -232,8 +232,6 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, sweep,
 
 
 def test_no_cluster_is_told_at_once(ray, sweep) -> None:
-    def check(address: str) -> None:
-        with pytest.raises(ConfigError, match=f"--address: {address}: no cluster answers"):
-            sweep(address=address)
-
-    every_case(["127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no"], check)
+    addresses = ("127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no")
+    cases = [(f"--address: {one}: no cluster answers", one) for one in addresses]
+    every_refusal(ConfigError, cases, lambda address: sweep(address=address))

@@ -12,8 +12,6 @@ from every_case import every_case
 
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
-from foretouch.experiments.framework import sweep
-from foretouch.experiments.framework.executors import run_cell
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.framework.frontier import frontier, spread
 from foretouch.experiments.framework.manifest import read_results
@@ -83,13 +81,12 @@ EXPERIMENT = Area(
 
 
 @pytest.fixture
-def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_this_process: None) -> Path:
     (tmp_path / "pi_lab").mkdir()
     (tmp_path / "pi_lab/__init__.py").touch()
     (tmp_path / "pi_lab/pi.py").write_text(SOURCE)
     (tmp_path / "data.txt").write_text("3")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (run_cell(job, cell) for cell in cells))
     return tmp_path
 
 

@@ -41,9 +41,6 @@ def table(area: Area[Any, Any], settings: Any, data: Any, cells: list[Cell]) -> 
     return {row["variant"]: row for row in area.tabulate(settings, rows)}
 
 
-# Model.
-
-
 def test_models_are_measured_on_each_split_and_timed() -> None:
     area = tradeoff_model.EXPERIMENT
     settings = tradeoff_model.ModelSettings(splits=("object",), requests=(1, 2), bootstrap=QUICK, detail="few")
@@ -58,21 +55,11 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     assert rows["touchnet-v1"]["object_E_TH"] is not None  # of its card
     with pytest.raises(ConfigError, match="must hold at least one"):
         settings.replace(seeds=())
-    kinds = (
-        "contact-v2",
-        "10 trees",
-        "no surroundings",
-        "kernel alone",
-        "cloud of 200",
-        "mean of labels",
-        "touchnet-v1",
-    )
+    kinds = {"contact-v2", "10 trees", "no surroundings", "kernel alone", "cloud of 200", "mean of labels"}
+    kinds |= {"touchnet-v1", "voxel 256", "net bf16", "papers' four networks"}
     for one in area.variants(settings):
-        if one.name in (*kinds, "voxel 256", "net bf16", "papers' four networks"):
+        if one.name in kinds:
             assert area.timed(one, settings, GRASPS).answer(2).shape == (2, 50)
-
-
-# Perception.
 
 
 def perceived(step: str, changes: dict[str, object], **values: object) -> list[Row]:
@@ -80,10 +67,15 @@ def perceived(step: str, changes: dict[str, object], **values: object) -> list[R
     return [{**cell.values, **row} for row in tradeoff_perception.EXPERIMENT.run(cell, PERCEPTION, images())]
 
 
-def test_an_overlap_is_that_of_the_found_object_which_covers_most() -> None:
+def test_overlaps_are_of_the_object_that_covers_most_and_moves_equal_better_or_worse() -> None:
     truth = np.array([[2, 2, 2, 2, 0, 3, 3, 0]], np.int32)
     labels = np.array([[1, 1, 1, 2, 0, 3, 3, 3]], np.int32)
     assert tradeoff_perception.overlaps(labels, truth, range(2, 4)) == [3 / 4, 2 / 3]
+    row = tradeoff_perception._moves(
+        [{"moved": True, "score_change": change} for change in (0.05, 0.5, -0.5, -0.05)]
+        + [{"moved": False, "score_change": 0.0}, {"moved": None, "score_change": None}]
+    )
+    assert row == {"moved": 0.8, "moved_equal": 0.5, "moved_better": 0.25, "moved_worse": 0.25}
 
 
 def test_the_shipped_settings_move_nothing_and_noise_moves_grasps() -> None:
@@ -109,14 +101,6 @@ def test_a_coarser_grid_loses_some_of_the_masks() -> None:
     assert shipped["wrong_scenes"] == 0
 
 
-def test_grasps_that_move_are_equal_better_or_worse() -> None:
-    row = tradeoff_perception._moves(
-        [{"moved": True, "score_change": change} for change in (0.05, 0.5, -0.5, -0.05)]
-        + [{"moved": False, "score_change": 0.0}, {"moved": None, "score_change": None}]
-    )
-    assert row == {"moved": 0.8, "moved_equal": 0.5, "moved_better": 0.25, "moved_worse": 0.25}
-
-
 def test_variants_of_perception_are_settings_of_the_pipeline_and_are_timed() -> None:
     area, shipped = tradeoff_perception.EXPERIMENT, Pipeline().config
 
@@ -130,9 +114,6 @@ def test_variants_of_perception_are_settings_of_the_pipeline_and_are_timed() -> 
         first, second = timed.answer(1), timed.answer(1)
         assert first.shape in ((3,), (6,))
         assert not np.array_equal(first, second)
-
-
-# Simulation.
 
 
 def simulated(name: str) -> Row:
@@ -172,9 +153,6 @@ def test_all_variants_of_the_simulator_are_scenes_and_are_timed(tmp_path: Path) 
     assert not np.array_equal(one, two)
     with pytest.raises(ConfigError, match=r"holds no rigid.yaml; give the folder config/scenes"):
         area.prepare(SIMULATION, tmp_path, tmp_path)
-
-
-# Training.
 
 
 def test_more_grasps_are_more_skilful_and_take_the_robot_longer() -> None:

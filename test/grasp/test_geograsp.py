@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
-from every_case import every_case
 
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
@@ -101,46 +100,6 @@ def test_random_slides_follow_the_seed_and_stay_on_the_object(box_cloud, top_vie
     slides = [_random_slide(xyz, np.zeros(3), np.array([1.0, 0, 0]), 0.5, rng) for _ in range(500)]
     assert -0.05 <= min(slides) < -0.045
     assert 0.145 < max(slides) <= 0.15
-
-
-def test_clouds_without_a_grasp_are_named(top_view):
-    def check(reason, xyz):
-        plan = plan_grasps(Cloud(xyz.astype(np.float32)), top_view, CONFIG)
-        _assert_sound(plan)
-        assert plan.status == "no_grasp"
-        assert reason in plan.reason
-
-    cases = [
-        ("0 finite points, GeoGrasp needs 3", np.zeros((0, 3))),
-        ("0 finite points", np.full((500, 3), np.nan)),
-        ("1 finite points", np.ones((1, 3))),
-        ("in 1 voxel of 0.0125 m have no axis", np.full((4000, 3), 1.0)),
-        ("reaches 1e+20 m, beyond 1000 m", np.full((5, 3), 1e20)),
-    ]
-    every_case(cases, check)
-
-
-def test_hazards_of_the_original_are_named(rng):
-    flat = np.column_stack([rng.uniform(-0.05, 0.05, 2000), rng.uniform(-0.03, 0.03, 2000), np.ones(2000)])
-    upright = np.column_stack([*rng.normal(0, 0.001, (2, 500)), np.linspace(1.0, 1.3, 500)])
-    clouds = {
-        "flat": [flat],
-        "line": [np.column_stack([np.linspace(-0.1, 0.1, 300), np.zeros(300), np.ones(300)])],
-        "doubled": [np.repeat(flat[:300], 60, axis=0)],
-        "two clumps": [np.repeat([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]], 200, axis=0)],
-        "upright": [upright],
-        "behind": [flat * [1, 1, -1]],
-        **{f"{n} points": rng.normal([0.0, 0.0, 1.0], 0.03, (10, n, 3)) for n in (3, 4, 6, 10, 40, 60)},
-    }
-
-    def check(clouds, normal):
-        for xyz in clouds:
-            for offset in (-1.0, 0.0):
-                plane = Plane.from_coefficients([*normal, offset])
-                _assert_sound(plan_grasps(Cloud(xyz.astype(np.float32)), plane, CONFIG))
-
-    normals = [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0.6, 0.8, 0.0]]
-    every_case({f"{name} {n}": (xyz, n) for name, xyz in clouds.items() for n in normals}, check)
 
 
 def test_one_candidate_a_side_has_no_score_and_says_so(top_view):

@@ -103,10 +103,7 @@ def test_candidates_that_are_inside_without_a_normal_or_along_the_axis_never_ran
     ranking = rank_pairs(_sides(), along, CENTROID)
     assert len(ranking.score) == 0
     assert ranking.counts["n_pairs_low"] > 0
-
-
-def test_the_second_side_has_two_percent_of_slack():
-    a, b = _sides()
+    a, b = _sides()  # the second side has two percent of slack
     # Distances to the centroid span 40 ... 60 mm, so p2, at 50 mm, is at 0.5 of them and the limit at 0.49, or 49.8 mm.
     for x, kept in ((0.0499, True), (0.0497, False)):
         others = _points([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)

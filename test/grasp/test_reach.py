@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 
+from foretouch.cloud.geometry.limits import check_object
 from foretouch.errors import GraspError
 from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import check_reach, fast_accept_reach
@@ -54,13 +55,14 @@ def test_grasps_within_reach_are_accepted(ball) -> None:
 
 
 @pytest.mark.real_data
-def test_every_recorded_grasp_is_accepted(real_data: Path) -> None:
+def test_every_recorded_object_and_grasp_is_accepted(real_data: Path) -> None:
     from foretouch.dataset.samples import open_samples
 
     found = open_samples(str(real_data / "vision2tactile"))
     samples = [record.sample for record in found.records()]
     assert len(samples) >= 400
     for sample in samples:
+        check_object(sample.cloud.xyz)
         check_reach(sample.grasp, sample.cloud.xyz, 0.2, 0.05)
         check_rotation(sample.grasp.rotation)
 

@@ -18,8 +18,6 @@ from foretouch.models import load_model
 from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, load_profile, profile_scene
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 
-# Levels.
-
 
 def test_cheaper_contact_models() -> None:
     samples = make_samples()
@@ -56,9 +54,6 @@ def test_levels_of_the_default_model_descend_to_the_mean() -> None:
     assert mean.flags == ("unfamiliar",)
     np.testing.assert_allclose(mean.value.vector(), model.estimator.mean)
     assert [(level.name, level.skill) for level in levels_of(load_model("touchnet-v1"))] == [("touchnet-v1", None)]
-
-
-# The profile of a machine.
 
 
 @pytest.fixture
@@ -145,8 +140,6 @@ def test_commands(measured, capsys, tmp_path) -> None:
         main([*words, "--budget-ms", "0"])
     assert "0 is not above 0" in capsys.readouterr().err
 
-
-# The level of each request.
 
 LEVELS = [Level("model", 0.34, None), Level("half", 0.3, None), Level("mean", 0.0, None)]
 TIMES = {

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A calibration: the tracker that follows from it against Gaussian conditioning, its intervals, its file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def conditioned(group: CalibrationGroup, residuals: np.ndarray) -> tuple[np.ndar
 
 
 def test_touches_move_predictions_as_conditioning_does(rng) -> None:
-    def check(_name: str, between: np.ndarray, touches: int, difference_shrinkage: float, known: bool) -> None:
+    def check(between: np.ndarray, touches: int, difference_shrinkage: float, known: bool) -> None:
         group = group_of(between, rng.uniform(50.0, 900.0, SIZE), difference_shrinkage)
         # Of known objects, only the diagonals in the basis of new ones are used: both have the same group here.
         parameters = Calibration(REST, {"known": group, "new": group}).tracker_parameters
@@ -59,22 +58,9 @@ def test_touches_move_predictions_as_conditioning_does(rng) -> None:
         assert_allclose(found, shrunk + moved, atol=1e-6)
         assert_allclose(tracker.level(5).variance, variance, rtol=1e-7)
 
-    every_case(
-        {
-            f"{name} B, {touches} touches, {difference_shrinkage}, {known}": (
-                name,
-                between,
-                touches,
-                difference_shrinkage,
-                known,
-            )
-            for name, between in (("diagonal", np.diag(rng.uniform(10.0, 900.0, SIZE))), ("full", full(rng)))
-            for touches in (0, 1, 3, 10)
-            for difference_shrinkage in (1.0, 0.3)
-            for known in (False, True)
-        },
-        check,
-    )
+    kinds = (("diagonal", np.diag(rng.uniform(10.0, 900.0, SIZE))), ("full", full(rng)))
+    cases = product(kinds, (0, 1, 3, 10), (1.0, 0.3), (False, True))
+    every_case({f"{kind[0]} B, {rest}": (kind[1], *rest) for kind, *rest in cases}, check)
 
 
 def test_what_lasts_on_known_objects_too_is_of_the_sensors() -> None:

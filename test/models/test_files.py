@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of models: exact round trip, replaced or damaged files are detected, and files are replaced all or none."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -23,24 +21,16 @@ TENSORS = {
 }
 
 
-def write(path: Path) -> str:
+def test_arrays_come_back_to_the_bit_and_make_the_same_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
     content, sha256 = packed(TENSORS)
     path.write_bytes(content)
-    return sha256
-
-
-def test_arrays_come_back_to_the_bit(tmp_path: Path) -> None:
-    path = tmp_path / "a.safetensors"
-    sha256 = write(path)
     found = read_tensors(path, sha256, "a.json")
     assert sha256 == file_sha256(path)
     assert set(found) == set(TENSORS)
     for name, array in TENSORS.items():
         assert (found[name].dtype, found[name].shape) == (array.dtype, array.shape)
         assert_array_equal(found[name], array)
-
-
-def test_the_same_arrays_make_the_same_bytes() -> None:
     assert packed(TENSORS) == packed(dict(reversed(TENSORS.items())))
 
 
@@ -53,31 +43,23 @@ def test_a_file_of_another_kind_is_damaged_in_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_only_the_files_are_left_in_folders_that_are_made(tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "er"
-    replace_files({folder / "a": b"1", folder / "b": b"2"})
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a": b"1", "b": b"2"}
-
-
-def test_others_may_read_what_the_umask_lets_them(tmp_path: Path) -> None:
-    before = os.umask(0o027)
+def test_only_the_files_are_left_in_folders_that_are_made_readable_as_the_umask_lets(tmp_path: Path) -> None:
+    folder, before = tmp_path / "new" / "er", os.umask(0o027)
     try:
-        replace_files({tmp_path / "a": b"1"})
+        replace_files({folder / "a": b"1", folder / "b": b"2"})
     finally:
         os.umask(before)
-    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o640
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a": b"1", "b": b"2"}
+    assert (folder / "a").stat().st_mode & 0o777 == 0o640
 
 
-def test_a_full_disk_at_the_last_file_leaves_all_of_them(tmp_path: Path) -> None:
+def test_a_full_disk_at_the_last_file_leaves_all_and_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
     replace_files({one: b"old", two: b"old"})
     (tmp_path / "two.part").symlink_to("/dev/full")
     with pytest.raises(FileError, match=r"two: cannot be written, the one before is kept: No space left"):
         replace_files({one: b"new", two: b"new"})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"one": b"old", "two": b"old"}
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileError, match=r"file/a: cannot be written.*Not a directory|File exists"):
         replace_files({tmp_path / "file" / "a": b"1"})

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finding models by name, path and run folder (damaged files: `*/test_checkpoint.py`)."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -28,16 +26,20 @@ def contact(tmp_path: Path) -> Path:
 def test_names_cards_and_weights_lead_to_the_card(contact: Path) -> None:
     assert find_card(contact) == find_card(contact.with_suffix(".safetensors")) == contact
     assert find_card("default") == find_card(DEFAULT_MODEL)
-    for name in available_models():
-        assert find_card(name).stem == name
+    assert [find_card(name).stem for name in available_models()] == list(available_models())
 
 
-def test_what_is_no_model_is_refused_with_the_names_that_are(tmp_path: Path) -> None:
+def test_what_is_no_model_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:
     for name in ("touchnet", "contact-v1"):
         with pytest.raises(ModelError, match=f"{name}: is no run folder, .* and none of contact-v2, touchnet-v1"):
             find_card(name)
     with pytest.raises(ModelError, match=r"absent.json: no such model card"):
         load_model(tmp_path / "absent.safetensors")
+    folder = tmp_path / "none"
+    folder.mkdir()
+    (folder / "notes.json").write_text("[1]")
+    with pytest.raises(ModelError, match=rf"^{folder}: holds no model card \(<name>.json\)"):
+        load_model(folder)
 
 
 def test_each_kind_loads_and_predicts(contact: Path, make_net, tmp_path: Path) -> None:
@@ -66,14 +68,6 @@ def test_a_run_folder_leads_to_its_only_card(contact: Path) -> None:
     assert load_model(folder).sha256 == load_model(contact).sha256
 
 
-def test_a_folder_without_a_model_is_refused(tmp_path: Path) -> None:
-    folder = tmp_path / "none"
-    folder.mkdir()
-    (folder / "notes.json").write_text("[1]")
-    with pytest.raises(ModelError, match=rf"^{folder}: holds no model card \(<name>.json\)"):
-        load_model(folder)
-
-
 def test_an_unfinished_run_is_refused(tmp_path: Path) -> None:
     folder = begin_run(tmp_path / "run")
     for left in (None, "log.jsonl", "config.yaml"):  # what goes next; a state alone is a run too
@@ -83,15 +77,13 @@ def test_an_unfinished_run_is_refused(tmp_path: Path) -> None:
             (folder / left).unlink()
 
 
-def test_a_folder_with_several_models_is_refused_with_their_names(contact: Path, make_net) -> None:
+def test_a_folder_with_several_models_or_a_damaged_card_is_refused_by_name(contact: Path, make_net) -> None:
     save_network(contact.parent, "net", make_net(), {})
     with pytest.raises(
         ModelError, match=rf"^{contact.parent}: holds several models, net.json, toy.json: name the card"
     ):
         find_card(contact.parent)
-
-
-def test_a_damaged_card_in_a_folder_is_named_and_not_overlooked(contact: Path, tmp_path: Path) -> None:
+    (contact.parent / "net.json").unlink()
     contact.write_text("{")
     with pytest.raises(ModelError, match=r"toy.json: not JSON"):
         load_model(contact.parent)

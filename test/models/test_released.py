@@ -15,39 +15,25 @@ from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Grasp
 
 
-def test_the_default_is_first_and_all_load() -> None:
-    assert available_models()[0] == DEFAULT_MODEL
-    assert load_model().name == load_model("default").name == DEFAULT_MODEL
+def test_the_default_is_first_all_load_and_cards_hold_what_they_must(can, make_grasps) -> None:
+    assert available_models()[0] == load_model().name == load_model("default").name == DEFAULT_MODEL
+    folder = Path(str(resources.files("foretouch.models"))) / "weights"
     for name in available_models():
-        assert load_model(name).name == name
-
-
-def test_cards_hold_what_they_must() -> None:
-    for name in available_models():
-        card = load_model(name).card
+        model, card = load_model(name), load_model(name).card
+        assert model.name == name
         assert {"known", "new"} <= set(card["calibration"]["regimes"])
         assert any("cannot exceed 89%" in line for line in card["limits"])  # 8 of 9
         assert "not redistributed" in card["data"]["licence"]
         assert len(card["data"]["sha256"]) == 64
-        assert card["limits"]
         for table in (card["skill"], *card["baselines"].values()):
             assert set(table) == {"random", "time", "object"}
             assert all(set(scores) == set(MODALITIES) for scores in table.values())
         assert {"training_mean", "object_mean", "object_time_trees", "geometry_trees"} == set(card["baselines"])
-
-
-def test_weights_fit_in_ten_megabytes() -> None:
-    folder = Path(str(resources.files("foretouch.models"))) / "weights"
-    for name in available_models():
         files = list(folder.glob(f"{name}*.safetensors"))
         assert len(files) == 2  # weights and calibration
         assert sum(path.stat().st_size for path in files) <= 10_000_000
-
-
-def test_a_prediction_has_the_size_of_a_touch(can, make_grasps) -> None:
-    for name in available_models():
-        predictions = load_model(name).predict(can, make_grasps(3))
-        assert all(1600 < p.value.pdc_mf < 2300 and 2500 < p.value.pdc_th < 3400 for p in predictions)
+        values = [one.value for one in model.predict(can, make_grasps(3))]
+        assert all(1600 < value.pdc_mf < 2300 and 2500 < value.pdc_th < 3400 for value in values)
 
 
 def test_objects_of_sizes_far_from_those_of_training_are_flagged_and_get_the_mean(can, make_grasps) -> None:

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction: features computed once, grasps of one call independent of each other, flags, tare and history."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -169,7 +166,7 @@ def test_a_tare_moves_predictions_part_of_its_way_from_rest(calibrated) -> None:
     assert (np.diff(bounds(after), axis=0) < np.diff(bounds(before), axis=0)).mean() > 0.9
 
 
-def test_touches_shift_and_narrow_as_the_tracker_predicts(calibrated) -> None:
+def test_touches_shift_and_narrow_as_the_tracker_predicts_and_a_reduced_model_is_wider(calibrated) -> None:
     sample = SAMPLES[6]
     for touches in (1, 3):
         history = touched(calibrated, touches)
@@ -179,10 +176,7 @@ def test_touches_shift_and_narrow_as_the_tracker_predicts(calibrated) -> None:
         assert_array_equal(vectors(found), counts)
         assert_array_equal(bounds(found), [counts - half, counts + half])
         assert (found[0].reference, found[0].evidence.touches) == ("touches", touches)
-
-
-def test_wider_intervals_of_a_reduced_model(calibrated) -> None:
-    sample, history = SAMPLES[6], touched(calibrated, 2)
+    history = touched(calibrated, 2)
     wider = calibrated.reduced(calibrated.estimator, np.full(50, 1.5))
     for readings in ({}, {"history": history}):
         plain, wide = (one.predict(sample.cloud, [sample.grasp], **readings) for one in (calibrated, wider))
@@ -190,7 +184,7 @@ def test_wider_intervals_of_a_reduced_model(calibrated) -> None:
         assert_allclose(np.diff(bounds(wide), axis=0), 1.5 * np.diff(bounds(plain), axis=0), rtol=1e-9)
 
 
-def test_without_a_calibration_readings_are_refused() -> None:
+def test_readings_without_a_calibration_and_contradicting_arguments_are_refused(calibrated) -> None:
     bare, sample = TouchModel(small_estimator(), CARD), SAMPLES[0]
     rule = "toy: cannot adapt to readings: its card holds no calibration"
     with pytest.raises(ModelError, match=rule):
@@ -199,9 +193,6 @@ def test_without_a_calibration_readings_are_refused() -> None:
         HandHistory(bare)
     (prediction,) = bare.predict(sample.cloud, [sample.grasp])
     assert (prediction.lower, prediction.upper, prediction.reference) == (None, None, "none")
-
-
-def test_contradicting_arguments_are_refused(calibrated) -> None:
     sample, history = SAMPLES[0], touched(calibrated, 1)
     with pytest.raises(ModelError, match="history: has tares and touches of its own"):
         calibrated.predict(sample.cloud, [sample.grasp], tare=TARE, history=history)
@@ -209,15 +200,10 @@ def test_contradicting_arguments_are_refused(calibrated) -> None:
     with pytest.raises(ModelError, match="toy: history: is of another model"):
         other.predict(sample.cloud, [sample.grasp], history=history)
     with pytest.raises(ModelError, match="toy: cannot adapt to readings"):
-        TouchModel(small_estimator(), CARD).predict(sample.cloud, [sample.grasp], history=history)
+        bare.predict(sample.cloud, [sample.grasp], history=history)
     for tare in (np.zeros(50), np.full(50, np.nan)):
         with pytest.raises(TactileError, match=r"tare: pdc_th: (0|nan) is not between"):
             calibrated.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(tare))
-
-
-def test_importing_models_does_not_import_torch() -> None:
-    code = "import sys, foretouch.models; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_predictions_become_objects_when_they_are_read(calibrated) -> None:

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Pictures of predicted and read touches, and contact sheets of samples."""
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +11,15 @@ from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_front, _Scale, save_touch_picture
-from foretouch.types import Plane, Touch, TouchPrediction
+from foretouch.report.touch_figure import (
+    DrawnGrasp,
+    _agreement,
+    _draw_front,
+    _Scale,
+    save_contact_sheet,
+    save_touch_picture,
+)
+from foretouch.types import Cloud, Grasp, GraspSample, Plane, Touch, TouchPrediction
 
 
 @pytest.fixture(scope="module")
@@ -25,20 +34,14 @@ def picture(path: Path, target: FoundObject, prediction: TouchPrediction, **opti
     return imread(save_touch_picture(path, [DrawnGrasp(target=target, prediction=prediction, **options)]))[..., :3]
 
 
-def test_what_was_read_is_beside_what_was_predicted(sample, tmp_path) -> None:
+def test_a_reading_is_drawn_beside_and_a_second_grasp_below(sample, tmp_path) -> None:
     target, prediction, tare = sample
     alone = picture(tmp_path / "a.png", target, prediction)
-    both = picture(tmp_path / "new" / "b.png", target, prediction, rest=tare, read=prediction.value)
-    assert both.shape[0] == alone.shape[0]
-    assert both.shape[1] > 1.3 * alone.shape[1]
-
-
-def test_a_second_grasp_takes_a_row_of_its_own(sample, tmp_path) -> None:
-    target, prediction, _ = sample
-    one = DrawnGrasp(target=target, prediction=prediction)
-    alone, both = (imread(save_touch_picture(tmp_path / f"{k}.png", [one] * k)) for k in (1, 2))
-    assert both.shape[0] > 1.8 * alone.shape[0]
-    assert both.shape[1] == alone.shape[1]
+    beside = picture(tmp_path / "new" / "b.png", target, prediction, rest=tare, read=prediction.value)
+    below = imread(save_touch_picture(tmp_path / "c.png", [DrawnGrasp(target=target, prediction=prediction)] * 2))
+    assert (beside.shape[0], below.shape[1]) == alone.shape[:2]
+    assert beside.shape[1] > 1.3 * alone.shape[1]
+    assert below.shape[0] > 1.8 * alone.shape[0]
 
 
 def dots_of(figure: Figure) -> list:
@@ -120,3 +123,34 @@ def test_colours_are_the_drops_from_rest_within_the_limits_of_the_page(sample) -
     drops = np.concatenate([tare.e_th - touch.e_th for touch in (prediction.value, far)])
     drops = np.concatenate([drops, *(tare.e_mf - touch.e_mf for touch in (prediction.value, far))])
     assert axes.collections[0].get_clim() == (drops.min(), drops.max())
+
+
+def labelled(pdc: float = 2000.0) -> GraspSample:
+    points = np.random.default_rng(0).random((200, 3), np.float32)
+    touch = Touch(pdc, pdc, np.linspace(1000.0, 3000.0, 24), np.full(24, 2000.0))
+    grasp = Grasp(points[0].astype(np.float64), points[1].astype(np.float64), np.eye(3))
+    return GraspSample("can/0", "can", Cloud(points), grasp, touch, extra={"force_th_n": 1.0})
+
+
+def test_a_sheet_has_a_row_for_two_samples_and_no_fingers_of_unlabelled_ones(tmp_path) -> None:
+    for count in (0, 1, 3):
+        path = save_contact_sheet(tmp_path / "new" / f"{count}.png", [labelled()] * count, "a title")
+        assert imread(path).shape[0] == pytest.approx(100 * (2.6 * max(1, -(-count // 2)) + 1.3), abs=2)
+    bare = save_contact_sheet(tmp_path / "bare.png", [replace(labelled(), touch=None)], "a title")
+    assert bare.read_bytes() != (tmp_path / "new" / "1.png").read_bytes()
+
+
+def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> None:
+    kept: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: kept.append(figure))
+    samples = [labelled(), replace(labelled(2100.0), id="a_long_name/000123")]
+    save_contact_sheet(tmp_path / "a.png", samples, "a title")
+    (figure,) = kept
+    figure.canvas.draw()
+    dots = dots_of(figure)
+    assert len(dots) == 4
+    assert {one.get_clim() for one in dots} == {(1000.0, 3000.0)}
+    assert sum(axes.get_label() == "<colorbar>" for axes in figure.axes) == 1
+    drawn, page = figure.get_tightbbox(), figure.bbox_inches
+    assert drawn.x0 >= 0.0 <= drawn.y0
+    assert (drawn.x1 <= page.x1, drawn.y1 <= page.y1) == (True, True)

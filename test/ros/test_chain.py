@@ -121,18 +121,16 @@ def test_a_bad_cloud_is_answered_with_the_reason_and_the_next_one_is_served(chai
 
     nowhere, place = np.full((240, 424), np.nan), np.full(5000, 0.7)
     rows, columns = np.mgrid[0:240, 0:424]
-    every_case(
-        [
-            ("row_step", Status.BAD_CLOUD, changed(lambda m: setattr(m, "width", m.width + 3))),
-            ("z is missing", Status.BAD_CLOUD, changed(lambda m: setattr(m, "fields", m.fields[:2]))),
-            ("frame_id: is empty", Status.UNKNOWN_FRAME, changed(lambda m: setattr(m.header, "frame_id", ""))),
-            ("holds no point", Status.EMPTY_CLOUD, cloud([], [], [])),
-            ("none of 101760 points is finite", Status.EMPTY_CLOUD, cloud(nowhere, nowhere, nowhere)),
-            ("", Status.NO_PLANE, cloud(place, place, place)),
-            ("nothing stands", Status.NO_OBJECT, cloud((columns - 212) / 400, (rows - 120) / 400, np.ones((240, 424)))),
-        ],
-        check,
-    )
+    cases = [
+        ("row_step", Status.BAD_CLOUD, changed(lambda m: setattr(m, "width", m.width + 3))),
+        ("z is missing", Status.BAD_CLOUD, changed(lambda m: setattr(m, "fields", m.fields[:2]))),
+        ("frame_id: is empty", Status.UNKNOWN_FRAME, changed(lambda m: setattr(m.header, "frame_id", ""))),
+        ("holds no point", Status.EMPTY_CLOUD, cloud([], [], [])),
+        ("none of 101760 points is finite", Status.EMPTY_CLOUD, cloud(nowhere, nowhere, nowhere)),
+        ("", Status.NO_PLANE, cloud(place, place, place)),
+        ("nothing stands", Status.NO_OBJECT, cloud((columns - 212) / 400, (rows - 120) / 400, np.ones((240, 424)))),
+    ]
+    every_case(cases, check)
 
 
 def test_targets_limits_and_lateness_are_parameters(chain, scene_cloud):

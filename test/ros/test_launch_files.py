@@ -130,17 +130,15 @@ def test_a_wrong_argument_is_refused_before_anything_is_started(library, monkeyp
         with pytest.raises(Exception, match=re.escape(message)):
             first.function(context) if library == "stubs" else first.execute(context)
 
-    every_case(
-        [
-            ("path: /nope does not exist", "replay", {"path": "/nope"}),
-            ("scene: /nope.yaml does not exist", "scene", {"scene": "/nope.yaml"}),
-            ("params_file: /nope.yaml does not exist", "camera", {"params_file": "/nope.yaml"}),
-            ("rviz: the package rviz2 is not installed", "perception", {"rviz": "true"}),
-            ("nope: is no run folder, no card", "perception", {"model": "nope"}),
-            ("/nope.json: no such model card", "perception", {"model": "/nope.json"}),
-        ],
-        check,
-    )
+    cases = [
+        ("path: /nope does not exist", "replay", {"path": "/nope"}),
+        ("scene: /nope.yaml does not exist", "scene", {"scene": "/nope.yaml"}),
+        ("params_file: /nope.yaml does not exist", "camera", {"params_file": "/nope.yaml"}),
+        ("rviz: the package rviz2 is not installed", "perception", {"rviz": "true"}),
+        ("nope: is no run folder, no card", "perception", {"model": "nope"}),
+        ("/nope.json: no such model card", "perception", {"model": "/nope.json"}),
+    ]
+    every_case(cases, check)
 
 
 def test_a_launch_ends_with_a_node_and_fails_with_it():

@@ -71,7 +71,7 @@ def test_without_a_campaign_none_of_its_effects_runs_and_one_without_effects_cha
         np.testing.assert_array_equal(one.tare.vector(), other.tare.vector())  # type: ignore[union-attr]
 
 
-def test_sessions_start_when_they_are_due_and_grasps_follow_in_order() -> None:
+def test_sessions_start_when_they_are_due_and_tares_are_recorded_where_it_is_stated() -> None:
     found = campaign(days=[0, 1.5, 7], objects=2, grasps=3)
     times = [found.time_of(slot) for slot in range(18)]
     seconds = np.array([time.stamp_ns for time in times]) * 1e-9
@@ -85,6 +85,10 @@ def test_sessions_start_when_they_are_due_and_grasps_follow_in_order() -> None:
     assert [time.visit for time in times] == np.repeat(range(6), 3).tolist()
     with pytest.raises(SimulationError, match="slot 18: the campaign has 18 grasps"):
         found.time_of(18)
+    for tares, kept in {"grasp": [*range(8)], "object": [0, 2, 4, 6], "session": [0, 4], "none": []}.items():
+        settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
+        samples = made(scene(CAN, campaign=settings, **HELD), 8)
+        assert [k for k, sample in enumerate(samples) if sample.tare is not None] == kept, tares
 
 
 def test_objects_take_turns_by_visits_and_keep_their_surface() -> None:
@@ -236,14 +240,32 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     parameters = fit_tracker(first, group, group)
     assert ((parameters.slope[2:] > 0.3) & (parameters.slope[2:] < 1.0)).all()
     warm = recorded(1, warm_up, first.expected[0])
-    errors = []
-    for shown in (warm, replace(warm, tdc=None)):
-        counts = replay(SensorTracker(parameters), shown).counts
-        squared = ((counts - warm.readings) ** 2)[warm.begins()][5:, 2:].reshape(-1, 2, 24).mean(axis=2)
-        errors.append(squared)
-    gain = errors[1] - errors[0]
+    assert warm.tdc is not None
+    half = np.arange(len(warm.tdc))[:, None] >= len(warm.tdc) // 2
+    shown = {
+        "none": None,
+        "whole": warm.tdc,
+        "zeros": np.zeros_like(warm.tdc),
+        "stuck": np.tile(warm.tdc[:1], (len(warm.tdc), 1)),
+        "thumb only": warm.tdc * [1.0, np.nan],
+        "power cycle": warm.tdc + 900.0 * half,
+    }
+    played = {name: replay(SensorTracker(parameters), replace(warm, tdc=tdc)).counts for name, tdc in shown.items()}
+    first_touches = np.flatnonzero(warm.begins())[5:]
+
+    def errors(name: str) -> np.ndarray:
+        """(runs, 2) mean squared errors of the electrodes of both fingers before the first touch [counts²]."""
+        squared = (played[name] - warm.readings)[first_touches, 2:] ** 2
+        return squared.reshape(-1, 2, 24).mean(axis=2)
+
+    gain = errors("none") - errors("whole")
     draws = gain[rng.integers(0, len(gain), (1000, len(gain)))].mean(axis=1)
     assert (np.quantile(draws, 0.025, axis=0) > 0.0).all()
+    np.testing.assert_array_equal(played["zeros"], played["none"])
+    np.testing.assert_allclose(played["stuck"], played["none"], atol=0.5)
+    np.testing.assert_allclose(played["thumb only"][:, [0, *range(2, 26)]], played["whole"][:, [0, *range(2, 26)]])
+    np.testing.assert_allclose(played["thumb only"][:, 26:], played["none"][:, 26:], atol=0.5)
+    assert (errors("power cycle").mean(axis=0) < errors("none").mean(axis=0)).all()
     cold = recorded(1, {}, first.expected[0])
     without = replace(parameters, slope=np.zeros(50), slope_sd=np.zeros(50))
     found, same = (replay(SensorTracker(one), cold) for one in (parameters, without))
@@ -293,13 +315,6 @@ def test_tare_and_touch_follow_the_state_and_samples_hold_the_true_rest_levels()
         assert sample.extra["rest_pdc_th"] == pytest.approx(tare[0, 0], abs=0.5)
         assert sample.extra["rest_e_th"] == pytest.approx(tare[0, 1:].mean(), abs=0.5)
         assert sample.extra["rest_e_mf"] == pytest.approx(tare[1, 1:].mean(), abs=0.5)
-
-
-def test_tares_are_recorded_where_it_is_stated() -> None:
-    for tares, kept in {"grasp": [*range(8)], "object": [0, 2, 4, 6], "session": [0, 4], "none": []}.items():
-        settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
-        samples = made(scene(CAN, campaign=settings, **HELD), 8)
-        assert [k for k, sample in enumerate(samples) if sample.tare is not None] == kept, tares
 
 
 FULL: dict[str, Any] = {

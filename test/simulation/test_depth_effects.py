@@ -14,16 +14,13 @@ def _step(near: float = 0.5, far: float = 1.0) -> np.ndarray:
     return depth
 
 
-def test_noise_grows_with_the_square_of_the_depth(rng: np.random.Generator) -> None:
+def test_noise_grows_with_the_square_of_the_depth_and_is_correlated_over_the_window(rng) -> None:
     for distance in (0.5, 1.0, 2.0):
         noise = add_stereo_noise(np.full((300, 400), distance), 0.002, rng) - distance
         assert noise.std() == pytest.approx(0.002 * distance**2, rel=0.05)
         assert abs(noise.mean()) < 0.1 * noise.std()
     partial = np.where(np.arange(30)[:, None] < 10, np.inf, _step())
     assert np.array_equal(np.isinf(add_stereo_noise(partial, 0.001, rng)), np.isinf(partial))
-
-
-def test_noise_is_correlated_over_the_matching_window_and_not_beyond(rng: np.random.Generator) -> None:
     noise = add_stereo_noise(np.ones((400, 400)), 0.001, rng) - 1.0
     for lag, expected in ((1, 8 / 9), (4, 5 / 9), (9, 0.0)):  # of a mean over 9 columns
         measured = np.corrcoef(noise[:, :-lag].ravel(), noise[:, lag:].ravel())[0, 1]

@@ -15,7 +15,7 @@ def _top(*objects: Box | Cylinder | Sphere, distance_m: float = 1.0) -> DepthSce
     return DepthScene(CameraView.towards_table(424, 240, distance_m, 0.0), objects)
 
 
-def test_a_box_from_above_has_the_depth_and_the_area_of_its_lid() -> None:
+def test_a_box_has_the_depth_and_area_of_its_lid_and_above_the_horizon_is_nothing() -> None:
     box = Box(position=np.array([0.0, 0.0, 0.1]), size=np.array([0.2, 0.1, 0.2]))
     image = _top(box).render()
     seen = image.labels == FIRST_OBJECT
@@ -23,6 +23,11 @@ def test_a_box_from_above_has_the_depth_and_the_area_of_its_lid() -> None:
     focal = image.K[0, 0]
     assert seen.sum() == pytest.approx(0.2 * 0.1 * (focal / 0.8) ** 2, rel=0.03)
     assert np.unique(image.depth_mm[image.labels == TABLE]).tolist() == [1000]
+    image = DepthScene(CameraView.towards_table(424, 240, 1.0, 1.35), ()).render()
+    outside = image.labels == 0
+    assert (image.depth_mm[outside] > 0).any()
+    assert (image.depth_mm[0] == 0).all()
+    assert np.isnan(image.cloud().xyz[0]).all()
 
 
 def test_pixels_lie_on_the_stated_plane_and_on_the_ball() -> None:
@@ -50,14 +55,6 @@ def test_the_nearer_object_hides_the_farther() -> None:
         labels = scene.cast()[1]
         assert labels[120, 212] == FIRST_OBJECT + order.index(high)
         assert (labels == FIRST_OBJECT + order.index(low)).any()
-
-
-def test_beyond_the_table_is_the_floor_and_above_the_horizon_nothing() -> None:
-    image = DepthScene(CameraView.towards_table(424, 240, 1.0, 1.35), ()).render()
-    outside = image.labels == 0
-    assert (image.depth_mm[outside] > 0).any()
-    assert (image.depth_mm[0] == 0).all()
-    assert np.isnan(image.cloud().xyz[0]).all()
 
 
 def test_random_objects_stand_on_the_table_apart_and_inside_the_image() -> None:

@@ -56,10 +56,17 @@ def test_recorded_noise_is_what_the_simulation_aims_at(real_data):
     assert_allclose(repeats(made), repeats(series), atol=0.03)  # in blocks that move on
 
 
-def test_the_slow_fluctuation_has_its_deviation_and_memory(rng):
+def test_fluctuation_has_its_deviation_and_memory_and_slip_moves_in_jumps_at_its_mean_speed(rng):
     x = ou_noise(20000, 4, 3.0, 0.05, RATE_HZ, rng)
     assert x.std() == pytest.approx(3.0, rel=0.1)
     assert np.mean(x[5:] * x[:-5]) / x.var() == pytest.approx(np.exp(-1.0), abs=0.05)
+    path = slip_path(200_000, RATE_HZ, rng, speed_m_s=0.01, length_m=0.002)
+    steps = np.diff(path)
+    assert path[0] == 0.0
+    assert steps.min() >= 0.0
+    assert path[-1] / (200_000 / RATE_HZ) == pytest.approx(0.01, rel=0.05)
+    assert np.mean(steps > 0) == pytest.approx(1 - np.exp(-0.05), rel=0.05)
+    assert len(slip_path(0, RATE_HZ, rng)) == 0
 
 
 def test_scan_repeats_what_the_ring_has_not_sampled_since_the_last_message(rng):
@@ -73,7 +80,7 @@ def test_scan_repeats_what_the_ring_has_not_sampled_since_the_last_message(rng):
     assert set(edges.tolist()) <= {0, 2}  # one block of the ring a message
 
 
-def test_creep_comes_late_and_a_cycle_of_load_encloses_an_area():
+def test_creep_comes_late_with_hysteresis_and_drift_ends_at_body_temperature():
     step = np.append(0.0, np.full(1000, 100.0))
     time = np.arange(1, 1001) / RATE_HZ
     assert_allclose(creep(step, RATE_HZ, share=0.2, time_s=0.5)[1:], 100.0 * (1 - 0.2 * np.exp(-time / 0.5)))
@@ -81,9 +88,6 @@ def test_creep_comes_late_and_a_cycle_of_load_encloses_an_area():
     response = creep(load, RATE_HZ, share=0.3, time_s=0.5)
     assert (response[10:90] < response[189:109:-1]).all()
     assert_allclose(creep(load, RATE_HZ, share=0.0), load, rtol=1e-12)
-
-
-def test_drift_starts_at_power_on_and_ends_at_body_temperature():
     config = TemperatureConfig()
     drift = temperature_drift(config, np.array([0.0, config.warming_s, 1e9]))
     kelvin = np.array([0.0, 3.0 * (1 - np.exp(-1)), 3.0])
@@ -97,13 +101,3 @@ def test_a_dead_electrode_is_stuck_and_the_others_live():
         assert_allclose(dead[:, 2], value)
         assert_allclose(np.delete(dead, 2, axis=1), np.delete(series, 2, axis=1))
     assert series[0, 2] == 2.0  # the caller's own is left alone
-
-
-def test_slip_moves_forward_in_jumps_at_its_mean_speed(rng):
-    path = slip_path(200_000, RATE_HZ, rng, speed_m_s=0.01, length_m=0.002)
-    steps = np.diff(path)
-    assert path[0] == 0.0
-    assert steps.min() >= 0.0
-    assert path[-1] / (200_000 / RATE_HZ) == pytest.approx(0.01, rel=0.05)
-    assert np.mean(steps > 0) == pytest.approx(1 - np.exp(-0.05), rel=0.05)
-    assert len(slip_path(0, RATE_HZ, rng)) == 0

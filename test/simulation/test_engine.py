@@ -50,13 +50,9 @@ def test_effects_run_in_the_order_of_their_list_where_their_result_leads_to_an_o
         effect("read", reads="depth", writes="cloud"),
     ]
     assert names(effects, "cloud") == ["make", "change", "read"]
-    assert names([*effects[:3], replace(off, when=effects[0].when), *effects[4:]], "depth", "labels") == [
-        "make",
-        "normals",
-        "change",
-        "off",
-        "apart",
-    ]
+    effects[3] = replace(off, when=effects[0].when)
+    assert names(effects, "depth", "labels") == ["make", "normals", "change", "off", "apart"]
+    effects[3] = off
     plans = {p.name: (p.runs, p.reason) for p in Engine(SCENE, effects, ("cloud",)).explain()}
     assert plans["make"] == (True, "x")
     assert plans["off"] == (False, "off")

@@ -91,12 +91,16 @@ def test_pdc_is_linear_at_low_force_and_levels_off_near_two_newtons():
     assert (rise(4.0) - rise(2.0)) / 2.0 < 0.1 * rise(1.0)
 
 
-def test_the_rim_responds_less_and_skin_on_the_core_displaces_no_more_liquid():
+def test_the_rim_responds_less_and_closer_skin_raises_the_impedance_exponentially():
     middle, rim = (fingertip._pdc_counts(contact_frame(PAD, pad_direction(0.0, a)), 1e-9, 0.0) for a in (0.0, 1.0))
     assert rim == pytest.approx(np.cos(1.0) ** fingertip.RIM_POWER * middle)
     deep = np.full((2, 2), 10 * fingertip.BOTTOMING_M)
     assert fingertip._displaced_volume(deep, 1e-6) == pytest.approx(4e-6 * fingertip.BOTTOMING_M)
     assert fingertip._displaced_volume(-deep, 1e-6) == 0.0
+    counts = fingertip._electrode_counts(np.array([-1e-5, 0.0, fingertip.THINNING_M, 1e-4]), np.full(4, 3500.0))
+    assert (np.diff(counts) < 0).all()
+    assert_allclose(to_kohm(counts[1:3]) / to_kohm(3500.0), [1.0, np.e], rtol=1e-12)  # the inverse of the formula
+    assert_allclose(fingertip._electrode_counts(np.array([-1.0, 1.0]), np.full(2, 3500.0)), [4095.0, 0.0], atol=1e-6)
 
 
 def weights_at(pitch, roll, pad=PAD, **options):
@@ -120,10 +124,3 @@ def test_weights_depend_on_neither_the_grid_nor_cells_beside_the_pad():
     weights = weights_at(0.0, 0.9, wide)
     assert np.isfinite(weights).all()
     assert not weights[:, ~np.isfinite(pad_window(wide, pad_direction(0.0, 0.9)).depth).ravel()].any()
-
-
-def test_closer_skin_raises_the_impedance_exponentially_and_crushed_skin_stays_finite():
-    counts = fingertip._electrode_counts(np.array([-1e-5, 0.0, fingertip.THINNING_M, 1e-4]), np.full(4, 3500.0))
-    assert (np.diff(counts) < 0).all()
-    assert_allclose(to_kohm(counts[1:3]) / to_kohm(3500.0), [1.0, np.e], rtol=1e-12)  # the inverse of the formula
-    assert_allclose(fingertip._electrode_counts(np.array([-1.0, 1.0]), np.full(2, 3500.0)), [4095.0, 0.0], atol=1e-6)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of a scene, the times at which they are seen, and the motion of a synthetic scene."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from sim_builders import CAN, run, scene
@@ -18,11 +20,11 @@ START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}
 
 
+@dataclass
 class Clock:
     """Time that stands still until it is moved."""
 
-    def __init__(self) -> None:
-        self.now_ns = START
+    now_ns: int = START
 
     def __call__(self) -> int:
         return self.now_ns
@@ -45,20 +47,15 @@ def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
         np.testing.assert_array_equal(image.depth_mm, expected.depth_mm)
 
 
-def test_a_sample_is_rendered_once_and_noise_differs_from_image_to_image() -> None:
+def test_a_sample_is_rendered_once_with_noise_of_each_image_and_without_a_place_not_shown(caplog) -> None:
     camera, _, _ = images(scene(camera=SMALL))
     assert camera(0) is camera(1) is camera(7)
     camera, _, _ = images(scene(camera=SMALL | {"noise": {"sub_pixel": 0.1}}))
     first, second = camera(0), camera(1)
     assert (first.depth_mm != second.depth_mm).mean() > 0.3
     np.testing.assert_array_equal(first.labels, second.labels)
-
-
-def test_a_sample_without_a_place_is_not_shown(caplog: pytest.LogCaptureFixture) -> None:
-    crowded = scene(camera=SMALL, clutter={"count": 20, "distance_m": [0.1, 0.1]})
-    camera, _, _ = images(crowded)
-    image = camera(0)
-    assert not image.depth_mm.any()
+    camera, _, _ = images(scene(camera=SMALL, clutter={"count": 20, "distance_m": [0.1, 0.1]}))
+    assert not camera(0).depth_mm.any()
     assert "finds no place" in caplog.text
 
 

@@ -10,13 +10,10 @@ from foretouch.simulation.schedule import ScheduleConfig, centre_of_objects
 START = 1_763_000_000_000_000_000
 
 
-def test_samples_follow_each_other_and_begin_anew() -> None:
+def test_samples_follow_each_other_and_begin_anew_and_what_is_missing_is_named(tmp_path) -> None:
     schedule = ScheduleConfig(path="scene.yaml", dwell_s=2.5, samples=3, origin_ns=START)
     seconds = [-1000.0, 0.0, 2.499, 2.5, 4.999, 5.0, 7.499, 7.5, 10.0]
     assert [schedule.slot(START + round(s * 1e9)) for s in seconds] == [0, 0, 0, 1, 1, 2, 2, 0, 1]
-
-
-def test_it_names_what_is_missing(tmp_path) -> None:
     with pytest.raises(ConfigError, match="path: is empty"):
         ScheduleConfig().load()
     with pytest.raises((ConfigError, FileError), match=r"none\.yaml"):

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from every_case import every_case
+from every_case import every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
@@ -35,19 +35,14 @@ def test_settings_may_be_given_in_part_and_bad_ones_are_named() -> None:
     assert TactileRanges.from_mapping(P1_RANGES.to_mapping()) == P1_RANGES
     ranges = TactileRanges.from_mapping({"pdc_th": [2400, 3300]})
     assert (ranges.of("PDC_TH"), ranges.of("E_MF")) == ((2400.0, 3300.0), P2_RANGES.of("E_MF"))
-
-    def check(change: dict[str, object], message: str) -> None:
-        with pytest.raises(ConfigError, match=message):
-            TactileRanges.from_mapping(change, "hand.yaml")
-
-    cases = [
-        ({"pdc_th": [3400, 2500]}, r"hand.yaml: .*pdc_th: \[3400.0, 2500.0\] is not \[low, high\]"),
-        ({"pdc_th": [1, 2, 3]}, r"pdc_th: \[1.0, 2.0, 3.0\] is not"),
-        ({"e_mf": [0.0, 1e-9]}, r"e_mf: \[0.0, 1e-09\]: high - low is not between 1e-06 and 1e\+12 counts"),
-        ({"pac": [1, 2]}, r"pac: unknown setting; known: pdc_th"),
-        ({"pdc_th": 3}, "is not a list"),
-    ]
-    every_case(cases, check)
+    cases = (
+        (r"hand.yaml: .*pdc_th: \[3400.0, 2500.0\] is not \[low, high\]", {"pdc_th": [3400, 2500]}),
+        (r"pdc_th: \[1.0, 2.0, 3.0\] is not", {"pdc_th": [1, 2, 3]}),
+        (r"e_mf: \[0.0, 1e-09\]: high - low is not between 1e-06 and 1e\+12 counts", {"e_mf": [0.0, 1e-9]}),
+        (r"pac: unknown setting; known: pdc_th", {"pac": [1, 2]}),
+        ("is not a list", {"pdc_th": 3}),
+    )
+    every_refusal(ConfigError, cases, lambda change: TactileRanges.from_mapping(change, "hand.yaml"))
 
 
 def test_electrodes_are_mirrored_metres_with_radial_normals_towards_the_pad() -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact detector on grasps whose onset is known, on noise, and on steady touches of a real sensor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from foretouch.tactile.contact_detector import (
 
 PERIOD = 10_000_000
 NOISE = np.r_[0.4, np.full(24, 4.4)]
+REST, TOUCH = np.r_[2779.0, np.full(24, 3200.0)], np.r_[2900.0, np.full(24, 3100.0)]
 
 
 def vectors(counts: np.ndarray) -> np.ndarray:
@@ -61,7 +60,7 @@ def _check_onsets(_: str, item: dict[str, Any], slot: int) -> None:
 def test_noise_and_the_drift_of_a_sensor_at_rest_are_no_contact(rng: np.random.Generator) -> None:
     finger, drift = FingerContact("TH", ContactConfig()), np.r_[0.5, rng.uniform(-4, 4, 24)]  # counts a second
     for k in range(6000):
-        reading = np.r_[2779.0, np.full(24, 3200.0)] + rng.normal(0, NOISE) + drift * k / 100.0
+        reading = REST + rng.normal(0, NOISE) + drift * k / 100.0
         assert finger.update(k * PERIOD, reading) is None
     assert finger.touching is False
     assert finger.score < 1.0
@@ -83,18 +82,20 @@ def test_a_steady_touch_gives_no_false_alarm(real_data: Path) -> None:
 
 def test_one_reading_is_no_contact_and_a_moment_below_no_release() -> None:
     finger = FingerContact("TH", ContactConfig(confirm=3))
-    rest, touch = np.r_[2779.0, np.full(24, 3200.0)], np.r_[2900.0, np.full(24, 3100.0)]
-    script = [rest] * 100 + [touch, touch] + [rest] * 3 + [touch] * 10 + [rest, rest] + [touch] * 5 + [rest] * 10
+    script = [REST] * 100 + [TOUCH, TOUCH] + [REST] * 3 + [TOUCH] * 10 + [REST, REST] + [TOUCH] * 5 + [REST] * 10
     changes = [(k, c.kind, c.stamp_ns // PERIOD) for k, r in enumerate(script) if (c := finger.update(k * PERIOD, r))]
     assert changes == [(107, "onset", 105), (124, "release", 122)]
+    finger = FingerContact("TH", ContactConfig(longest_s=1.0))  # a contact without end is drift
+    kinds = [c.kind for k in range(400) if (c := finger.update(k * PERIOD, REST if k < 100 else TOUCH))]
+    assert kinds == ["onset", "release"]
+    assert finger.touching is False
 
 
 def test_one_electrode_or_a_little_of_all_is_enough_and_pdc_alone_too() -> None:
     rest = np.tile(np.r_[2779.0, 1676.0, np.full(48, 3200.0)], (20, 1))
-    reading = rest[:1]
 
     def score(**changes: float) -> np.ndarray:
-        changed = reading.copy()
+        changed = rest[:1].copy()
         for name, by in changes.items():
             changed[0, slice(2, 26) if name == "all" else {"pdc": 0, "one": 7}[name]] += by
         return contact_scores(changed, rest)[0]
@@ -104,11 +105,3 @@ def test_one_electrode_or_a_little_of_all_is_enough_and_pdc_alone_too() -> None:
     np.testing.assert_allclose(score(one=-66.0), [66.0 / np.sqrt(24) / 13.2, 0.0])
     np.testing.assert_allclose(score(all=-13.2), [1.0, 0.0])
     np.testing.assert_allclose(score(pdc=4.8), [1.0, 0.0])
-
-
-def test_a_contact_without_end_is_drift() -> None:
-    finger = FingerContact("TH", ContactConfig(longest_s=1.0))
-    rest, touch = np.r_[2779.0, np.full(24, 3200.0)], np.r_[2900.0, np.full(24, 3100.0)]
-    kinds = [c.kind for k in range(400) if (c := finger.update(k * PERIOD, rest if k < 100 else touch))]
-    assert kinds == ["onset", "release"]
-    assert finger.touching is False

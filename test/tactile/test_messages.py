@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of several drivers are decoded to the same 50 counts, without ROS."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from every_case import every_case
+from every_case import every_refusal
 
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, make_reader
@@ -77,18 +75,13 @@ def test_the_csv_of_biotac_sp_ros_has_no_stamp_and_says_so() -> None:
     assert others == {"TAC_TH": 50, "TDC_TH": 60, "TAC_MF": 51, "TDC_MF": 61}
     other = make_reader(TactileConfig(type="std_msgs/String", thumb="2", middle="0")).read(String(data=line()))
     np.testing.assert_array_equal(other.counts, expected(2, 0))
-
-    def check(text: str, rule: str) -> None:
-        with pytest.raises(TactileError, match=rule):
-            make_reader(TactileConfig(type="std_msgs/String")).read(String(data=text))
-
-    cases = [
-        ("", "1 fields, a line of biotac_sp_ros has 163"),
-        (line(2), "109 fields"),
-        (line().replace(",1001", ",x", 1), "could not convert"),
-        (line().replace(",1001", ",nan", 1), "not finite"),
-    ]
-    every_case(cases, check)
+    cases = (
+        ("1 fields, a line of biotac_sp_ros has 163", ""),
+        ("109 fields", line(2)),
+        ("could not convert", line().replace(",1001", ",x", 1)),
+        ("not finite", line().replace(",1001", ",nan", 1)),
+    )
+    every_refusal(TactileError, cases, lambda text: reader.read(String(data=text)))
 
 
 def state(**channels: Any) -> Any:
@@ -104,22 +97,20 @@ def test_channels_of_a_tactile_state_by_name_and_place() -> None:
     last = TactileConfig(type="tactile_msgs/TactileState", state_pdc=24, state_electrodes=0)
     turned = {name: np.roll(finger(k), -1) for name, k in (("TH", 4), ("MF", 1))}
     np.testing.assert_array_equal(make_reader(last).read(state(**turned)).counts, expected(4, 1))
-    with pytest.raises(TactileError, match="TH: no such channel; there are 'rh_th'"):
-        make_reader(last).read(state(rh_th=finger(4)))
-    with pytest.raises(TactileError, match="TH: 20 values, 25 are needed"):
-        make_reader(last).read(state(TH=finger(4)[:20], MF=finger(1)))
-    with pytest.raises(TactileError, match="TactileState: a count is not finite"):
-        make_reader(last).read(state(TH=np.r_[finger(4)[:24], np.nan], MF=finger(1)))
+    cases = (
+        ("TH: no such channel; there are 'rh_th'", {"rh_th": finger(4)}),
+        ("TH: 20 values, 25 are needed", {"TH": finger(4)[:20], "MF": finger(1)}),
+        ("TactileState: a count is not finite", {"TH": np.r_[finger(4)[:24], np.nan], "MF": finger(1)}),
+    )
+    every_refusal(TactileError, cases, lambda channels: make_reader(last).read(state(**channels)))
 
 
 def test_names_of_no_finger_and_types_that_are_not_supported_are_refused() -> None:
-    for config, rule in (
-        (TactileConfig(thumb="thumb"), "thumb: 'thumb' is none of FF, MF, RF, LF, TH"),
-        (TactileConfig(type="std_msgs/String", middle="3"), "middle: '3' is none of 0, 1, 2"),
-        (TactileConfig(thumb="MF"), "middle: 'MF' is the thumb already"),
-    ):
-        with pytest.raises(ConfigError, match=rule):
-            make_reader(config)
-    with pytest.raises(ConfigError, match=r"TactileConfig\.type: 'x' is none of foretouch_msgs/BiotacAll, sr_robot"):
-        TactileConfig(type="x")
+    cases = (
+        ("thumb: 'thumb' is none of FF, MF, RF, LF, TH", {"thumb": "thumb"}),
+        ("middle: '3' is none of 0, 1, 2", {"type": "std_msgs/String", "middle": "3"}),
+        ("middle: 'MF' is the thumb already", {"thumb": "MF"}),
+        (r"TactileConfig\.type: 'x' is none of foretouch_msgs/BiotacAll, sr_robot", {"type": "x"}),
+    )
+    every_refusal(ConfigError, cases, lambda settings: make_reader(TactileConfig(**settings)))
     assert all(make_reader(TactileConfig(type=name)) for name in TACTILE_TYPES)

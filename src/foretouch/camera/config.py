@@ -113,5 +113,4 @@ class RealSenseConfig(Settings):
     @property
     def optical_frame(self) -> str:
         """The frame of the clouds; by default named as by realsense2_camera."""
-        image = "color" if self.align == "depth_to_colour" else "depth"
-        return self.frame_id or f"camera_{image}_optical_frame"
+        return self.frame_id or f"camera_{'color' if self.align == 'depth_to_colour' else 'depth'}_optical_frame"

@@ -6,10 +6,9 @@ rounded once to float32) and each frame takes two multiplications per pixel. `li
 the same in float32 throughout; the two differ by float32 rounding only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +38,7 @@ class Deprojector:
     @classmethod
     def of_lens(
         cls, matrix: Float64, width: int, height: int, model: str = "none", coefficients: Sequence[float] = (0.0,) * 5
-    ) -> Deprojector:
+    ) -> Self:
         """Make the deprojector of a lens as librealsense describes it; by default without distortion.
 
         Args:
@@ -89,15 +88,8 @@ class Deprojector:
 def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tuple[Float64, Float64]:
     """Undistort normalised coordinates (H, W) by fixed-point iteration, as librealsense's rsutil.h does.
 
-    Args:
-        x: Along the rows.
-        y: Along the columns.
-        k: (5,) float64, k1, k2, p1, p2, k3.
-        scaled_shift: Whether the tangential shift is computed from the point times its radial factor. This is the
-            only difference between the library's two models.
-
-    Raises:
-        CameraError: If the iteration does not converge, which the library does not notice.
+    With `scaled_shift`, the tangential shift is computed from the point times its radial factor: the only difference
+    between the library's two models. That an iteration does not converge is a `CameraError`; the library ignores it.
     """
     straight_x, straight_y = last_x, last_y = x, y
     with np.errstate(all="ignore"):  # a diverging iteration overflows

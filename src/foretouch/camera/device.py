@@ -50,11 +50,7 @@ class DeviceSource:
 
 
 class _LiveSource(DeviceSource):
-    """A device on the USB bus.
-
-    Args:
-        serial: Its serial number; empty for the first depth camera found.
-    """
+    """A device on the USB bus, of a serial number or the first one found."""
 
     def __init__(self, serial: str = "") -> None:
         self._serial = serial
@@ -63,14 +59,12 @@ class _LiveSource(DeviceSource):
     def find(self) -> Any:
         """See `DeviceSource`."""
         devices = {_info(one, realsense().camera_info.serial_number): one for one in self._context.query_devices()}
-        wanted = f"camera {self._serial}" if self._serial else "camera"
         if not devices:
-            raise CameraError(f"{wanted}: no RealSense device is connected")
-        if not self._serial:
-            return next(iter(devices.values()))
-        if self._serial not in devices:
-            raise CameraError(f"{wanted}: is not connected; connected: {', '.join(devices)}")
-        return devices[self._serial]
+            raise CameraError(f"camera {self._serial}".strip() + ": no RealSense device is connected")
+        serial = self._serial or next(iter(devices))
+        if serial not in devices:
+            raise CameraError(f"camera {serial}: is not connected; connected: {', '.join(devices)}")
+        return devices[serial]
 
     def present(self, device: Any) -> bool:
         """See `DeviceSource`."""
@@ -78,30 +72,20 @@ class _LiveSource(DeviceSource):
 
 
 class _FileSource(DeviceSource):
-    """A file of the library's own recorder.
-
-    Args:
-        path: `.db3`, or `.bag` of older versions.
-        real_time: Whether it plays in real time; if not, the reader sets the pace and no frame is lost.
-
-    Raises:
-        FileError: If there is no such file.
-    """
+    """A file of the library's own recorder: `.db3`, or `.bag` of older versions."""
 
     reopens = False
 
     def __init__(self, path: str | Path, *, real_time: bool = True) -> None:
-        self._path = Path(path)
-        self._real_time = real_time
+        self._path, self._real_time = Path(path), real_time
         if not self._path.is_file():
             raise FileError(self._path, "no such file")
 
     def find(self) -> Any:
         """See `DeviceSource`; a `FileError` if it is not a RealSense recording."""
-        rs = realsense()
         try:
             # Each time a new context: one context refuses to load the same file twice.
-            playback = rs.context().load_device(str(self._path))
+            playback = realsense().context().load_device(str(self._path))
         except RuntimeError as err:
             raise FileError(self._path, f"not a RealSense recording: {err}") from err
         playback.set_real_time(self._real_time)

@@ -5,8 +5,6 @@ Threads: the thread that reads also opens, waits and reopens; any thread may rea
 whole and never changed.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import Counter
@@ -21,9 +19,7 @@ from foretouch.camera.stream import FilterChain, FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
-_LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
-_START_OF_PLAY_S = 1.0
 _BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
 
 CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
@@ -65,20 +61,14 @@ class CameraStatus:
 
 
 class _Watchdog:
-    """Decides from times alone whether to wait, to report the camera as stalled, or to open it again.
-
-    Attributes:
-        config: The timeouts; may be replaced.
-        failures: Consecutive attempts without a frame.
-        next_attempt_s: End of the pause after a failed attempt; all times are of one monotonic clock [s].
-    """
+    """Decides whether to wait, to report the camera as stalled, or to open it again, from times of one clock [s]."""
 
     def __init__(self, config: TimeoutConfig) -> None:
-        self.config = config
+        self.config = config  # may be replaced
         self._last_frame_s = 0.0  # last frame, or the opening
         self._streaming = False
-        self.failures = 0
-        self.next_attempt_s = 0.0
+        self.failures = 0  # consecutive attempts without a frame
+        self.next_attempt_s = 0.0  # end of the pause after a failed attempt
 
     def note(self, now_s: float, *, streaming: bool) -> None:
         """Note a frame that a cloud could be made of, or that a device was opened, whose first frame may take longer."""
@@ -109,15 +99,8 @@ class _Watchdog:
 class RealSenseCamera:
     """A context manager and an iterator of organised clouds.
 
-    A device that is absent, unplugged or silent is reported in `status` and tried again.
-
-    Args:
-        config: The settings.
-        source: Where the device comes from, instead of what the settings name.
-        on_change: Called by the reading thread when the state changes; None logs it.
-
-    Attributes:
-        config: The settings.
+    A device that is absent, unplugged or silent is reported in `status` and tried again. `source` is used instead of
+    what the settings name; `on_change` is called by the reading thread when the state changes, None logs it.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
@@ -147,8 +130,7 @@ class RealSenseCamera:
         """Apply new filters and timeouts, from any thread; other settings need a new camera."""
         self.config = self.config.replace(filters=config.filters, timeouts=config.timeouts)
         self._watchdog.config = config.timeouts
-        stream = self._stream
-        if stream is not None:
+        if (stream := self._stream) is not None:
             stream.filters = FilterChain(config.filters)
 
     @property
@@ -158,13 +140,9 @@ class RealSenseCamera:
         return replace(self._status, since_frame_s=None if last is None else time.monotonic() - last)
 
     def read(self, timeout_s: float) -> Cloud | None:
-        """Return the next cloud.
+        """Return the next cloud; None if there was none in time, for the reason that `status` gives.
 
-        Args:
-            timeout_s: Longest wait; opening a device may take longer [s].
-
-        Returns:
-            The cloud, or None if there was none in time: `status` gives the reason.
+        Opening a device may take longer than `timeout_s` [s].
 
         Raises:
             CameraError: If the camera does not offer what the settings ask for.
@@ -175,10 +153,8 @@ class RealSenseCamera:
             left = deadline - time.monotonic()
             if self._stream is None:
                 self._try_to_open(max(0.0, left))
-            else:
-                cloud = self._wait(self._stream, min(_SLICE_S, max(0.001, left)))
-                if cloud is not None:
-                    return cloud
+            elif (cloud := self._wait(self._stream, min(_SLICE_S, max(0.001, left)))) is not None:
+                return cloud
             if time.monotonic() >= deadline:
                 break
         return None
@@ -186,8 +162,7 @@ class RealSenseCamera:
     def __iter__(self) -> Iterator[Cloud]:
         """Clouds until the recording ends or the camera is closed."""
         while self._status.state not in {"ended", "closed"}:
-            cloud = self.read(_SLICE_S)
-            if cloud is not None:
+            if (cloud := self.read(_SLICE_S)) is not None:
                 yield cloud
 
     def close(self) -> None:
@@ -232,8 +207,7 @@ class RealSenseCamera:
         return self.config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
-        frames = stream.wait(timeout_s)
-        now = time.monotonic()
+        frames, now = stream.wait(timeout_s), time.monotonic()
         if frames is None:
             self._on_silence(now, "no frame")
             return None
@@ -260,13 +234,14 @@ class RealSenseCamera:
     def _on_silence(self, now: float, what: str) -> None:
         """Handle the lack of a cloud; `what` describes it in the reason."""
         silent_s = self._watchdog.silent_s(now)
-        # A recording may not be playing yet just after its start.
+        # A recording may not be playing yet in the first second.
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
-        if ended and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
+        if ended and (self._last_number is not None or silent_s > 1.0):
             self._release()
-            repeat = self.config.repeat
-            state: CameraState = "reconnecting" if repeat else "ended"
-            self._set_state(state, "the recording restarts" if repeat else "the recording has ended")
+            if self.config.repeat:
+                self._set_state("reconnecting", "the recording restarts")
+            else:
+                self._set_state("ended", "the recording has ended")
             return
         decision = self._watchdog.decide(now)
         reason = f"{what} for {silent_s:.1f} s"
@@ -304,5 +279,9 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    level = logging.INFO if status.is_ok else logging.WARNING
-    _LOG.log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")
+    logging.getLogger(__name__).log(
+        logging.INFO if status.is_ok else logging.WARNING,
+        "camera: %s%s",
+        status.state,
+        f": {status.reason}" if status.reason else "",
+    )

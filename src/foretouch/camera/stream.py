@@ -10,6 +10,7 @@ the interpreter lock, so a full queue that waits for its reader (a recording rea
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -22,9 +23,6 @@ from foretouch.errors import CameraError
 from foretouch.types import Cloud
 
 _Frame = TypeVar("_Frame")
-_DEPTH_FRAMES = 1  # of a live camera only the newest is kept: a late reader skips frames, as their numbers show
-_COLOUR_FRAMES = 8
-_BUFFERED_COLOUR_FRAMES = 32  # more than one camera period of any rate
 
 
 class FrameStream:
@@ -50,8 +48,9 @@ class FrameStream:
         self._align = _aligner(config)
         self._join = _FramesetMaker()
         self._lens: tuple[str, Deprojector] | None = None
-        lossless = bool(device.is_playback()) and not config.real_time
-        when_full: Literal["wait", "drop_oldest"] = "wait" if lossless else "drop_oldest"
+        when_full: Literal["wait", "drop_oldest"] = (
+            "wait" if device.is_playback() and not config.real_time else "drop_oldest"
+        )
         # Unlimited until all streams have started: the library must not wait while it starts one.
         self._depth_queue, self._colour_queue = (BoundedQueue[Any](None, when_full=when_full) for _ in range(2))
         self._open: list[Any] = []
@@ -97,19 +96,15 @@ class FrameStream:
         while self._open:
             sensor = self._open.pop()
             for step in (sensor.stop, sensor.close):
-                try:
+                with suppress(RuntimeError):  # never started, or unplugged: it is closed anyway
                     step()
-                except RuntimeError:  # never started, or unplugged: it is closed anyway
-                    continue
 
     def _start(self, rs: Any, *, exact: bool) -> float:
-        """Open all streams, then start them together, so that the first frames form pairs.
-
-        Returns the depth period [ms].
-        """
-        wanted = [(rs.stream.depth, rs.format.z16, self._depth_queue, _DEPTH_FRAMES)]
+        """Open all streams, then start them together, so that the first frames form pairs; the depth period [ms]."""
+        # Of a live camera only the newest depth is kept: a late reader skips frames, as their numbers show.
+        wanted = [(rs.stream.depth, rs.format.z16, self._depth_queue, 1)]
         if self.wants_colour:
-            wanted.append((rs.stream.color, rs.format.rgb8, self._colour_queue, _COLOUR_FRAMES))
+            wanted.append((rs.stream.color, rs.format.rgb8, self._colour_queue, 8))
         rates: list[int] = []
         for stream, pixel_format, *_ in wanted:
             sensor, profile = _find_profile(self._device, stream, pixel_format, self._config if exact else None)
@@ -135,8 +130,7 @@ class FrameStream:
             left_s = give_up - time.monotonic()
             if colour is not None or left_s <= 0.0 or is_past:
                 return colour
-            frame = self._colour_queue.get(left_s)
-            if frame is not None:
+            if (frame := self._colour_queue.get(left_s)) is not None:
                 self._colours.add(frame)
 
     def _drain_colour(self) -> None:
@@ -152,11 +146,9 @@ class FrameStream:
 
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
         """Hardware clocks count from when the camera was plugged in, so that they are not used by default."""
-        rule = self._config.stamp
-        use_frame_stamp = rule == "frame" or (
-            rule == "auto" and depth.get_frame_timestamp_domain() != realsense().timestamp_domain.hardware_clock
-        )
-        return round(depth.get_timestamp() * 1e6) if use_frame_stamp else arrived_ns  # the library has ms
+        is_hardware = depth.get_frame_timestamp_domain() == realsense().timestamp_domain.hardware_clock
+        use_arrival = {"frame": False, "arrival": True, "auto": is_hardware}[self._config.stamp]
+        return arrived_ns if use_arrival else round(depth.get_timestamp() * 1e6)  # the library has ms
 
 
 class FilterChain:
@@ -198,18 +190,13 @@ class FilterChain:
 
 
 class _ColourBuffer(Generic[_Frame]):
-    """The last colour frames, by stamp.
-
-    Args:
-        period_ms: Between two frames of a stream; a frame farther away than 0.6 of it is no match [ms].
-        time_ms: Gives the stamp of a frame [ms].
-    """
+    """The last colour frames, by stamp; one farther away than 0.6 of the stream's period is no match."""
 
     def __init__(self, period_ms: float, time_ms: Callable[[_Frame], float]) -> None:
         # Free-running streams of one rate are never more than half a period apart; the rest is jitter.
         self._tolerance_ms = 0.6 * period_ms
         self._time_ms = time_ms
-        self._frames: deque[_Frame] = deque(maxlen=_BUFFERED_COLOUR_FRAMES)
+        self._frames: deque[_Frame] = deque(maxlen=32)  # more than one period of any rate
 
     def add(self, frame: _Frame) -> None:
         """Add a frame; the oldest is dropped when there are too many."""
@@ -222,9 +209,8 @@ class _ColourBuffer(Generic[_Frame]):
         """
         while self._frames and self._time_ms(self._frames[0]) < stamp_ms - self._tolerance_ms:
             self._frames.popleft()
-        best = min(self._frames, key=lambda frame: abs(self._time_ms(frame) - stamp_ms), default=None)
-        if best is not None and abs(self._time_ms(best) - stamp_ms) > self._tolerance_ms:
-            best = None
+        near = [one for one in self._frames if abs(self._time_ms(one) - stamp_ms) <= self._tolerance_ms]
+        best = min(near, key=lambda frame: abs(self._time_ms(frame) - stamp_ms), default=None)
         return best, bool(self._frames) and self._time_ms(self._frames[-1]) > stamp_ms + self._tolerance_ms
 
 
@@ -282,8 +268,9 @@ def _find_profile(device: Any, stream: Any, pixel_format: Any, config: RealSense
             if config is None or size == (config.width, config.height, config.fps):
                 return sensor, profile
             sizes.append("{}x{}@{}".format(*size))
-    kind = stream.name
-    if not sizes:
-        raise CameraError(f"{kind} stream: the device has none of format {pixel_format.name}")
-    wanted = f"{config.width}x{config.height}@{config.fps}" if config else "any"
-    raise CameraError(f"{kind} stream: {wanted} is not offered; offered: {', '.join(sorted(set(sizes)))}")
+    if config is None or not sizes:
+        raise CameraError(f"{stream.name} stream: the device has none of format {pixel_format.name}")
+    raise CameraError(
+        f"{stream.name} stream: {config.width}x{config.height}@{config.fps} is not offered; "
+        f"offered: {', '.join(sorted(set(sizes)))}"
+    )

@@ -16,7 +16,6 @@ from foretouch.camera.device import DeviceSource, realsense
 from foretouch.errors import CameraError
 from foretouch.types import Float64
 
-_BASELINE_MM = 55.0  # of the D415; the library's disparity filters require it
 _DEPTH_UNIT_M = 0.001
 
 
@@ -148,14 +147,14 @@ def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any,
     depth = depth_sensor.add_video_stream(_video_stream(rs.stream.depth, rs.format.z16, 2, intrinsics, fps))
     colour = colour_sensor.add_video_stream(_video_stream(rs.stream.color, rs.format.rgb8, 3, intrinsics, fps))
     depth_sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
-    depth_sensor.add_read_only_option(rs.option.stereo_baseline, _BASELINE_MM)
+    # Of the D415 [mm]; the library's disparity filters require it.
+    depth_sensor.add_read_only_option(rs.option.stereo_baseline, 55.0)
     no_offset = rs.extrinsics()
     no_offset.rotation, no_offset.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
     depth.register_extrinsics_to(colour, no_offset)
     colour.register_extrinsics_to(depth, no_offset)
     device.create_matcher(rs.matchers.default)
-    profiles = [profile.as_video_stream_profile() for profile in (depth, colour)]
-    return device, [depth_sensor, colour_sensor], profiles
+    return device, [depth_sensor, colour_sensor], [one.as_video_stream_profile() for one in (depth, colour)]
 
 
 def _intrinsics(frame: SyntheticFrame) -> Any:

@@ -35,10 +35,12 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
 def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
     """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
     columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
-    record: dict[str, Any] = {"grasp": grasp_record(prediction.grasp)}
-    for name in MODALITIES:
-        record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
-    return record | {
+    return {
+        "grasp": grasp_record(prediction.grasp),
+        **{
+            name: {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
+            for name in MODALITIES
+        },
         "reference": prediction.reference,
         "evidence": asdict(prediction.evidence),
         "flags": list(prediction.flags),

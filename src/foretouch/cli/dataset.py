@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch dataset`: inspect, verify, repair, edit and convert datasets."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -13,11 +11,17 @@ from typing import Any
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.dataset import editing
 from foretouch.dataset.formats import export_formats, readable_formats
+from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
+from foretouch.dataset.recording import RecordedDataset, is_dataset, repair_dataset, verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
+from foretouch.dataset.store import Store, is_store
+from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
+from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
@@ -39,11 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     repair = _action(actions, "repair", _repair, "Repair unfinished or damaged recordings, and keep the originals")
     repair.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, or one of its files")
 
-    summary = "Relabel, drop or merge samples in a log beside the recordings; can be undone"
-    edit = _action(actions, "edit", _edit, summary)
+    edit = _action(
+        actions, "edit", _edit, "Relabel, drop or merge samples in a log beside the recordings; can be undone"
+    )
     edit.add_argument("path", metavar="DS", help="recorded dataset; without an action, its edits are listed")
-    several = "id of a sample to relabel or drop; may be repeated"
-    edit.add_argument("--id", action="append", default=[], metavar="ID", help=several)
+    edit.add_argument(
+        "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
+    )
     one = edit.add_mutually_exclusive_group()
     one.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
     one.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
@@ -91,8 +97,12 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         ("executed", EXECUTED_TOPIC, "executed grasps"),
         ("tactile", TACTILE_TOPIC, f"tactile readings ({', '.join(TACTILE_TYPES)})"),
     ):
-        text = f"topic of the {content} (default: %(default)s)"
-        group.add_argument(f"--{name}-topic", default=full_name(topic), metavar="TOPIC", help=text)
+        group.add_argument(
+            f"--{name}-topic",
+            default=full_name(topic),
+            metavar="TOPIC",
+            help=f"topic of the {content} (default: %(default)s)",
+        )
     group.add_argument("--thumb", default="", metavar="NAME", help="name of the thumb in the tactile messages")
     group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger")
     group.add_argument("--object", default="unknown", help="label of the object on the table")
@@ -121,17 +131,18 @@ def run(arguments: argparse.Namespace) -> int:
 def _info(arguments: argparse.Namespace) -> int:
     found = describe(arguments.path)
     if arguments.json:
-        edges = [None if edge == float("inf") else edge for edge in PAIRING_EDGES_MS]
-        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": edges})
-        return 0
-    print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
+        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": PAIRING_EDGES_MS})
+    else:
+        print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
     return 0
 
 
 def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "kind", found.kind
-    numbers = f"{found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded"
-    yield "samples", f"{found.samples} ({numbers})"
+    yield (
+        "samples",
+        f"{found.samples} ({found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded)",
+    )
     yield "objects", _counts(found.objects)
     yield "outcomes", _counts(found.outcomes)
     yield "flags", _counts(found.flags)
@@ -187,9 +198,6 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 def _verified(path: str) -> Iterator[dict[str, Any]]:
     """One record for each file of a recorded dataset, or one for a training store."""
-    from foretouch.dataset.recording import is_dataset, verify_dataset
-    from foretouch.dataset.store import Store, is_store
-
     empty = {"file": path, "samples": None, "messages": None, "bytes": None}
     try:
         if is_store(path) and not is_dataset(path):
@@ -221,8 +229,9 @@ def _show(arguments: argparse.Namespace) -> int:
     selected = list(_selected(samples, arguments))
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
-    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
-    save_contact_sheet(arguments.out, selected, title)
+    save_contact_sheet(
+        arguments.out, selected, f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+    )
     record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
     return _print_result("drawn", record, as_json=arguments.json)
 
@@ -239,13 +248,10 @@ def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[Gra
             raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
         return
     count = min(arguments.count, len(samples))
-    for k in range(count):
-        yield only_finite(samples.record(k * len(samples) // count).sample)
+    yield from (only_finite(samples.record(k * len(samples) // count).sample) for k in range(count))
 
 
 def _repair(arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.recording import repair_dataset
-
     rows = []
     for path in arguments.paths:
         for report in repair_dataset(path):
@@ -267,9 +273,6 @@ def _repair(arguments: argparse.Namespace) -> int:
 
 def _edit(arguments: argparse.Namespace) -> int:
     """Apply one edit; without one, list the edits."""
-    from foretouch.dataset import editing
-    from foretouch.dataset.recording import RecordedDataset
-
     path, ids = arguments.path, arguments.id
     needs_ids = arguments.relabel is not None or arguments.drop
     if needs_ids != bool(ids):
@@ -292,9 +295,6 @@ def _edit(arguments: argparse.Namespace) -> int:
 
 
 def _build(arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.store_writer import build_store
-    from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
@@ -318,8 +318,6 @@ def _build(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.importing import BagTopics, import_samples
-
     topics = BagTopics(
         clouds=arguments.cloud_topic,
         grasps=arguments.grasp_topic,
@@ -343,10 +341,8 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _identity(arguments: argparse.Namespace) -> Identity | None:
-    if not arguments.hand and not arguments.camera:
-        return None
-    hand, camera = (dict(_name_and_value(text) for text in texts) for texts in (arguments.hand, arguments.camera))
-    return Identity(hand=hand, camera=camera)
+    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
+    return Identity(hand=hand, camera=camera) if hand or camera else None
 
 
 def _name_and_value(text: str) -> tuple[str, str]:
@@ -373,9 +369,9 @@ def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> in
     """Print a JSON object, or a table without empty values; exit status 0."""
     if as_json:
         print_json(record)
-        return 0
-    rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
-    print_table(title, ["", "value"], rows)
+    else:
+        rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+        print_table(title, ["", "value"], rows)
     return 0
 
 

@@ -5,8 +5,6 @@ The required versions are read from the metadata of the installed package, so th
 the ones that the tests run with stand in constraints.txt.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import os
@@ -20,17 +18,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import metadata
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+from packaging.requirements import Requirement
 
 from foretouch.cli.output import announce, print_json, print_table, print_text, progress_bar
 from foretouch.errors import ForetouchError, MissingDependencyError
 
-if TYPE_CHECKING:
-    from packaging.specifiers import SpecifierSet
-
 _State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
-_SHM_NEEDED_MB = 256  # three segments of 64 MB and a reserve
 
 
 @dataclass(frozen=True)
@@ -109,15 +105,11 @@ def _examine() -> Iterator[_Finding]:
 
 def _requirements() -> Iterator[_Finding]:
     """Compare the requirements of setup.cfg with what is installed."""
-    from packaging.requirements import Requirement
-
     other_ros = {"kilted": {"jazzy"}, "jazzy": {"ros"}}.get(_wheels_of_ros(), {"ros", "jazzy"})
     for line in metadata.requires("foretouch") or []:
-        match = _EXTRA.search(line)
-        extra = match[1] if match else None
+        extra = match[1] if (match := _EXTRA.search(line)) else None
         if extra not in {"test", "dev", "docs", *other_ros}:
-            wanted = Requirement(line)
-            yield _requirement(wanted.name, wanted.specifier, extra)
+            yield _requirement(Requirement(line), extra)
 
 
 def _wheels_of_ros() -> str:
@@ -130,15 +122,15 @@ def _wheels_of_ros() -> str:
         return "kilted"
 
 
-def _requirement(name: str, wanted: SpecifierSet, extra: str | None) -> _Finding:
+def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
+    name, wanted = requirement.name, requirement.specifier
     fix = f"pip install '{name}{wanted}'"
     try:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
         return _Finding(name, "missing" if extra in {None, "ros", "jazzy"} else "optional", "absent", fix)
-    if not wanted.contains(found, prereleases=True):
-        return _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
-    return _Finding(name, "ok", found)
+    fits = wanted.contains(found, prereleases=True)
+    return _Finding(name, "ok", found) if fits else _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
 
 
 def _imports() -> Iterator[_Finding]:
@@ -170,7 +162,7 @@ def _shared_memory() -> _Finding:
         free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
     except OSError:
         return _Finding("shared memory", "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
-    if free_mb >= _SHM_NEEDED_MB:
+    if free_mb >= 256:  # three segments of 64 MB and a reserve
         return _Finding("shared memory", "ok", f"{free_mb:.0f} MB free")
     fix = "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
     return _Finding("shared memory", "mismatch", f"{free_mb:.0f} MB free", fix)
@@ -231,6 +223,5 @@ def _failure(code: str) -> str | None:
     done = subprocess.run(  # noqa: S603 - our own interpreter and code
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
-    if done.returncode == 0:
-        return None
-    return (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+    lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+    return lines[-1] if done.returncode else None

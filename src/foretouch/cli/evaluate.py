@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch evaluate`: score a model and the baselines on a dataset."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.errors import ConfigError
+from foretouch.learning.data import Dataset, load_dataset
+from foretouch.learning.evaluation.evaluate import evaluate_model
+from foretouch.learning.evaluation.prequential import evaluate_prequential
+from foretouch.models.registry import load_model
 from foretouch.tactile import MODALITIES
-
-if TYPE_CHECKING:
-    from foretouch.learning.data import Dataset
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,9 +47,6 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_prequential(arguments)
     if arguments.history:
         raise ConfigError("--history: requires --prequential")
-    from foretouch.learning.data import load_dataset
-    from foretouch.learning.evaluation.evaluate import evaluate_model
-
     announce(f"reading {arguments.dataset}, fitting the baselines, predicting")
     data = load_dataset(arguments.dataset)
     result = evaluate_model(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
@@ -73,10 +69,6 @@ def _printed(arguments: argparse.Namespace, data: Dataset, same_data: bool, reco
 
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
-    from foretouch.learning.data import load_dataset
-    from foretouch.learning.evaluation.prequential import evaluate_prequential
-    from foretouch.models.registry import load_model
-
     data, *earlier = (load_dataset(path) for path in (arguments.dataset, *arguments.history))
     samples, history = (
         [sample for one in datasets for sample in one.samples if sample.touch is not None]

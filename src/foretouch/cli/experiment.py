@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch experiment`: run an experiment and write its table and figures, or resume an interrupted one."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
-
-if TYPE_CHECKING:
-    from foretouch.experiments import Experiment
-    from foretouch.experiments.framework.executors import CellResult
-    from foretouch.experiments.framework.experiment import Row
-    from foretouch.experiments.framework.sweep import SweepResult
-
+from foretouch.experiments import Experiment, find_experiment, list_experiments, run_sweep
+from foretouch.experiments.framework.executors import CellResult
+from foretouch.experiments.framework.experiment import Row
+from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
+from foretouch.experiments.framework.sweep import SweepResult
 
 ENVIRONMENT = "FORETOUCH_DATA"
 
@@ -68,11 +64,8 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a cell failed."""
-    from foretouch.experiments import find_experiment, list_experiments
-
     if arguments.name == "list":
-        experiments = list_experiments()
-        return print_list("experiments", {one.name: one for one in experiments}, as_json=arguments.json)
+        return print_list("experiments", {one.name: one for one in list_experiments()}, as_json=arguments.json)
     return run_experiment(find_experiment(arguments.name), arguments)
 
 
@@ -97,9 +90,6 @@ def run_experiment(
         arguments: As of `add_sweep_arguments`.
         measure: Called in place of the sweep, with settings, output folder, path of the data and progress; returns rows.
     """
-    from foretouch.experiments import run_sweep
-    from foretouch.experiments.framework.sweep import SweepResult
-
     if arguments.out is None:
         raise ConfigError(f"{arguments.command}: -o DIR is required")
     if arguments.redraw:
@@ -111,29 +101,26 @@ def run_experiment(
     with progress_bar("reading the data", hidden=arguments.json) as update:
         times = partial(update, description="times")
         if measure is not None:
-            return _show_result(
-                experiment, SweepResult(rows=list(measure(settings, arguments.out, source, times))), arguments
+            result = SweepResult(rows=list(measure(settings, arguments.out, source, times)))
+        else:
+            result = run_sweep(
+                experiment,
+                settings,
+                arguments.out,
+                preset=arguments.preset,
+                source=source,
+                resume=arguments.resume,
+                only_finished=arguments.finished,
+                workers=arguments.workers or len(os.sched_getaffinity(0)),
+                address=arguments.address,
+                progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
+                finishing=times,
             )
-        result = run_sweep(
-            experiment,
-            settings,
-            arguments.out,
-            preset=arguments.preset,
-            source=source,
-            resume=arguments.resume,
-            only_finished=arguments.finished,
-            workers=arguments.workers or len(os.sched_getaffinity(0)),
-            address=arguments.address,
-            progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
-            finishing=times,
-        )
     return _show_result(experiment, result, arguments)
 
 
 def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
     """Write summary and figures of the table in a folder."""
-    from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment
-
     require_experiment(arguments.out, experiment.name)
     rows = read_results(arguments.out / experiment.results)
     if not rows:
@@ -148,8 +135,6 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
 
 def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path) -> list[str]:
     """Write tables and figures of the results; returns the names of the figures."""
-    from foretouch.experiments.framework.manifest import write_summary
-
     if not rows:
         return []
     write_summary(out, experiment, experiment.tables(rows))
@@ -188,11 +173,8 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
             print_text(f"  {note}")
     failed = f", {len(summary['failed'])} failed" if summary["failed"] else ""
     cells = "" if summary["finished"] == summary["cells"] else f"{summary['finished']} of "
-    print(
-        f"{cells}{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/{experiment.results}",
-        end="",
-    )
-    print("".join(f", {name}" for name in summary["figures"]))
+    written = ", ".join([f"{summary['path']}/{experiment.results}", *summary["figures"]])
+    print(f"{cells}{summary['cells']} cells ({summary['reused']} reused{failed}); {written}")
 
 
 def _print_cell(result: CellResult, done: int, total: int) -> None:

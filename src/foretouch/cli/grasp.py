@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch grasp`: plan two-finger grasps on each object, best first."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.answers import grasp_record
 from foretouch.cli.output import print_table
-
-if TYPE_CHECKING:
-    from foretouch.dataset.source import SourceItem
-    from foretouch.pipeline import Pipeline
+from foretouch.dataset.source import SourceItem
+from foretouch.pipeline import Pipeline
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,10 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or has no grasp."""
-    from foretouch.pipeline import Pipeline
-
-    options = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
-    changes = {key: value for key, value in options.items() if value is not None}
+    changes = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
     return inputs.process_inputs(arguments, partial(_plan, arguments, pipeline, rng), _show)

@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shared by `segment`, `grasp` and `predict`: arguments, input files, folders and recordings, one result per cloud."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import chain
+from typing import Any
 
 from foretouch.cli.output import print_json, warn
 from foretouch.config import load_yaml, parse_overrides
+from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ForetouchError
+from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
-
-if TYPE_CHECKING:
-    from foretouch.dataset.source import SourceItem
-    from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 
 Record = dict[str, Any]
 
@@ -46,8 +43,12 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
     """--plane, --scene and --target: the table, and which objects to use."""
-    plane = "table ax+by+cz+d=0 [m]; the cloud then contains only the object"
-    parser.add_argument("--plane", type=numbers, metavar="a,b,c,d", help=plane)
+    parser.add_argument(
+        "--plane",
+        type=numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0 [m]; the cloud then contains only the object",
+    )
     parser.add_argument("--scene", action="store_true", help="segment unorganised clouds too")
     parser.add_argument("--target", choices=["nearest", "largest", "all"], help="objects of a scene to use")
 
@@ -97,17 +98,16 @@ def pipeline_config(
     """Pipeline settings from the defaults, --config, --set and the command's own options, in this order.
 
     Args:
-        arguments: Arguments with `config`, `set` and possibly `target`.
-        changes: Dotted settings from the command's own options.
+        arguments: Arguments with `config`, `set` and possibly `target` and `model`.
+        changes: Dotted settings from the command's own options; None changes nothing.
         defaults: Dotted settings that the command starts with.
     """
-    from foretouch.pipeline import PipelineConfig
-
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
         config = config.updated(load_yaml(arguments.config), arguments.config)
-    target = {"target.mode": arguments.target} if getattr(arguments, "target", None) else {}
-    return config.updated(parse_overrides(arguments.set), "--set").updated(target | (changes or {}), "options")
+    given = {"target.mode": getattr(arguments, "target", None), "model": getattr(arguments, "model", None) or None}
+    options = {name: value for name, value in (given | (changes or {})).items() if value is not None}
+    return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
 
 
 def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
@@ -134,8 +134,6 @@ def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
 
 def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
     """A cloud as one object, on --plane or on an assumed table."""
-    from foretouch.pipeline import FoundObject
-
     table = ASSUMED_TABLE if arguments.plane is None else Plane.from_coefficients(arguments.plane)
     return FoundObject("1", cloud, table)
 
@@ -158,16 +156,15 @@ def process_inputs(
         show: Prints a record without --json.
     """
     failed = False
-    for path in arguments.inputs:
-        for name, result in _results(path, arguments.topic, process):
-            if isinstance(result, ForetouchError):
-                failed = True
-                if arguments.json:
-                    print_json({"input": name, "status": "refused", "reason": str(result)})
-                warn(error_line(name, result))
-            else:
-                failed |= result.pop("failed", False)
-                (print_json if arguments.json else show)({"input": name, **result})
+    for name, result in chain.from_iterable(_results(path, arguments.topic, process) for path in arguments.inputs):
+        if isinstance(result, ForetouchError):
+            failed = True
+            if arguments.json:
+                print_json({"input": name, "status": "refused", "reason": str(result)})
+            warn(error_line(name, result))
+        else:
+            failed |= result.pop("failed", False)
+            (print_json if arguments.json else show)({"input": name, **result})
     return int(failed)
 
 
@@ -175,8 +172,6 @@ def _results(
     path: str, topic: str | None, process: Callable[[SourceItem], Iterator[Record]]
 ) -> Iterator[tuple[str, Record | ForetouchError]]:
     """The records of each cloud, or why it was refused."""
-    from foretouch.dataset.source import open_source
-
     try:
         for item in open_source(path, topic=topic):
             try:

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
-_MAX_REASONS = 3
-_WIDEST_MM = 1e4
-_MAX_ROWS = 8  # of a table
 
 
 def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
@@ -48,12 +45,12 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
     for name, node in view.nodes.items():
         found = ", ".join(f"{count} {why}" for why, count in _dropped(node.values).items())
         parts += [Text(f"{_short(name)} dropped {found}")] * bool(found)
-    parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
+    parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
     return FittedPanel(parts, title)
 
 
 def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> FittedTable:
-    return FittedTable(columns, rows, title=title, live=True, limit=_MAX_ROWS)
+    return FittedTable(columns, rows, title=title, live=True, limit=8)
 
 
 def _nodes(nodes: Mapping[str, NodeView]) -> FittedTable:
@@ -85,7 +82,7 @@ def _predictions(predictions: Sequence[TouchPrediction]) -> FittedTable:
     rows: list[list[str | Text]] = []
     for one in predictions:
         width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (one.grasp.g1, one.grasp.g2)))
-        width = f"{width_mm:.0f}" if width_mm < _WIDEST_MM else "–"  # a refused grasp may be 1e160 m wide
+        width = f"{width_mm:.0f}" if width_mm < 1e4 else "–"  # a refused grasp may be 1e160 m wide
         if one.reason and one.status:
             rows.append([one.grasp.object_id, width, "", "", "", "", one.reason])
             continue
@@ -104,9 +101,10 @@ def _modalities(prediction: TouchPrediction) -> list[str]:
 
 def _executed(prediction: TouchPrediction, readings: TouchCut) -> FittedTable:
     rows: list[list[str | Text]] = [] if prediction.status else [["predicted", *_modalities(prediction)]]
-    for name, touch in (("read", readings.touch), ("tare", readings.tare)):
-        parts = ([touch.pdc_th], [touch.pdc_mf], touch.e_th, touch.e_mf)
-        rows.append([name, *(modality_text(part, None, None) for part in parts)])
+    rows += [
+        [name, *(modality_text(getattr(touch, one.lower()), None, None) for one in MODALITIES)]
+        for name, touch in (("read", readings.touch), ("tare", readings.tare))
+    ]
     return _table("", *MODALITIES, rows=rows, title="last grasp executed (counts)")
 
 

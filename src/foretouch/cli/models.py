@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from foretouch.checked_files import file_sha256
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.errors import ModelError
+from foretouch.models.registry import available_models, find_card, load_model
 
 _SPLITS = ("random", "time", "object")
 
@@ -27,8 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a model is missing or damaged."""
-    from foretouch.models import available_models
-
     records = [_record(name) for name in arguments.models or available_models()]
     if arguments.json:
         for record in records:
@@ -40,16 +40,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _record(name: str) -> dict[str, Any]:
     """The JSON object of one model; loading it compares every file with its hash in the card."""
-    from foretouch.checked_files import file_sha256
-    from foretouch.models.registry import find_card, load_model
-
     try:
         model, path = load_model(name), find_card(name)
     except ModelError as err:
         return {"status": "damaged", "name": name, "reason": str(err)}
     card = model.card
-    names = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
-    files = [path.with_name(Path(str(one)).name) for one in names if one]
+    names = (card["weights"], (card["calibration"] or {}).get("weights"))
+    files = [path.with_name(Path(one).name) for one in names if one]
     hashes = {file.name: {"sha256": file_sha256(file), "bytes": file.stat().st_size} for file in files}
     return {
         "status": "ok",
@@ -83,14 +80,13 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     facts = card.get("calibration")
     if facts is None:
         return None
-    regimes = facts.get("regimes", {})
     groups = {
         name: {
             "objects": one.get("objects"),
             "samples": one.get("samples"),
             "coverage": _mean(one.get("coverage", {}), "mean"),
         }
-        for name, one in regimes.items()
+        for name, one in facts.get("regimes", {}).items()
     }
     objects = max((one["objects"] or 0 for one in groups.values()), default=0)
     return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}

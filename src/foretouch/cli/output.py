@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output of the commands: JSON lines or tables on stdout, progress bars and warnings on stderr."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping

@@ -6,8 +6,6 @@ and to earlier readings of the same hand. `--prequential` replays datasets in or
 predicted from all readings before it.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import time
@@ -21,14 +19,16 @@ from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation, read_samples
 from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
+from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
+from foretouch.learning.evaluation.prequential import replay_model
+from foretouch.models.registry import load_model
+from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.tactile import MODALITIES
 from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
 
 if TYPE_CHECKING:
-    from foretouch.dataset.source import SourceItem
     from foretouch.models.budget import LatencyBudget
-    from foretouch.pipeline import FoundObject, Pipeline
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,13 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud or a grasp was refused."""
-    from foretouch.pipeline import Pipeline
-
     if arguments.prequential:
         return _run_prequential(arguments)
-    changes = {"model": arguments.model} if arguments.model else {}
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
-    pipeline = Pipeline(inputs.pipeline_config(arguments, changes, defaults))
+    pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
     budget = None if arguments.budget_ms is None else _make_budget(arguments.budget_ms, pipeline)
     return inputs.process_inputs(arguments, partial(_answer, arguments, pipeline, adaptation, budget), _show)
@@ -75,7 +72,7 @@ def _answer(
     arguments: argparse.Namespace,
     pipeline: Pipeline,
     adaptation: Adaptation,
-    budget: LatencyBudget | None,
+    budget: "LatencyBudget | None",
     item: SourceItem,
 ) -> Iterator[inputs.Record]:
     """Predictions for each object of an input."""
@@ -110,7 +107,7 @@ def _answer(
         }
 
 
-def _make_budget(budget_ms: float, pipeline: Pipeline) -> LatencyBudget:
+def _make_budget(budget_ms: float, pipeline: Pipeline) -> "LatencyBudget":
     """A budget for this machine, which is measured where there is no profile of it, and warmed up."""
     from foretouch.models.budget import LatencyBudget, levels_of, load_profile, profile_scene
 
@@ -124,7 +121,7 @@ def _make_budget(budget_ms: float, pipeline: Pipeline) -> LatencyBudget:
 
 def _predict(
     adaptation: Adaptation,
-    budget: LatencyBudget | None,
+    budget: "LatencyBudget | None",
     pipeline: Pipeline,
     target: FoundObject,
     grasps: Sequence[Grasp],
@@ -146,9 +143,6 @@ def _predict(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    from foretouch.learning.evaluation.prequential import replay_model
-    from foretouch.models.registry import load_model
-
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")

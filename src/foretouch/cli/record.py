@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
-_GB = 1e9
-_REPORT_S = 1.0  # between two lines of --json
-
 
 def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance."""
@@ -56,7 +53,7 @@ def _samples(status: RecorderStatus) -> Text:
         if status.samples and status.duration.sec
         else "",
         f"; last {status.last_sample}" if status.last_sample else "",
-        f"  {status.bytes_written / _GB:.3f} GB, disk{':' * (left_s >= 1e6)} {left}",
+        f"  {status.bytes_written / 1e9:.3f} GB, disk{':' * (left_s >= 1e6)} {left}",
     )
 
 
@@ -71,9 +68,12 @@ def _grasps(status: RecorderStatus) -> Text:
 
 
 def _sensors(status: RecorderStatus) -> Text:
-    states = zip(status.sensors, status.sensor_states, strict=True)
     return Text.assemble(
-        "sensors: ", *((f"{name} {state}  ", "green" if state == "alive" else "red") for name, state in states)
+        "sensors: ",
+        *(
+            (f"{name} {state}  ", "green" if state == "alive" else "red")
+            for name, state in zip(status.sensors, status.sensor_states, strict=True)
+        ),
     )
 
 
@@ -91,8 +91,7 @@ def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
             Text(str(topic.lost), "red" if topic.lost else ""),
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
-    columns = ("topic", "Hz", "received", "written", "queue", "lost", "dropped")
-    return FittedTable(columns, rows, live=True)
+    return FittedTable(("topic", "Hz", "received", "written", "queue", "lost", "dropped"), rows, live=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -105,8 +104,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tactile-topic", metavar="TOPIC", help=f"topic of the tactile messages (default: {TACTILE_TOPIC})"
     )
-    default_type = TactileConfig().type
-    parser.add_argument("--tactile-type", choices=list(TACTILE_TYPES), help=f"their type (default: {default_type})")
+    parser.add_argument(
+        "--tactile-type", choices=list(TACTILE_TYPES), help=f"their type (default: {TactileConfig().type})"
+    )
     parser.add_argument("--thumb", metavar="NAME", help="name of the thumb in the tactile messages")
     parser.add_argument("--middle", metavar="NAME", help="name of the middle finger")
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
@@ -175,7 +175,7 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     draw = None if arguments.json else partial(_panel, node)
     with suppress(KeyboardInterrupt):
         _print_status(node, arguments)
-        watch(partial(_ended, node, samples, end), draw, partial(_print_status, node, arguments), _REPORT_S)
+        watch(partial(_ended, node, samples, end), draw, partial(_print_status, node, arguments), every_s=1.0)
 
 
 def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
@@ -192,8 +192,7 @@ def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:
 
 
 def _status_record(status: RecorderStatus) -> dict[str, Any]:
-    """The status as `--json` prints it."""
-    errors = {"last": status.pairing_error, "max": status.pairing_error_max}
+    """The status as `--json` prints it, which has null for what is not finite."""
     return {
         "recording": status.recording,
         "path": status.path,
@@ -202,7 +201,7 @@ def _status_record(status: RecorderStatus) -> dict[str, Any]:
         "samples": status.samples,
         "unlabelled": status.unlabelled,
         "outcomes": dict(zip(status.outcomes, status.outcome_counts, strict=True)),
-        "pairing_error_s": {name: None if math.isnan(error) else error for name, error in errors.items()},
+        "pairing_error_s": {"last": status.pairing_error, "max": status.pairing_error_max},
         "received": status.received,
         "written": status.used,
         "dropped": dict(zip(status.drop_reasons, status.drop_counts, strict=True)),
@@ -219,6 +218,6 @@ def _status_record(status: RecorderStatus) -> dict[str, Any]:
             for topic in status.topics
         },
         "sensors": dict(zip(status.sensors, status.sensor_states, strict=True)),
-        "disk_left_min": None if math.isinf(status.disk_left) else status.disk_left / 60.0,
+        "disk_left_min": status.disk_left / 60.0,
         "reason": status.reason,
     }

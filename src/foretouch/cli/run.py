@@ -30,15 +30,6 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
-_DIAGNOSED_S = 1.2  # until every node has reported once more
-_SCENE_FILES = (".yaml", ".yml")
-_SCENE_FPS = 5  # so that a small computer has time for the rest of the graph
-_LONGEST_GRASP_S = 10.0
-_TOLERANCE_M = 0.1  # between the middle of a scene's object and its visible part
-_WAITING_S = 5.0  # between two lines about a camera that sends nothing
-_NO_CLOUDS = 3  # exit status where the camera never sent a cloud
-_SERVED = ("127.0.0.1", 8765)
-_MOST_PORTS = 65535
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
 
 
@@ -52,8 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " or `camera`, the RealSense",
     )
     parser.add_argument("--serial", help="serial number of the camera")
-    dwell = "time that each object of a scene stays on the table (default: 3)"
-    parser.add_argument("--dwell", type=positive_value, metavar="S", help=dwell)
+    parser.add_argument(
+        "--dwell",
+        type=positive_value,
+        metavar="S",
+        help="time that each object of a scene stays on the table (default: 3)",
+    )
     add_replay_arguments(parser, "recorded times; files one by one; scenes at 5")
     parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
     add_options(parser, "--model", "--params")
@@ -62,21 +57,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--serve",
         type=_address,
         nargs="?",
-        const=_SERVED,
+        const=("127.0.0.1", 8765),
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    json_lines = "print a JSON object for each cloud, and the counts at the end"
-    parser.add_argument("--json", action="store_true", help=json_lines)
+    parser.add_argument(
+        "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
+    )
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
     add_options(parser, "--topic", "--namespace")
-    rate = f"clouds per second (default: {default_rate})"
-    parser.add_argument("--rate", type=positive_value, metavar="HZ", help=rate)
-    plane = "table ax+by+cz+d=0 of clouds that hold one object each"
-    parser.add_argument("--plane", type=numbers, metavar="a,b,c,d", help=plane)
+    parser.add_argument(
+        "--rate", type=positive_value, metavar="HZ", help=f"clouds per second (default: {default_rate})"
+    )
+    parser.add_argument(
+        "--plane", type=numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
+    )
     parser.add_argument(
         "--wait-for",
         action="append",
@@ -92,7 +90,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> 
 def _address(text: str) -> tuple[str, int]:
     """`HOST:PORT` for argparse."""
     host, colon, port = text.rpartition(":")
-    if not (host and colon and port.isdecimal() and int(port) <= _MOST_PORTS):
+    if not (host and colon and port.isdecimal() and int(port) < 2**16):
         raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
     return host.removeprefix("[").removesuffix("]"), int(port)
 
@@ -112,13 +110,12 @@ def run(arguments: argparse.Namespace) -> int:
     announce("starting the nodes")
     with graph:
         if not graph.started:
-            states = {name: node.state_name for name, node in graph.nodes.items() if node.state_name != "active"}
-            listed = "; ".join(f"{name}: {state}" for name, state in states.items())
+            states = [(name, node.state_name) for name, node in graph.nodes.items()]
+            listed = "; ".join(f"{name}: {state}" for name, state in states if state != "active")
             raise ForetouchError(f"a node did not start; see its log ({listed})")
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
-        complete = _watch(graph, arguments)
-        return _finish(graph, arguments, complete=complete)
+        return _finish(graph, arguments, complete=_watch(graph, arguments))
 
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -135,7 +132,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-    scene = Path(arguments.source).suffix in _SCENE_FILES
+    scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
         return nodes | {"replay": _replay_parameters(arguments)}
     if arguments.wait_for or arguments.wait_limit is not None:
@@ -153,11 +150,15 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         show = show.replace(dwell_s=arguments.dwell)
     scene = show.load()  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
-    fps = _SCENE_FPS if arguments.rate is None else max(1, round(arguments.rate))
+    # Few, so that a small computer has time for the rest of the graph.
+    fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
     nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown}}
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
-        point = centre_of_objects(scene).tolist()
-        nodes["segmentation"] = {"target.mode": "point", "target.point": point, "target.tolerance_m": _TOLERANCE_M}
+        nodes["segmentation"] = {
+            "target.mode": "point",
+            "target.point": centre_of_objects(scene).tolist(),
+            "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
+        }
     return nodes
 
 
@@ -165,9 +166,9 @@ def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     """Parameters of the replay; without a rate, each file is played when the one before was answered."""
     from foretouch.dataset.source import open_source
 
-    path = str(Path(arguments.source).resolve())
     one_by_one = arguments.rate is None and open_source(arguments.source, arguments.topic).kind != "recording"
-    return {**({"lockstep": True, "rate_hz": 1000.0} if one_by_one else {}), **source_parameters(arguments, path)}
+    given = source_parameters(arguments, str(Path(arguments.source).resolve()))
+    return {"lockstep": True, "rate_hz": 1000.0, **given} if one_by_one else given
 
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
@@ -185,9 +186,11 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
 
 def replay_fault(replay: ReplayNode | None) -> str:
     """Describe why the source was not played completely; "" if it was."""
-    if replay is not None and replay.outcome == "failed":
-        return f"failed: {replay.reason}"
-    return f"{replay.unreadable} entries could not be read" if replay is not None and replay.unreadable else ""
+    if replay is None or (replay.outcome != "failed" and not replay.unreadable):
+        return ""
+    return (
+        f"failed: {replay.reason}" if replay.outcome == "failed" else f"{replay.unreadable} entries could not be read"
+    )
 
 
 def report_conflicts(graph: Graph) -> list[str]:
@@ -203,14 +206,14 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     replay = graph.replay
     draw = None if arguments.json else partial(_panel, graph, arguments.source)
     try:
-        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), _WAITING_S)
+        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), every_s=5.0)
     except KeyboardInterrupt:
         graph.stop_source()  # or answers would still arrive after the counts
         return True
     announce("waiting for the last answers")
     if replay is None or not replay.ended.is_set():
         graph.stop_source()
-    graph.wait_for_hand(_LONGEST_GRASP_S)
+    graph.wait_for_hand(timeout_s=10.0)
     # A live source does not wait for answers: the nodes count what they had to drop.
     return replay is None or graph.wait_for_answers(graph.played())
 
@@ -223,8 +226,8 @@ def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
 
 
 def _panel(graph: Graph, source: str) -> FittedPanel:
-    title = f"foretouch run: {source} (Ctrl-C to end)"
-    return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
+    waiting = f"waiting for the first: {_source_state(graph)}"
+    return live_panel(graph.monitor.view(), f"foretouch run: {source} (Ctrl-C to end)", waiting)
 
 
 def _warn_of_waiting(graph: Graph) -> None:
@@ -240,24 +243,25 @@ def _source_state(graph: Graph) -> str:
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
     """Print the table or the counts, and save the picture."""
-    time.sleep(_DIAGNOSED_S)
+    time.sleep(1.2)  # until every node has reported once more
     view = graph.monitor.close_view()
     answered, played = sum(view.answers.values()), graph.played()
     conflicts = report_conflicts(graph)
     if arguments.json:
-        counts: dict[str, Any] = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
+        counts = {"played": played, "answered": answered, "conflicts": conflicts}
+        counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
-            counts["executed"] = dict(cast("HandNode", graph.nodes["hand"]).executed)
+            counts["executed"] = cast("HandNode", graph.nodes["hand"]).executed
         print_json(counts)
     else:
-        title = f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered"
-        terminal().print(live_panel(view, title))
+        terminal().print(
+            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
+        )
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture)
     if graph.replay is None and not played:
         warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
-        return _NO_CLOUDS
+        return 3
     if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
     if not complete:
@@ -290,15 +294,13 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
     if readings is None:
         return drawn
-    title += "; readings of the simulated hand"
-    return replace(drawn, rest=readings.tare, read=readings.touch, title=title)
+    return replace(drawn, rest=readings.tare, read=readings.touch, title=f"{title}; readings of the simulated hand")
 
 
 class _Printer:
     """Prints each answer in the executor's thread."""
 
-    def __init__(self) -> None:
-        self.error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
+    error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
 
     def __call__(self, message: TouchPredictionArray) -> None:
         try:

@@ -22,11 +22,8 @@ from rich.table import Table
 from rich.text import Text
 
 _NUMBER = re.compile(r"[-+–]?\d(?!.*[a-z]{3})|–?$")
-_MOST_FOLDS = 4  # of a cell
-_LONGEST_WORD = 24  # longer ones, such as paths and hashes, may be folded anywhere
 _REFRESH_S = 0.2
 _STDERR = 2
-_TITLE_MARGIN = 6  # corners, lines and spaces
 
 
 def terminal(*, stderr: bool = False) -> Console:
@@ -98,7 +95,7 @@ class FittedTable:
         room = bare - 2 * len(words) - 2  # with frames
         framed = not self.live and (sum(lines) <= room or (sum(lines) > bare and sum(words) <= room))
         widths = _widths(words, lines, room if framed else bare)
-        high = any(line > _MOST_FOLDS * width for line, width in zip(lines, widths, strict=True))
+        high = any(line > 4 * width for line, width in zip(lines, widths, strict=True))
         if self.title:
             yield Text(self.title, "italic")
         if not self.live and (sum(words) > bare or high):
@@ -113,7 +110,7 @@ class FittedTable:
         cells = [list(map(str, column)) for column in zip(self.columns, *self.rows, strict=True)]
         words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in cells]
         lines = [max((len(line) for cell in column for line in cell.splitlines()), default=0) for column in cells]
-        return [min(word, _LONGEST_WORD) for word in words], lines
+        return [min(word, 24) for word in words], lines  # longer ones, such as paths and hashes, are folded anywhere
 
     def _table(self, widths: Sequence[int], *, framed: bool) -> Table:
         padding = (0, 1) if framed else (0, 1, 0, 0)
@@ -164,7 +161,7 @@ class FittedPanel:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw as many parts as fit; all where the height is not limited."""
         title, parts = self.title, list(self.parts)
-        if len(title) > options.max_width - _TITLE_MARGIN:  # rich would cut it
+        if len(title) > options.max_width - 6:  # beside corners, lines and spaces rich would cut it
             title, parts = "", [Text(title, "bold", overflow="fold"), *parts]
         if options.height is not None:
             inner = options.update(width=options.max_width - 4, height=None)

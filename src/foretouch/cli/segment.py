@@ -1,30 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch segment`: segment the table and the objects of each cloud."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import add_input_arguments, pipeline_config, process_inputs
 from foretouch.cli.output import print_table
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError
-
-if TYPE_CHECKING:
-    from foretouch.cloud.segmentation.segment import SegmentationConfig
-    from foretouch.dataset.source import SourceItem
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and --labels-out."""
     add_input_arguments(parser)
-    labels = "write the labels of a single input: int32 in the shape of the cloud, 0 = none"
-    parser.add_argument("--labels-out", metavar="F.npy", help=labels)
+    parser.add_argument(
+        "--labels-out",
+        metavar="F.npy",
+        help="write the labels of a single input: int32 in the shape of the cloud, 0 = none",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -38,8 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _segment(item: SourceItem, config: SegmentationConfig, labels_out: str | None) -> Iterator[dict[str, Any]]:
-    from foretouch.cloud.segmentation.segment import segment
-
     found = segment(item.cloud, config)
     if labels_out:
         np.save(labels_out, found.labels, allow_pickle=False)
@@ -67,6 +64,5 @@ def _show(record: dict[str, Any]) -> None:
         ]
         for one in record["objects"]
     ]
-    state = " ".join(filter(None, (record["status"], record["reason"])))
-    title = f"{record['input']}: {state} ({record['ms']['total']:.1f} ms)"
+    title = f"{record['input']}: {record['status']} {record['reason']}".rstrip() + f" ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)

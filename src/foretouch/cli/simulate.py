@@ -1,25 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch simulate`: a data set of simulated grasps, only with the effects that the scene calls for."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from foretouch import __version__
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
-from foretouch.errors import ConfigError, FileError
-
-if TYPE_CHECKING:
-    from foretouch.simulation.scene import SceneConfig
-    from foretouch.simulation.simulate import Simulation
-    from foretouch.types import GraspSample
-
+from foretouch.dataset.store_writer import StoreWriter
+from foretouch.errors import ConfigError, FileError, SimulationError
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.simulate import Simulation, explain_scene, replay
+from foretouch.simulation.world import SampleKey
+from foretouch.types import GraspSample
 
 SHEET = "contact_sheet.png"
 _SHEET_SAMPLES = 12
@@ -66,8 +63,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _scene(arguments: argparse.Namespace) -> SceneConfig:
-    from foretouch.simulation.scene import SceneConfig
-
     scene = SceneConfig.from_mapping(load_yaml(arguments.scene), arguments.scene)
     changes = parse_overrides(arguments.set)
     if arguments.seed is not None:
@@ -76,15 +71,16 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
 
 
 def _explain(scene: SceneConfig, as_json: bool) -> int:
-    from foretouch.simulation.simulate import explain_scene
-
     plans, everyone = explain_scene(scene), len(scene.objects)
     if as_json:
-        effects = [
-            {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
-            for p in plans
-        ]
-        print_json({"effects": effects, "samples": 0, "scene_sha256": scene.sha256()})
+        print_json({
+            "effects": [
+                {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
+                for p in plans
+            ],
+            "samples": 0,
+            "scene_sha256": scene.sha256(),
+        })  # fmt: skip
     else:
         rows = [
             [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]
@@ -95,10 +91,6 @@ def _explain(scene: SceneConfig, as_json: bool) -> int:
 
 
 def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
-    from foretouch.errors import SimulationError
-    from foretouch.simulation.simulate import replay
-    from foretouch.simulation.world import SampleKey
-
     slot, _, attempt = which.partition(".")
     if not slot.isdecimal() or (attempt and not attempt.isdecimal()):
         raise ConfigError(f"--replay: {which} is not SLOT or SLOT.ATTEMPT")
@@ -125,20 +117,19 @@ def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
 
 
 def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
-    from foretouch.dataset.store_writer import StoreWriter
-    from foretouch.simulation.simulate import Simulation
-
     simulation = Simulation(scene)
-    workers = arguments.workers or len(os.sched_getaffinity(0))
-    made_by = f"foretouch {__version__} simulate"
-    about = {"made_by": made_by, "scene": scene.to_mapping(), "scene_sha256": scene.sha256()}
+    about = {
+        "made_by": f"foretouch {__version__} simulate",
+        "scene": scene.to_mapping(),
+        "scene_sha256": scene.sha256(),
+    }
     shown: list[GraspSample] = []
     start = time.perf_counter()
     with (
         StoreWriter(arguments.out, about) as writer,
         progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
     ):
-        for sample in simulation.samples(arguments.count, workers):
+        for sample in simulation.samples(arguments.count, arguments.workers or len(os.sched_getaffinity(0))):
             writer.write(sample)
             if len(shown) < _SHEET_SAMPLES:
                 shown.append(sample)
@@ -157,8 +148,6 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
 
 
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
-    from foretouch.simulation.simulate import explain_scene
-
     count = arguments.count
     timed = [(plan, simulation.timings[plan.name]) for plan in explain_scene(simulation.scene)]
     if arguments.json:
@@ -172,7 +161,7 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             }
             for plan, timing in timed
         ]
-        record = {
+        print_json({
             "effects": effects,
             "samples": count,
             "samples_per_s": count / seconds,
@@ -180,8 +169,7 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "scene_sha256": simulation.scene.sha256(),
             "failures": simulation.failures_by_reason,
             "path": str(arguments.out),
-        }
-        print_json(record)
+        })  # fmt: skip
         return
     rows = [[plan.name, str(t.calls), f"{1e3 * t.seconds / count:.2f}", plan.reason] for plan, t in timed]
     print_table("effects", ["effect", "calls", "ms a sample", "for"], rows)

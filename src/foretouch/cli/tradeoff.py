@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch tradeoff AREA`: measure skill and time of many settings, and name those on the frontier."""
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 
 from foretouch.cli.experiment import add_sweep_arguments, print_list, run_experiment
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
-
-_PROFILE_S = 30.0
+from foretouch.experiments.framework.tradeoff import find_area, list_areas, measure_times
+from foretouch.models.registry import load_model
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a skill could not be measured."""
-    from foretouch.experiments.framework.tradeoff import find_area, list_areas, measure_times
-
     if arguments.area == "list":
         return print_list("areas", {area.area: area for area in list_areas()}, as_json=arguments.json)
     if arguments.area == "profile":
@@ -40,11 +36,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _profile(arguments: argparse.Namespace) -> int:
     from foretouch.models.budget import levels_of, load_profile
-    from foretouch.models.registry import load_model
 
     levels = levels_of(load_model(arguments.model))
     with progress_bar("times", hidden=arguments.json) as update:
-        profile = load_profile(levels, seconds=_PROFILE_S, again=True, say=warn, progress=update)
+        profile = load_profile(levels, seconds=30.0, again=True, say=warn, progress=update)
     if arguments.json:
         found = {level.name: {"skill": level.skill, "p95_s": profile.times[level.name]} for level in levels}
         print_json({"status": "done", "levels": found, "state": profile.state, "path": profile.origin})

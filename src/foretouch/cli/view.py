@@ -1,31 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch view`: show clouds, grasps, predicted touch and readings in Rerun."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from foretouch.checked_files import require_existing
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
+from foretouch.cloud.io.files import CLOUD_SUFFIXES
 from foretouch.dataset.record import DISCARDED, SampleRecord
 from foretouch.dataset.samples import is_sample_set, open_samples
+from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
+from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.report.rerun_view import ViewStep, write_view
+from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.types import Cloud, Grasp, GraspSample
-
-if TYPE_CHECKING:
-    from foretouch.dataset.source import SourceItem
-    from foretouch.pipeline import FoundObject
-    from foretouch.report.rerun_view import ViewStep
-
-_CANDIDATES = 10  # grasps that are planned on each cloud
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,9 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud could not be read."""
-    from foretouch.report.rerun_view import write_view
-    from foretouch.report.rerun_viewer import open_viewer, save_screenshot
-
     path = require_existing(arguments.path)
     steps = _Steps(arguments)
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
@@ -73,12 +66,9 @@ class _Steps:
     """Makes the steps of the view, whose inputs are as those of `predict`."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        from foretouch.pipeline import Pipeline
-
-        changes = {"model": arguments.model} if arguments.model else {}
         self.failed = False  # whether an input could not be read
         self._arguments = arguments
-        self._pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": _CANDIDATES}))
+        self._pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
         self._adaptation: Adaptation
 
     def __iter__(self) -> Iterator[ViewStep]:
@@ -88,8 +78,6 @@ class _Steps:
 
     def _of_source(self, path: str) -> Iterator[ViewStep]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
-        from foretouch.dataset.source import open_source
-
         self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
         if self._arguments.topic is None and is_sample_set(path):
             yield from self._of_samples(path)
@@ -114,9 +102,6 @@ class _Steps:
 
     def _of_answers(self, path: Path) -> Iterator[ViewStep]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""
-        from foretouch.cloud.io.files import CLOUD_SUFFIXES
-        from foretouch.dataset.source import open_source
-
         records, data = read_answers(path), self._arguments.data
         if data is None:
             for record in records:
@@ -144,8 +129,6 @@ class _Steps:
         warn(inputs.error_line(name, err))
 
     def _of_cloud(self, item: SourceItem, *, stamped: bool) -> ViewStep:
-        from foretouch.report.rerun_view import ViewStep
-
         found = self._found(item.cloud)
         target = found.pop("target")
         shown = {"name": item.name, "stamp_ns": item.cloud.stamp_ns if stamped else 0, **found}
@@ -157,8 +140,6 @@ class _Steps:
         return ViewStep(**shown, **self._predicted(target, plan.grasps[0], None), candidates=plan.grasps[1:])
 
     def _of_sample(self, record: SampleRecord) -> ViewStep:
-        from foretouch.report.rerun_view import ViewStep
-
         sample = record.sample
         target = inputs.only_object(sample.cloud, self._arguments)
         predicted = self._predicted(target, sample.grasp, sample)
@@ -170,9 +151,13 @@ class _Steps:
 
     def _read(self, sample: GraspSample) -> dict[str, Any]:
         """Cloud, table, readings and time of a sample."""
-        table = inputs.only_object(sample.cloud, self._arguments).plane
-        seen = {"cloud": sample.cloud, "table": table, "stamp_ns": sample.stamp_ns}
-        return {**seen, "read": sample.touch, "tare": sample.tare}
+        return {
+            "cloud": sample.cloud,
+            "table": inputs.only_object(sample.cloud, self._arguments).plane,
+            "stamp_ns": sample.stamp_ns,
+            "read": sample.touch,
+            "tare": sample.tare,
+        }
 
     def _found(self, cloud: Cloud) -> dict[str, Any]:
         """Table, objects and target of a cloud, as `predict` finds them; the target is first."""
@@ -183,13 +168,10 @@ class _Steps:
         objects = {one.id: one.cloud for one in scene.targets[:1]}
         objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
         found = {"cloud": cloud, "table": scene.segmentation.plane, "objects": objects}
-        if not scene.targets:
-            return {**found, "target": None, "reason": f"{scene.status}: {scene.reason}"}
-        return {**found, "target": scene.targets[0]}
+        refused = {"target": None, "reason": f"{scene.status}: {scene.reason}"}
+        return found | ({"target": scene.targets[0]} if scene.targets else refused)
 
     def _of_answer(self, record: Mapping[str, Any], item: SourceItem | None) -> ViewStep:
-        from foretouch.report.rerun_view import ViewStep
-
         shown: dict[str, Any] = {
             "name": str(record.get("sample") or record.get("input") or record.get("stamp_ns", "")),
             "stamp_ns": int(record.get("stamp_ns") or 0),
@@ -202,7 +184,7 @@ class _Steps:
         except ForetouchError as err:
             self._refuse(shown["name"], err)
             predictions = []
-        shown |= {"reason": str(record.get("reason", ""))}
+        shown["reason"] = str(record.get("reason", ""))
         shown.pop("target", None)
         if predictions:
             shown |= {"grasp": predictions[0].grasp, "prediction": predictions[0]}

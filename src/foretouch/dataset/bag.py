@@ -100,12 +100,11 @@ class Recording:
         """
         clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE]
         if topic is not None:
-            found = next((t for t in self.topics if t.name == topic), None)
-            if found is None:
+            clouds = [t for t in self.topics if t.name == topic]
+            if not clouds:
                 raise FileError(self.path, f"no such topic; known: {_listed(self.topics)}", field=topic)
-            if found.type != POINT_CLOUD_TYPE:
-                raise FileError(self.path, f"holds {found.type or 'mixed types'}, not {POINT_CLOUD_TYPE}", field=topic)
-            clouds = [found]
+            if (found := clouds[0].type) != POINT_CLOUD_TYPE:
+                raise FileError(self.path, f"holds {found or 'mixed types'}, not {POINT_CLOUD_TYPE}", field=topic)
         if not clouds:
             raise FileError(self.path, f"no topic of {POINT_CLOUD_TYPE}; known: {_listed(self.topics)}")
         filled = [t for t in clouds if t.count]
@@ -125,9 +124,9 @@ class Recording:
         if wanted:
             with _known_failures(self.path):
                 for connection, time_ns, raw in self._reader.messages(wanted):
-                    index = counts[connection.topic]
+                    data = raw if self._reader.is2 else bytes(self._store.ros1_to_cdr(raw, connection.msgtype))
+                    yield Message(connection.topic, connection.msgtype, counts[connection.topic], time_ns, data)
                     counts[connection.topic] += 1
-                    yield Message(connection.topic, connection.msgtype, index, time_ns, self._cdr(connection, raw))
         for topic in self.topics:
             if (topics is None or topic.name in topics) and counts[topic.name] != topic.count:
                 rule = f"declares {topic.count} messages, holds {counts[topic.name]}"
@@ -144,9 +143,6 @@ class Recording:
             return decode_cloud(self.content(message))
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
-
-    def _cdr(self, connection: Connection, raw: bytes) -> bytes:
-        return raw if self._reader.is2 else bytes(self._store.ros1_to_cdr(raw, connection.msgtype))
 
     def _topics(self) -> Iterator[Topic]:
         definitions = self._store.fielddefs
@@ -168,8 +164,9 @@ def _storage_paths(path: Path) -> list[Path]:
     """The directory or file itself, or the files of a directory without metadata."""
     require_existing(path)
     if not is_recording(path):
-        kinds = ", ".join(RECORDING_SUFFIXES)
-        raise FileError(path, f"is no recording: neither a rosbag2 directory nor a file of {kinds}")
+        raise FileError(
+            path, f"is no recording: neither a rosbag2 directory nor a file of {', '.join(RECORDING_SUFFIXES)}"
+        )
     if (path / "metadata.yaml").is_file():
         try:
             load_yaml(path / "metadata.yaml")  # its reader in rosbags has no limits
@@ -207,8 +204,7 @@ def _without_seq(recorded: Typestore) -> Typestore:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
-    header = get_typestore(Stores.ROS2_KILTED).fielddefs[HEADER_TYPE]
-    store.register({**recorded.fielddefs, HEADER_TYPE: header})
+    store.register({**recorded.fielddefs, HEADER_TYPE: get_typestore(Stores.ROS2_KILTED).fielddefs[HEADER_TYPE]})
     return store
 
 

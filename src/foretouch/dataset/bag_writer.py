@@ -24,8 +24,6 @@ from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 
 _CLOUD_TOPIC: Final = "/foretouch/points"
-_OBJECT_CLOUD_TOPIC: Final = "/foretouch/object_cloud"
-_CHUNK_CRC_OFFSET = 9 + 24  # opcode and length of the record, then start time, end time and size
 
 
 class BagWriter:
@@ -68,8 +66,7 @@ class BagWriter:
         """Declare a topic; a `DatasetError` if its type has no definition, or the topic has another type."""
         if topic not in self._connections:
             self.definitions.text(type_name)
-            connection = self._writer.add_connection(topic, type_name, typestore=self.definitions.store)
-            self._connections[topic] = connection
+            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=self.definitions.store)
         if self._connections[topic].msgtype != type_name:
             raise DatasetError(f"{self.path}: {topic}: holds {self._connections[topic].msgtype}, not {type_name}")
         return self._connections[topic]
@@ -82,8 +79,9 @@ class BagWriter:
 
     def write_cloud(self, cloud: Cloud, topic: str = _CLOUD_TOPIC, *, bag_time_ns: int | None = None) -> None:
         """Append a cloud as `sensor_msgs/PointCloud2`, by default at the time of its stamp [ns] (raises as `write`)."""
-        time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
-        self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
+        self.write(
+            topic, POINT_CLOUD_TYPE, cloud.stamp_ns if bag_time_ns is None else bag_time_ns, serialize_cloud(cloud)
+        )
 
 
 def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
@@ -105,7 +103,7 @@ class _ChecksummedMcap(McapWriter):
         start = self.bio.tell()
         super().close_chunk()
         end = self.bio.tell()
-        self.bio.seek(start + _CHUNK_CRC_OFFSET)
+        self.bio.seek(start + 9 + 24)  # opcode and length of the record, then start time, end time and size
         self.bio.write(checksum.to_bytes(4, "little"))
         self.bio.seek(end)
 
@@ -122,12 +120,11 @@ def serialize_cloud(cloud: Cloud) -> bytes:
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
-        for k in range(len(samples)):
+        for record in samples.records(discarded=True):
             progress()
-            record = samples.record(k)
             stamp_ns = record.sample.stamp_ns
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, encode_sample(record, samples.identity))
-            writer.write_cloud(record.sample.cloud, _OBJECT_CLOUD_TOPIC, bag_time_ns=stamp_ns)
+            writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
             result.written += 1
 
 

@@ -22,8 +22,7 @@ def disk_errors(path: Path, rule: str = "") -> Iterator[None]:
         yield
     except OSError as err:
         prefix = f"{rule}: " if rule else ""
-        reason = os.strerror(err.errno) if err.errno else err
-        raise FileError(path, f"{prefix}{reason} (errno {err.errno})") from err
+        raise FileError(path, f"{prefix}{os.strerror(err.errno) if err.errno else err} (errno {err.errno})") from err
 
 
 @contextmanager

@@ -29,14 +29,11 @@ from foretouch.dataset.recording import Identity, RecordingConfig, RecordingWrit
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, StoredSample, decode_sample
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, TactileReader, make_reader
+from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 
-_CONFIG: Final = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
-_PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a running robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +58,7 @@ class BagTopics:
     object: str = "unknown"
     fingers: tuple[int, int] | None = None
     tactile_config: TactileConfig = TactileConfig()
-    pairing: PairingConfig = _PAIRING
+    pairing: PairingConfig = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 
     def roles(self) -> dict[str, Role]:
         """Role by topic."""
@@ -113,7 +110,8 @@ def import_samples(
         else:
             raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
         folder = out if out.exists() else stack.enter_context(new_folder(out))
-        with disk_errors(out), RecordingWriter(folder, identity or found, _CONFIG) as writer:
+        config = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
+        with disk_errors(out), RecordingWriter(folder, identity or found, config) as writer:
             for record in records:
                 writer.append(record)
                 result.samples += 1

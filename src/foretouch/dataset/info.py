@@ -14,8 +14,8 @@ from foretouch.dataset.samples import open_samples
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64
 
+#: Bin edges of the histogram of pairing errors [ms].
 PAIRING_EDGES_MS: Final = (0.0, 5.0, 10.0, 20.0, 50.0, 100.0, float("inf"))
-"""Bin edges of the histogram of pairing errors [ms]."""
 
 
 @dataclass(kw_only=True)

@@ -16,13 +16,12 @@ from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.messages import stamp_ns
-from foretouch.types import Cloud, Float64, Grasp
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, Index, Int64
 
 _START: Final = 4  # of the fields in CDR
 _NS: Final = 1_000_000_000
@@ -35,9 +34,8 @@ _SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no 
 
 def read_header(data: bytes) -> tuple[int, str]:
     """Stamp [ns] and frame of a serialised message that begins with a header; a `DatasetError` if it cannot be read."""
-    order = _byte_order(data)
     try:
-        seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", data, _START)
+        seconds, nanoseconds, length = struct.unpack_from(f"{_byte_order(data)}iII", data, _START)
         frame = data[_START + 12 : _START + 12 + length]
         if len(frame) != length:
             raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
@@ -120,7 +118,7 @@ class ObjectCloud(NamedTuple):
 
     id: str
     cloud: Cloud
-    pixels: npt.NDArray[np.int64] | None = None
+    pixels: Int64 | None = None
     image_shape: tuple[int, int] | None = None
 
 
@@ -153,17 +151,17 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
     if labels is None:
         finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
         return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
-    shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
-    objects = []
-    for label, members in _by_label(labels):
-        pixels = None
-        if shape is not None and rows is not None and columns is not None:
-            pixels = rows[members].astype(np.int64) * shape[1] + columns[members]
-        objects.append(ObjectCloud(str(label), cloud.take(members), pixels, shape))
-    return tuple(objects)
+    shape = pixels = None
+    if rows is not None and columns is not None:
+        shape = (int(rows.max()) + 1, int(columns.max()) + 1)
+        pixels = rows.astype(np.int64) * shape[1] + columns
+    return tuple(
+        ObjectCloud(str(label), cloud.take(members), None if pixels is None else pixels[members], shape)
+        for label, members in _by_label(labels)
+    )
 
 
-def _by_label(labels: npt.NDArray[Any]) -> list[tuple[Any, npt.NDArray[np.intp]]]:
+def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
     """Each label with its points, in the order of their first points."""
     if (labels == labels[0]).all():  # the usual case
         return [(labels[0], np.arange(len(labels)))]
@@ -217,10 +215,9 @@ def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
         agrees = (np.abs(length - 1.0) < _SURELY * _UNIT_TOLERANCE) & (turned < _SURELY * _AGREEMENT)
     fine = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
     fine &= (skewed < _SURELY * _AGREEMENT) & (agrees | ~xyzw.any(axis=1))
-    rows = zip(messages, contacts, matrices, fine.tolist(), strict=True)
     return [
         Grasp.checked(g1, g2, matrix, float(one.score), one.id, one.object_id) if good else None
-        for one, (g1, g2), matrix, good in rows
+        for one, (g1, g2), matrix, good in zip(messages, contacts, matrices, fine.tolist(), strict=True)
     ]
 
 
@@ -251,8 +248,8 @@ def _rotation_of(message: Any) -> Float64:
         if not np.any(quaternion):
             raise GraspError("pose: no orientation")
         return rotation_from_quaternion(quaternion)
-    bounded = bool((np.abs(matrix) <= _MAX_UNIT).all())
-    if not bounded or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
+    bounded = (np.abs(matrix) <= _MAX_UNIT).all()
+    if not (bounded and np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT)):
         raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
     if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
         raise GraspError("rotation: is not that of pose.orientation")
@@ -264,7 +261,7 @@ def _quaternion(message: Any) -> Float64:
     return np.array([q.x, q.y, q.z, q.w], np.float64)
 
 
-def _integer_field(message: Any, name: str) -> npt.NDArray[Any] | None:
+def _integer_field(message: Any, name: str) -> AnyArray | None:
     """One of the whole-number fields of an unorganised object cloud, or None where it is absent."""
     field = next((f for f in message.fields if f.name == name), None)
     if field is None:

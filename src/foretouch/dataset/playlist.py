@@ -13,8 +13,7 @@ from foretouch.dataset.bag_writer import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
 
-CLOUDS = ""
-"""Stands for the topic of the clouds, which the replay chooses."""
+CLOUDS = ""  # stands for the topic of the clouds, which the replay chooses
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +40,7 @@ def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
         return
     for item in source:
         try:
-            cloud = item.cloud
-            yield Entry(item.name, CLOUDS, cloud.stamp_ns, serialize_cloud(cloud))
+            yield Entry(item.name, CLOUDS, item.cloud.stamp_ns, serialize_cloud(item.cloud))
         except ForetouchError as err:
             yield Entry(item.name, CLOUDS, 0, b"", refusal=str(err))
 

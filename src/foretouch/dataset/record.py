@@ -4,24 +4,19 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
-
-import numpy as np
-import numpy.typing as npt
+from typing import Final, Literal
 
 from foretouch.errors import DatasetError
-from foretouch.types import TOUCH_SIZE, Float32, Grasp, GraspSample
+from foretouch.types import TOUCH_SIZE, AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
 REST: Final = 0
 APPROACH: Final = 1
 HOLD: Final = 2
 
+#: Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out.
 DISCARDED: Final = "discarded"
-"""Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
 
 Outcome = Literal["unknown", "success", "failure"]
-
-_FORBIDDEN = re.compile(r"[\x00-\x1f\x7f/\\:]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,14 +46,14 @@ class TouchSeries:
         DatasetError: If a shape differs from these.
     """
 
-    stamps_ns: npt.NDArray[np.int64]
+    stamps_ns: Int64
     counts: Float32
-    phases: npt.NDArray[np.uint8]
+    phases: UInt8
     others: Mapping[str, Float32] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         length = len(self.stamps_ns)
-        arrays: dict[str, npt.NDArray[Any]] = {"counts": self.counts, "phases": self.phases}
+        arrays: dict[str, AnyArray] = {"counts": self.counts, "phases": self.phases}
         arrays |= {f"others.{name}": values for name, values in self.others.items()}
         for name, array in arrays.items():
             shape = (length, TOUCH_SIZE) if name == "counts" else (length,)
@@ -99,7 +94,7 @@ def check_name(name: str, what: str) -> str:
     Raises a `DatasetError` that names `what` it is if it is empty, longer than 100 characters, `.` or `..`, or holds a
     slash, a colon or a control character.
     """
-    if not name or len(name) > 100 or name.strip(".") == "" or _FORBIDDEN.search(name):
+    if not name or len(name) > 100 or name.strip(".") == "" or re.search(r"[\x00-\x1f\x7f/\\:]", name):
         raise DatasetError(
             f"{what}: {name[:100]!r} is no plain name (1 to 100 characters, no slash, colon or dots alone)"
         )

@@ -20,10 +20,8 @@ from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError
 from foretouch.types import Cloud, GraspSample
 
+#: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.
 STAMP_STEP_NS = 100_000_000
-"""Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise."""
-
-SourceKind = Literal["clouds", "samples", "recording"]
 
 
 class SourceItem:
@@ -53,7 +51,7 @@ class Source:
     """The clouds at a path in order; can be iterated repeatedly."""
 
     path: Path  # as given
-    kind: SourceKind  # what was found there
+    kind: Literal["clouds", "samples", "recording"]  # what was found there
     topic: str | None = None  # the topic of a recording, else None
     frame_id: str = ""  # for clouds without a frame
     entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset
@@ -116,8 +114,7 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     """
     path = require_existing(path)
     if topic is None and is_sample_set(path):
-        samples = open_samples(path)
-        return Source(path, "samples", None, frame_id, (), len(samples))
+        return Source(path, "samples", None, frame_id, (), len(open_samples(path)))
     if is_recording(path):
         with Recording(path) as recording:
             topic = recording.cloud_topic(topic)
@@ -139,5 +136,4 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:
     """Sort key that puts `2.pcd` before `10.pcd`."""
-    words = re.split(r"(\d+)", str(name))
-    return [(0, int(word)) if word.isdecimal() else (1, word) for word in words]
+    return [(0, int(word)) if word.isdecimal() else (1, word) for word in re.split(r"(\d+)", str(name))]

@@ -139,8 +139,7 @@ def sample_digest(sample: GraspSample) -> bytes:
     digest.update(json.dumps(head, separators=(",", ":")).encode())
     digest.update(np.ascontiguousarray(cloud.xyz).data)
     digest.update(b"" if cloud.rgb is None else np.ascontiguousarray(cloud.rgb).data)
-    pose = np.concatenate([grasp.g1, grasp.g2, grasp.rotation.ravel(), [grasp.score]])
-    digest.update(pose.astype(np.float64).data)
+    digest.update(np.concatenate([grasp.g1, grasp.g2, grasp.rotation.ravel(), [grasp.score]]).astype(np.float64).data)
     for touch in (sample.touch, sample.tare):
         digest.update(b"-" if touch is None else touch.vector().data)
     return digest.digest()

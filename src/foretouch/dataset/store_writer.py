@@ -189,8 +189,7 @@ def build_store(
                     continue
                 sample = ids.with_own_id(only_finite(record.sample))
                 writer.write(sample)
-                labelled = sample.touch is not None
-                result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, labelled))
+                result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
             if renumbered:
                 origins[-1]["renumbered"] = renumbered
                 result.renumbered += len(renumbered)
@@ -226,8 +225,9 @@ class _UniqueIds:
         """The sample with an id of its own; a `DatasetError` if a source before holds it, whatever the ids."""
         content = sample_digest(replace(sample, id=""))
         if content in self._holders:
-            held = self._holders[content]
-            raise DatasetError(f"{self._source}: {sample.id}: is in {held} too; build from one of both")
+            raise DatasetError(
+                f"{self._source}: {sample.id}: is in {self._holders[content]} too; build from one of both"
+            )
         if sample.id in self._taken and sample.id not in self._renumbered:
             new = numbered_id(sample.object, self._last + 1)
             self._renumbered[sample.id] = new

@@ -24,9 +24,7 @@ from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError, shown
-from foretouch.grasp.axis import object_axis
-from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.pose import hand_rotation
+from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.types import ASSUMED_TABLE, ELECTRODES, Cloud, Float64, Grasp, GraspSample, Touch
 
 CLOUD_FILE: Final = "cloud-object.pcd"
@@ -34,7 +32,6 @@ GRASP_FILE: Final = "best-grasp.txt"
 TOUCH_FILE: Final = "tactile.tac"
 _FILES: Final = (CLOUD_FILE, GRASP_FILE, TOUCH_FILE)
 
-_HAND: Final = GeoGraspConfig(tip_mm=25.0)
 _IDENTITY: Final = Identity(
     hand={"name": "Shadow Hand with BioTac SP", "source": "vision2tactile"}, camera={"source": "vision2tactile"}
 )
@@ -43,8 +40,6 @@ _FINGER_SIZE: Final = ELECTRODES + 5
 _PDC: Final = ELECTRODES + 2
 _NS_PER_S: Final = 1_000_000_000
 _STAMP_END_NS: Final = 2**63  # where stamps of 64 bits end
-_NAME_DIGITS: Final = 20  # more than those of any stamp
-_TEXT_LIMIT: Final = 100_000  # bytes; the public files have less than 400
 
 
 def _folders_in(root: Path) -> Iterator[Path]:
@@ -84,7 +79,7 @@ def _read_sample(folder: Path) -> GraspSample:
 
 def _stamp_ns(name: str) -> int:
     """The unix time that a folder is named by [ns]; 0 if it is none."""
-    stamp_ns = int(name) * _NS_PER_S if name.isascii() and name.isdecimal() and len(name) < _NAME_DIGITS else 0
+    stamp_ns = int(name) * _NS_PER_S if name.isascii() and name.isdecimal() and len(name) < 20 else 0
     return stamp_ns if stamp_ns < _STAMP_END_NS else 0
 
 
@@ -94,7 +89,7 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
         if not np.isfinite(contact).all():
             raise FileError(path, f"{contact.tolist()} is not finite", field=name)
     try:
-        axis, _ = object_axis(cloud, ASSUMED_TABLE, _HAND)
+        axis, _ = object_axis(cloud, ASSUMED_TABLE, GeoGraspConfig(tip_mm=25.0))
         rotation = hand_rotation(numbers[:3], numbers[3:], axis)
         return Grasp(numbers[:3], numbers[3:], rotation, id=path.parent.name, object_id=object_name)
     except CloudError as err:
@@ -125,7 +120,7 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
 def _read_numbers(path: Path, count: int) -> Float64:
     """The file's comma-separated numbers, without an empty first field."""
     try:
-        text = read_bytes(path, _TEXT_LIMIT).decode("ascii").strip()
+        text = read_bytes(path, 100_000).decode("ascii").strip()  # the public files have less than 400 bytes
     except FileError as err:
         if isinstance(err.__cause__, FileNotFoundError):
             raise FileError(path, "is missing") from err

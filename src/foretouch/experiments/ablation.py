@@ -12,7 +12,7 @@ switches for this: its components are taken from its estimator, and combined her
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -76,8 +76,7 @@ _TITLES: Final = {
 }
 _COMPARED: Final = 3  # touches after which the variants are compared
 
-FULL: Final = "full"
-"""The complete model, as released."""
+FULL: Final = "full"  # the complete model, as released
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +106,7 @@ def _gated(forests: Float64, parts: _Components) -> Float64:
     return weight * forests + (1.0 - weight) * parts.kernel
 
 
+# By name of the variant, (S, 50) predictions before any touch [counts].
 COMBINATIONS: Final[dict[str, Callable[[_Components], Float64]]] = {
     FULL: lambda p: _gated((p.joint_forest + p.separate_forests) / 2.0, p),
     "forests alone": lambda p: (p.joint_forest + p.separate_forests) / 2.0,
@@ -114,7 +114,6 @@ COMBINATIONS: Final[dict[str, Callable[[_Components], Float64]]] = {
     "no gate, half of each": lambda p: (p.joint_forest + p.separate_forests) / 4.0 + p.kernel / 2.0,
     "joint forest only": lambda p: _gated(p.joint_forest, p),
 }
-"""By name of the variant, (S, 50) predictions before any touch [counts]."""
 
 
 def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
@@ -130,11 +129,11 @@ def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
     return replace(parameters, basis=np.diag(np.sqrt(scale)), **per_value, **times)
 
 
+# By name of the variant, changes of the full model's tracker, which only matter after touches.
 TRACKER_EDITS: Final[dict[str, Callable[[TrackerParameters], TrackerParameters]]] = {
     "no shrinkage": lambda parameters: replace(parameters, difference_shrinkage=np.ones((2, TOUCH_SIZE))),
     "diagonal B": _diagonal,
 }
-"""By name of the variant, changes of the full model's tracker, which only matter after touches."""
 
 
 def _without_slopes(samples: Sequence[GraspSample]) -> Float64:
@@ -146,12 +145,12 @@ def _geometry_only(samples: Sequence[GraspSample]) -> Float64:
     return np.column_stack([checked, [geometry_features(sample) for sample in samples]])
 
 
+# By name of the variant, (S, F) feature rows. The first columns are those by which novelty is detected;
+# `geometry_features` are those of the baseline's trees.
 FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _geometry_only,
 }
-"""By name of the variant, (S, F) feature rows. The first columns are those by which novelty is detected;
-`geometry_features` are those of the baseline's trees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,13 +221,12 @@ def _cells(settings: AblationSettings, data: RealAndSimulated) -> list[Cell]:
     ]
 
 
-def _parts(condition: str, real: Sequence[GraspSample], settings: AblationSettings) -> Iterator[tuple[str, int]]:
+def _parts(condition: str, real: Sequence[GraspSample], settings: AblationSettings) -> list[tuple[str, int]]:
     """Names of splits or folds, and seeds. Since calibration is slow, objects are left out with one seed only."""
     if condition == _SIMULATED:
-        yield from ((str(split), settings.seeds[0]) for split in settings.split_seeds)
-        return
-    for seed in settings.seeds if condition != "object" else settings.seeds[:1]:
-        yield from ((fold.name, seed) for fold in make_folds(real, condition, seed))
+        return [(str(split), settings.seeds[0]) for split in settings.split_seeds]
+    seeds = settings.seeds if condition != "object" else settings.seeds[:1]
+    return [(fold.name, seed) for seed in seeds for fold in make_folds(real, condition, seed)]
 
 
 def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list[Row]:
@@ -259,12 +257,12 @@ def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> lis
     """For each object and draw, grasps in the order in which they are touched, and those that are scored."""
     most = max(*settings.touches, _COMPARED)
     names = np.array([sample.object for sample in test])
-    draws = []
-    for name in np.unique(names):
-        own = np.flatnonzero(names == name)
-        orders = touch_draws(str(name), len(own), most, settings.draws)
-        draws += [(own[order[:most]], own[order[most:]]) for order in orders]
-    return draws
+    members = {str(name): np.flatnonzero(names == name) for name in np.unique(names)}
+    return [
+        (own[order[:most]], own[order[most:]])
+        for name, own in members.items()
+        for order in touch_draws(name, len(own), most, settings.draws)
+    ]
 
 
 def _rows(

@@ -15,12 +15,10 @@ Intervals of a mean are by bootstrap over objects with expanded percentiles, as 
 (`learning.evaluation.metrics`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -41,12 +39,9 @@ from foretouch.learning.data import labels_of, make_folds, object_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig, mean_over_objects
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import ContactPredictor
-from foretouch.report.panels import Rows, new_figure, save_small
+from foretouch.report.panels import Axes, Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _SIMULATED: Final = "simulated"
 _TIME: Final = "time blocks"

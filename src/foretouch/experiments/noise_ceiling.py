@@ -18,12 +18,10 @@ Intervals are by bootstrap over the repeated grasps, with the same draws for cei
 grasps of the same objects in the same scene.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -40,7 +38,7 @@ from foretouch.experiments.shared.simulated_data import (
 )
 from foretouch.experiments.shared.tables import findings, grouped, listed, pivot, select, span, unique
 from foretouch.learning.data import labels_of
-from foretouch.report.panels import Rows
+from foretouch.report.panels import Axes, Rows
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
@@ -48,20 +46,17 @@ from foretouch.simulation.world import SampleKey
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
+# Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads makes contact;
+# where the hand lands and how exactly it reaches its target; what the sensor adds over time.
 CAUSES: Final = {
     "command": frozenset({"targets"}),
     "posture": frozenset({"posture"}),
     "placement": frozenset({"execution_error"}),
     "sensor": frozenset({"slip", "drift", "noise", "scan_hold"}),
 }
-"""Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads
-makes contact; where the hand lands and how exactly it reaches its target; what the sensor adds over time."""
 
+# Also unknown of an object that was never touched: its day, and its material, that of any object of the scene.
 NEW_OBJECT: Final = "new_object"
-"""Also unknown of an object that was never touched: its day, and its material, that of any object of the scene."""
 
 _MATERIAL: Final = ("young_pa", "thickness_m", "friction")
 _TRIES: Final = 10  # per requested repeat
@@ -116,8 +111,7 @@ def _split(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> tuple[list[
     return train, [test[k] for k in chosen]
 
 
-def _cells(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> list[Cell]:
-    del data
+def _cells(settings: NoiseCeilingSettings, _data: SimulatedGrasps) -> list[Cell]:
     whole = ["all", NEW_OBJECT] if settings.split == "object" else ["all"]
     blocks = [(cause, first) for cause in whole for first in range(0, settings.grasps, _BLOCK)]
     blocks += [(cause, first) for cause in CAUSES for first in range(0, settings.single_cause_grasps, _BLOCK)]
@@ -136,12 +130,11 @@ def _run(cell: Cell, settings: NoiseCeilingSettings, data: SimulatedGrasps) -> l
         ]
     cause, first = cell.values["name"], cell.values["first"]
     hidden = {"all": frozenset(CAUSES), NEW_OBJECT: frozenset({*CAUSES, NEW_OBJECT})}.get(cause, frozenset({cause}))
-    end = settings.single_cause_grasps if cause in CAUSES else settings.grasps
-    grasps = test[first : min(first + _BLOCK, end)]
+    grasps = test[first : min(first + _BLOCK, settings.single_cause_grasps if cause in CAUSES else settings.grasps)]
     return list(_repeated(Repeater(data.scene, hidden), grasps, settings.repeats, labels.mean(axis=0)))
 
 
-def _repeated(repeater: Repeater, grasps: Sequence[GraspSample], count: int, mean: Float64) -> Iterator[Row]:
+def _repeated(repeater: "Repeater", grasps: Sequence[GraspSample], count: int, mean: Float64) -> Iterator[Row]:
     for sample in grasps:
         made = repeater.repeat(int(sample.extra["slot"]), int(sample.extra["attempt"]), count)
         centre, variance = made.touches.mean(axis=0), made.touches.var(axis=0, ddof=1)
@@ -180,10 +173,8 @@ class Repeater:
     def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:
         if scene.campaign is not None:
             raise ConfigError("scene: campaign: grasps are repeated at one moment; give a scene without a campaign")
-        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {NEW_OBJECT}))
         self._new_object = NEW_OBJECT in causes
-        if self._new_object:
-            again |= {"sessions"}
+        again = {effect for cause in causes for effect in ({"sessions"} if cause == NEW_OBJECT else CAUSES[cause])}
         effects = [replace(effect, again=effect.name in again) for effect in EFFECTS]
         self._engine = Engine(scene, effects, ("touch", "tare"))
 

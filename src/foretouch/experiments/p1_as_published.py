@@ -29,16 +29,15 @@ from foretouch.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch.experiments.shared.scores import labelled, load
 from foretouch.experiments.shared.tables import findings, grouped, pivot, select, span, unique
 from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
-from foretouch.report.panels import Rows
+from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
 from foretouch.types import Float64, GraspSample
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from foretouch.models.network.networks import TouchNet
 
 ACROSS: Final = "across types"
+# P1, sections III and IV: RMSE [counts] and over its divisors, by the closest of our tables.
 PUBLISHED: Final[dict[str, dict[str, tuple[float, float | None]]]] = {
     "within p1_cylinders": {
         "PDC_TH": (208.0, 0.067),
@@ -54,20 +53,18 @@ PUBLISHED: Final[dict[str, dict[str, tuple[float, float | None]]]] = {
     },
     ACROSS: {"PDC_TH": (236.0, None), "PDC_MF": (165.0, None), "E_TH": (317.0, None), "E_MF": (310.0, None)},
 }
-"""P1, sections III and IV: RMSE [counts] and over its divisors, by the closest of our tables."""
 
-P1: Final = "P1 (published)"
-"""Its name among the predictors."""
+P1: Final = "P1 (published)"  # its name among the predictors
 
 _RECIPE: Final = "p1_as_published"
 _SPLITS: Final = 5
 _SAMPLES_PER_SHARE: Final = 500  # test_size = samples / (folds * 100) in the public code
+# Predictors by name; the network by the statistics of its batch norm in testing.
 _WAYS: Final = {
     "batch": "network, no eval(), as in the public code",
     "running": "network, eval()",
     "mean": "mean of the training labels",
 }
-"""Predictors by name; the network by the statistics of its batch norm in testing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,9 +226,9 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
                 sentences.append(f"{kind}, {way}: {span(ratios)} times the published errors")
     below = [key for key in counts if key[2] != _WAYS["mean"] and counts[key] < counts[(*key[:2], _WAYS["mean"])]]
     sentences.append(f"errors of networks, ours or published, below that of the mean of the labels: {len(below)}")
+    ours = "our scoring: RMSE of all test samples in counts"
     tables = [findings(sentences)]
     for table, own in grouped(rows, "table"):
-        ours = "our scoring: RMSE of all test samples in counts"
         tables.append(Table(f"{table}: {scored}", ["rmse", *MODALITIES], pivot(own, "predictor", _published_text)))
         pooled = pivot(
             [row for row in own if row["predictor"] != P1], "predictor", lambda row: f"{row['rmse_counts']:.0f}"

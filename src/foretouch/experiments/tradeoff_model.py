@@ -176,13 +176,12 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     """A fitted model with fewer trees, or one part of it alone."""
     if "trees" in values:
         estimator = fewer_trees(estimator, values["trees"])
-    part = values.get("part")
-    if part is None:
+    if "part" not in values:
         return estimator
-    if part == "no surroundings":
+    if values["part"] == "no surroundings":
         return GlobalFeaturesOnly.of(estimator)
     fields = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
-    return _OnePart(**fields, forests_alone=part == "forests alone")
+    return _OnePart(**fields, forests_alone=values["part"] == "forests alone")
 
 
 # Networks; torch is imported where one is needed.
@@ -206,8 +205,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
 
     run: Any = load_run_config(NETWORK)
     train, tested = ([data.samples[k] for k in side] for side in (fold.train, fold.test))
-    built = TrainingSet.build(train, run.model)
-    net = train_network(built, np.arange(len(train)), run.train.replace(seed=0))
+    net = train_network(TrainingSet.build(train, run.model), np.arange(len(train)), run.train.replace(seed=0))
     fallback = Fallback.fit(describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):
         if variant.values["kind"] == "network":
@@ -270,7 +268,7 @@ def _cells(settings: ModelSettings, data: Dataset) -> list[Cell]:
 def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
     """Errors of all variants of a model on one fold."""
     model, split, part, seed = (cell.values[key] for key in ("model", "split", "part", "seed"))
-    described = _described(data)
+    described = describe(data)
     fold = next(one for one in make_folds(described.samples, split, seed) if one.name == part)
     labels, mean = described.labels[fold.test], described.labels[fold.train].mean(axis=0)
     tested = [described.samples[k] for k in fold.test]
@@ -288,7 +286,8 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
 
 
 @lru_cache(maxsize=1)
-def _described(data: Dataset) -> Described:
+def describe(data: Dataset) -> Described:
+    """The labelled samples with the features of their grasps; kept for the next cell."""
     return Described(labelled(data))
 
 
@@ -338,7 +337,7 @@ def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
 
 @lru_cache(maxsize=1)
 def _refitted(data: Dataset) -> Callable[[Mapping[str, Any]], ContactEstimator]:
-    described = _described(data)
+    described = describe(data)
     return _fitted(described, np.arange(len(described.samples)), 0)
 
 
@@ -371,14 +370,8 @@ def _draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
         within = [row for row in line if row[column] <= _BUDGET_MS]
         best = f"; in {_BUDGET_MS:g} ms {within[-1]['time']:.2f}: {within[-1]['variant']}" if within else ""
         label, points = f"{request} grasp{'s' * (request > 1)}{best}", [(row[column], row["time"]) for row in line]
-        style: dict[str, Any] = {
-            "where": "post",
-            "marker": "o",
-            "markersize": 4,
-            "linewidth": 1.2,
-            "color": f"C{number}",
-        }
-        axes.step(*zip(*points, strict=True), label=label, **style)
+        style: dict[str, Any] = {"where": "post", "marker": "o", "markersize": 4, "linewidth": 1.2}
+        axes.step(*zip(*points, strict=True), label=label, color=f"C{number}", **style)
         for row in of_request(rows, request):
             if row["factor"] == "shipped":
                 axes.plot(row[column], row["time"], marker="*", markersize=12, color=f"C{number}", zorder=3)

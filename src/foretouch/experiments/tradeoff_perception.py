@@ -46,6 +46,7 @@ _DRAWS: Final = 1000  # of the bootstrap
 _TIMED: Final = 8  # clouds that are timed in turn
 
 _Values = tuple[Any, ...]
+# Step, name of the factor, setting, values of `all`, and those of `few`.
 _FACTORS: Final[tuple[tuple[str, str, str, _Values, _Values], ...]] = (
     (SEGMENTATION, "grid", "grid_rows", (60, 80, 160, 240), (60, 80, 240)),
     (SEGMENTATION, "crop", "crop.max_range_m", (1.5, 4.0), ()),
@@ -62,7 +63,6 @@ _FACTORS: Final[tuple[tuple[str, str, str, _Values, _Values], ...]] = (
     (GRASP, "outliers", "outlier_deviations", (0.5, 2.0, 3.0), ()),
     (GRASP, "slab", "slab_half_width_m", (0.004, 0.01, 0.014), ()),
 )
-"""Step, name of the factor, setting, values of `all`, and those of `few`."""
 
 _PAIRS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
     (SEGMENTATION, "grid x height", {"grid_rows": 80, "clusters.min_height_m": 0.002}),
@@ -124,9 +124,8 @@ class PerceptionData:
     sha256: str
 
 
-def _prepare(settings: PerceptionSettings, source: Path | None, out: Path) -> Path:
+def _prepare(_settings: PerceptionSettings, source: Path | None, _out: Path) -> Path:
     """The folder of recordings if there is one; scenes are generated."""
-    del settings, out
     if source is not None and not source.is_dir():
         raise ConfigError(f"--data: {source}: is no folder of recordings")
     return source or Path() / "no recordings"
@@ -196,12 +195,8 @@ class GraspedObject:
 
 def overlaps(labels: npt.NDArray[np.int32], truth: npt.NDArray[np.int32], objects: Sequence[int]) -> list[float]:
     """Intersection over union of each true object with the found one that covers it most."""
-    result = []
-    for label in objects:
-        true = truth == label
-        found = labels == _covering(labels, true)
-        result.append(float((true & found).sum() / (true | found).sum()))
-    return result
+    pairs = [(truth == label, labels == _covering(labels, truth == label)) for label in objects]
+    return [float((true & found).sum() / (true | found).sum()) for true, found in pairs]
 
 
 def _covering(labels: npt.NDArray[np.int32], true: npt.NDArray[np.bool_]) -> int:
@@ -277,21 +272,22 @@ def _scorer(found: FoundObject) -> OriginalScore | None:
     return scorer if scorer is not None and scorer.has_axis else None
 
 
-def _run(cell: Cell, settings: PerceptionSettings, data: PerceptionData) -> list[Row]:
+def _run(cell: Cell, _settings: PerceptionSettings, data: PerceptionData) -> list[Row]:
     """A row for each object."""
-    del settings
     pipeline, jitter_mm = _pipeline(cell.values), cell.values.get("jitter_mm", 0.0)
     before, real_before = _shipped(data)
     rows = []
     for number, (scene, shipped) in enumerate(zip(data.scenes, before, strict=True)):
         changed, count = grasp_objects(pipeline, scene, jitter_mm)
         wrong = count != len(scene.object_labels)
-        for one, other in zip(changed, shipped, strict=True):
-            rows.append({"scene": number, "wrong": wrong, **_compared(one, other)})
+        pairs = zip(changed, shipped, strict=True)
+        rows += [{"scene": number, "wrong": wrong, **_compared(one, other)} for one, other in pairs]
     if cell.values["step"] != SEGMENTATION:
-        for number, (cloud, other) in enumerate(zip(data.real, real_before, strict=True), len(data.scenes)):
-            one = _grasp_real(pipeline, cloud, jitter_mm)
-            rows.append({"scene": number, "wrong": False, **_compared(one, other)})
+        pairs = zip((_grasp_real(pipeline, cloud, jitter_mm) for cloud in data.real), real_before, strict=True)
+        rows += [
+            {"scene": number, "wrong": False, **_compared(one, other)}
+            for number, (one, other) in enumerate(pairs, len(data.scenes))
+        ]
     return rows
 
 
@@ -302,8 +298,7 @@ def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
     if one.contacts is None or shipped.contacts is None or shipped.found is None:
         return row
     row["moved"] = bool(1e3 * np.linalg.norm(one.contacts - shipped.contacts, axis=1).max() > _MOVED_MM)
-    scorer = _scorer(shipped.found)
-    if scorer is not None:
+    if (scorer := _scorer(shipped.found)) is not None:
         score, before = scorer(one.contacts)[0], scorer(shipped.contacts)[0]
         if np.isfinite([score, before]).all():
             row |= {"score": score, "score_change": score - before}
@@ -313,21 +308,23 @@ def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
     return row
 
 
-def _tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
+def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant: masks of a segmentation, scores of a GeoGrasp, and what both do to grasps and touch."""
-    del settings
     result = []
     for name in dict.fromkeys(row["variant"] for row in rows):
         own = [row for row in rows if row["variant"] == name]
         masks = own[0]["step"] == SEGMENTATION
         row: Row = {"variant": name, **_interval("iou", own if masks else [])}
-        row["iou_least"] = min(one["iou"] for one in own) if masks else None
-        row["wrong_scenes"] = len({one["scene"] for one in own if one["wrong"]}) if masks else None
-        row |= _interval("score", [] if masks else own)
-        row |= {"objects": len(own), "no_grasp": sum(not one["grasped"] for one in own)}
-        row["contact_mm"] = _mean(own, "error_mm")
-        row |= _moves(own)
-        row |= _interval("score_change", own)
+        row |= {
+            "iou_least": min(one["iou"] for one in own) if masks else None,
+            "wrong_scenes": len({one["scene"] for one in own if one["wrong"]}) if masks else None,
+            **_interval("score", [] if masks else own),
+            "objects": len(own),
+            "no_grasp": sum(not one["grasped"] for one in own),
+            "contact_mm": _mean(own, "error_mm"),
+            **_moves(own),
+            **_interval("score_change", own),
+        }
         real = [one for one in own if one["iou"] is None]
         for key in ("touch_counts", "touch_half"):
             row |= {key: _mean(own, key), f"{key}_real": _mean(real, key)}
@@ -338,24 +335,19 @@ def _tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
 def _moves(rows: Sequence[Row]) -> Row:
     """Share of best grasps that moved, and of those that have a score, whether it is equal, better or worse."""
     known = [row for row in rows if row["moved"] is not None]
-    moved = [row["score_change"] for row in known if row["moved"] and row["score_change"] is not None]
-    changes = np.array(moved)
+    changes = np.array([row["score_change"] for row in known if row["moved"] and row["score_change"] is not None])
     shares: dict[str, Any] = {"moved": sum(row["moved"] for row in known) / max(len(known), 1)}
     tests = {
         "equal": np.abs(changes) <= _EQUAL_SCORE,
         "better": changes > _EQUAL_SCORE,
         "worse": changes < -_EQUAL_SCORE,
     }
-    return shares | {f"moved_{name}": float(test.mean()) if len(moved) else None for name, test in tests.items()}
-
-
-def _values(rows: Sequence[Row], key: str) -> Float64:
-    return np.array([row[key] for row in rows if row[key] is not None], np.float64)
+    return shares | {f"moved_{name}": float(test.mean()) if len(changes) else None for name, test in tests.items()}
 
 
 def _mean(rows: Sequence[Row], key: str) -> float | None:
-    values = _values(rows, key)
-    return float(values.mean()) if len(values) else None
+    values = [row[key] for row in rows if row[key] is not None]
+    return float(np.mean(values)) if values else None
 
 
 def _interval(key: str, rows: Sequence[Row]) -> Row:
@@ -364,19 +356,18 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     if not known:
         return {key: None, f"{key}_low": None, f"{key}_high": None}
     numbers, scene = np.unique([row["scene"] for row in known], return_inverse=True)
-    sums = np.bincount(scene, _values(known, key))
+    sums = np.bincount(scene, [row[key] for row in known])
     counts = np.bincount(scene)
     drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
     low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))
     return {key: float(sums.sum() / counts.sum()), f"{key}_low": float(low), f"{key}_high": float(high)}
 
 
-def _timed(variant: Variant, settings: PerceptionSettings, data: PerceptionData) -> Timed:
+def _timed(variant: Variant, _settings: PerceptionSettings, data: PerceptionData) -> Timed:
     """See `Area.timed`: segments scenes, or plans grasps on objects, one after the other.
 
     Answers are the centroid of the nearest object, (3,), or the contacts of the best grasp, (6,) [m].
     """
-    del settings
     pipeline = _pipeline(variant.values)
     clouds = cycle([scene.cloud for scene in data.scenes if scene.view is not None][:_TIMED])
     targets = cycle(_timed_targets(data))

@@ -56,6 +56,7 @@ _DEPTH_EFFECTS: Final = {
     "holes": "camera.holes",
     "depth_steps": "camera.z_step_m",
 }
+# Effects by name, with the setting of the scene whose absence switches each off.
 _OTHER_EFFECTS: Final = {
     "execution_error": "grasps.error",
     "weight": "gravity",
@@ -65,10 +66,9 @@ _OTHER_EFFECTS: Final = {
     "noise": "fingers.noise",
     "scan_hold": "fingers.scan",
 }
-"""Effects by name, with the setting of the scene whose absence switches each off."""
 
+# Changes of all variants of a scene: no training accepts readings with a dead electrode.
 _ALWAYS: Final = {RIGID: {}, SOFT: {}, EVERYTHING: {"fingers.dead": None}}
-"""Changes of all variants of a scene: no training accepts readings with a dead electrode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,9 +100,8 @@ class Scenes:
         return scene.updated(values["changes"]) if values["changes"] else scene
 
 
-def _prepare(settings: SimulationSettings, source: Path | None, out: Path) -> Path:
+def _prepare(_settings: SimulationSettings, source: Path | None, _out: Path) -> Path:
     """The folder of the scenes, which must be there."""
-    del settings, out
     folder = source or _FOLDER
     for name in SCENES:
         if not (folder / f"{name}.yaml").is_file():
@@ -112,8 +111,7 @@ def _prepare(settings: SimulationSettings, source: Path | None, out: Path) -> Pa
     return folder
 
 
-def _load(settings: SimulationSettings, path: Path) -> Scenes:
-    del settings
+def _load(_settings: SimulationSettings, path: Path) -> Scenes:
     return Scenes({name: load_scene(path / f"{name}.yaml") for name in SCENES})
 
 
@@ -183,10 +181,10 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     """The row of a variant."""
     name, scene = cell.values["scene"], data.changed(cell.values)
     best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
-    row: Row = dict.fromkeys(("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest"))
     mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
     both = sorted(mine.counts.keys() & others.counts.keys())
-    row |= {"effect_ms": None, "refused": settings.compared - len(mine.counts)}
+    names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest", "effect_ms")
+    row: Row = {**dict.fromkeys(names), "refused": settings.compared - len(mine.counts)}
     if name == EVERYTHING:
         change = np.array([mine.counts[k] - others.counts[k] for k in both])
         row |= {"counts": float(np.sqrt(np.mean(change**2))), "counts_largest": float(np.abs(change).max())}
@@ -195,8 +193,11 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     else:
         drops, forces = ([_relative(one[k], other[k]) for k in both] for one, other in (
             (mine.drops, others.drops), (mine.forces, others.forces)))  # fmt: skip
-        row |= {"pattern_error": float(np.median(drops)), "pattern_error_largest": float(max(drops))}
-        row["force_error"] = float(np.median(forces))
+        row |= {
+            "pattern_error": float(np.median(drops)),
+            "pattern_error_largest": float(max(drops)),
+            "force_error": float(np.median(forces)),
+        }
     errors, best_errors = _errors(scene, best, settings), _errors(best, best, settings)
     row |= interval_columns(f"trained_{name}", skills(errors, _BOOTSTRAP)[MEAN])
     return [row | interval_columns("trained_change", compare(errors, best_errors, _BOOTSTRAP)[MEAN])]
@@ -220,13 +221,11 @@ def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings)
     predictor = ContactPredictor(train, labels_of(train), ContactConfig(trees=settings.trees))
     labels, predicted = labels_of(test), predictor.predict(test)
     squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
-    rows = zip(test, squared, reference, strict=True)
-    return ObjectErrors.total([(sample.id, 1.0, own, other) for sample, own, other in rows])
+    return ObjectErrors.total([(test[k].id, 1.0, squared[k], reference[k]) for k in range(len(test))])
 
 
-def _tabulate(settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
+def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant; the skill of a pattern is its number of correct decimal digits."""
-    del settings
     result = []
     for row in rows:
         found: Row = {"variant": row["variant"]}
@@ -243,9 +242,8 @@ def _tabulate(settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
     return result
 
 
-def _timed(variant: Variant, settings: SimulationSettings, data: Scenes) -> Timed:
+def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
     """See `Area.timed`: simulates the first grasps that do not fail, one after the other; answers are (50,) counts."""
-    del settings
     scene = data.changed(variant.values)
     engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
     kept = []
@@ -261,9 +259,7 @@ def _timed(variant: Variant, settings: SimulationSettings, data: Scenes) -> Time
 
 def _notes(rows: Sequence[Row]) -> list[str]:
     found = []
-    for row in rows:
-        if row["trained_change"] is None:
-            continue
+    for row in [row for row in rows if row["trained_change"] is not None]:
         change = f"{row['trained_change']:+.2f}"
         if row["trained_change_low"] is not None:
             change += f" [{row['trained_change_low']:+.2f}, {row['trained_change_high']:+.2f}]"

@@ -16,11 +16,11 @@ from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Row
 from foretouch.experiments.framework.frontier import Panel, of_request
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, skill_columns
-from foretouch.experiments.shared.folds import some_grasps, some_objects, split_by_fold
+from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
 from foretouch.experiments.shared.predictors import network
 from foretouch.experiments.shared.scores import error_rows, labelled, load
 from foretouch.experiments.shared.simulated_data import beside, simulate_store
-from foretouch.experiments.tradeoff_model import Described
+from foretouch.experiments.tradeoff_model import describe
 from foretouch.learning.data import Dataset, labels_of, make_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactConfig, fit_contact
@@ -53,14 +53,14 @@ _NETWORKS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
     ("epochs x cloud size", {"train.epochs": 240, "train.points": 128}),
     ("epochs x cloud size", {"train.epochs": 60, "train.points": 64}),
 )
+# Factors that cost time of the robot, with the column of the skill and what is said about it.
 _ROBOT: Final = {
     "labels": ("known", "known objects, more grasps of each"),
     "objects": ("new", "new objects, more objects"),
 }
-"""Factors that cost time of the robot, with the column of the skill and what is said about it."""
 
+# Factors that cost time of the computer, with the column of the skill and the variant in which they are as shipped.
 _COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (_ONE_BLOCK, NETWORK), "cloud size": (_ONE_BLOCK, NETWORK)}
-"""Factors that cost time of the computer, with the column of the skill and the variant in which they are as shipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +96,8 @@ def _variants(settings: TrainingSettings) -> Iterator[Variant]:
         yield Variant(name, factor, {"kind": "network", "changes": changes}, CONTACT, NETWORK)
 
 
-def _cells(settings: TrainingSettings, data: Dataset) -> list[Cell]:
+def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
     """A cell for each variant and split; networks are trained once, for the first block of time."""
-    del data
     made = []
     for number, one in enumerate(_variants(settings)):
         wanted = ("new",) if "objects" in one.values else settings.splits  # fewer objects: a question about new ones
@@ -137,11 +136,6 @@ def _chosen_samples(values: Mapping[str, Any], train: Sequence[GraspSample]) -> 
     return list(train)
 
 
-@lru_cache(maxsize=1)
-def _described(data: Dataset) -> Described:
-    return Described(labelled(data))
-
-
 def _predict(
     values: Mapping[str, Any],
     settings: TrainingSettings,
@@ -154,7 +148,7 @@ def _predict(
         return np.tile(labels_of(train).mean(axis=0), (len(test), 1))
     if values["kind"] == "network":
         return network("touchnet_v1", 1.0, values["changes"])(train, labels_of(train), test, 0)
-    described = _described(data)
+    described = describe(data)
     config = ContactConfig(trees=settings.trees).updated(values.get("changes", {}))
     index = described.index(train)
     thinned = None if config.thinned == 1.0 else described.rows("thinned")[index]
@@ -165,10 +159,8 @@ def _predict(
 
 def _robot_seconds(samples: Sequence[GraspSample]) -> float:
     """Median time from one grasp of an object to the next, as they were recorded; 0 of simulated ones [s]."""
-    gaps: list[float] = []
-    for name in {one.object for one in samples}:
-        gaps += list(np.diff(sorted(one.stamp_ns for one in samples if one.object == name)) / 1e9)
-    return float(np.median(gaps)) if gaps else 0.0
+    gaps = np.concatenate([np.diff(sorted(one.stamp_ns for one in own)) for own in by_object(samples)])
+    return float(np.median(gaps / 1e9)) if len(gaps) else 0.0
 
 
 def _tabulate(settings: TrainingSettings, rows: Sequence[Row]) -> list[Row]:
@@ -246,8 +238,8 @@ def _notes(rows: Sequence[Row]) -> list[str]:
 
 def _series(rows: Sequence[Row], factor: str, column: str, order: str, shipped: str) -> list[Row]:
     """Rows of one factor and the shipped one, by what they cost."""
-    own = [row for row in rows if (row["factor"] == factor or row["variant"] == shipped) and row[column] is not None]
-    own = [row for row in own if row[order] is not None]
+    own = [row for row in rows if row["factor"] == factor or row["variant"] == shipped]
+    own = [row for row in own if None not in (row[column], row[order])]
     return sorted(own, key=lambda row: row[order]) if len(own) > 1 else []
 
 

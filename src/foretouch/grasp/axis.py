@@ -85,8 +85,7 @@ def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
 def _side(axis: Float64, plane: Plane) -> int:
     if abs(plane.normal[2]) > _TOP_VIEW:
         return 1 if abs(axis[0]) > 0.5 else 0
-    upright = abs(float(axis @ plane.normal))
-    return 2 if upright < 0.55 and abs(axis[2]) < 0.45 else 0
+    return 2 if abs(float(axis @ plane.normal)) < 0.55 and abs(axis[2]) < 0.45 else 0
 
 
 def _is_flipped(axis: Float64, plane: Plane) -> bool:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
@@ -27,7 +26,7 @@ from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
 from foretouch.grasp.stable import StableRanking, object_frame, soft_extremes, stable_side, weigh_points
 from foretouch.timing import timed
-from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
+from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, Plane
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp"]
 
@@ -72,7 +71,7 @@ def plan_grasps(
     *,
     slide_m: float = 0.0,
     rng: np.random.Generator | None = None,
-    pixels: npt.NDArray[np.integer] | None = None,
+    pixels: Integer | None = None,
     image_shape: tuple[int, int] | None = None,
     limits: ObjectLimits = DEFAULT_LIMITS,
     held: HeldGrasp | None = None,

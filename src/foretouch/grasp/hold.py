@@ -62,11 +62,11 @@ class GraspHold:
         self._last, self._fresh = self._fresh, []
 
     def _find(self, now: tuple[Float64, Float64]) -> _Object | None:
-        for one in self._last:
-            change = np.abs(np.concatenate([one.centroid - now[0], one.spread - now[1]])).max()
-            if change <= self._tolerance_m:
-                return one
-        return None
+        changes = (np.concatenate([one.centroid - now[0], one.spread - now[1]]) for one in self._last)
+        same = (
+            one for one, change in zip(self._last, changes, strict=True) if np.abs(change).max() <= self._tolerance_m
+        )
+        return next(same, None)
 
 
 def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -> tuple[Grasp, int]:
@@ -77,11 +77,8 @@ def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -
     Returns:
         The best grasp, and for how many clouds in a row it has been outdone.
     """
-    if new.score <= held_score + margin:
-        return replace(held.grasp, score=held_score, id=""), 0
-    if held.outdone + 1 < _OUTDONE:
-        return replace(held.grasp, score=held_score, id=""), held.outdone + 1
-    return new, 0
+    outdone = 0 if new.score <= held_score + margin else held.outdone + 1
+    return (replace(held.grasp, score=held_score, id=""), outdone) if outdone < _OUTDONE else (new, 0)
 
 
 def _contacts(grasp: Grasp) -> Float64:

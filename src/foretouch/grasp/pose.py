@@ -2,10 +2,9 @@
 """Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import GraspError
-from foretouch.types import SQUARABLE, Float64, Grasp
+from foretouch.types import SQUARABLE, Bool, Float64, Grasp
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 _IDENTITY = np.eye(3)
@@ -21,8 +20,7 @@ def cross(a: Float64, b: Float64) -> Float64:
 
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
     """Whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
-    z = _unit(g1 - g2, "g1 - g2")
-    return bool(np.linalg.norm(cross(z, _unit(axis, "axis"))) < _PARALLEL_SINE)
+    return bool(np.linalg.norm(cross(_unit(g1 - g2, "g1 - g2"), _unit(axis, "axis"))) < _PARALLEL_SINE)
 
 
 def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
@@ -96,7 +94,7 @@ def check_rotation(rotation: Float64) -> None:
         raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
 
 
-def fast_accept_rotations(rotations: Float64) -> npt.NDArray[np.bool_]:
+def fast_accept_rotations(rotations: Float64) -> Bool:
     """(K,) whether `check_rotation` accepts each of (K, 3, 3); false where it has to decide, close to its limits."""
     with np.errstate(over="ignore", invalid="ignore"):
         skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Preprocess an object's cloud for GeoGrasp: drop points that are not finite, downsample, remove outliers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float32
+from foretouch.types import Cloud, Float32, Int64, Integer
 
 _sort = Kernel("canonical_order", np.float32, int, np.int64)
 
@@ -28,16 +25,16 @@ class FinitePoints:
 
     xyz: Float32  # (N, 3) float32 [m]
     n_dropped: int  # number of points that were not finite
-    pixels: npt.NDArray[np.int64] | None = None  # (N,) int64, flat indices into the image, or None
+    pixels: Int64 | None = None  # (N,) int64, flat indices into the image, or None
     image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
 
-    def in_canonical_order(self) -> FinitePoints:
+    def in_canonical_order(self) -> "FinitePoints":
         """The same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
         order = _canonical_order(self.xyz)
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
-    def downsampled(self, config: GeoGraspConfig) -> FinitePoints:
+    def downsampled(self, config: GeoGraspConfig) -> "FinitePoints":
         """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
 
         The computing time grows with the square of the density, and a near object is sampled far more densely than
@@ -70,7 +67,7 @@ class FinitePoints:
         return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations)]
 
 
-def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
+def _canonical_order(xyz: Float32) -> Int64:
     order = np.empty(len(xyz), np.int64)
     _sort(np.ascontiguousarray(xyz), len(xyz), order)
     if len(order) and order[0] < 0:
@@ -79,7 +76,7 @@ def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
 
 
 def finite_points(
-    cloud: Cloud, pixels: npt.NDArray[np.integer] | None = None, image_shape: tuple[int, int] | None = None
+    cloud: Cloud, pixels: Integer | None = None, image_shape: tuple[int, int] | None = None
 ) -> FinitePoints:
     """Drop and count the points that are not finite.
 

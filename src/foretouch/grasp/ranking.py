@@ -9,18 +9,15 @@ the centroid, pd distance to the grasp plane, k curvature, each scaled to the ra
 the initial points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
-from foretouch.types import Float32, Float64
+from foretouch.types import Float32, Float64, Int64
 
 _OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 
@@ -123,8 +120,8 @@ _MIN_RANK = 1.0  # of either ranking
 class Ranking:
     """Pairs that pass every filter, best first."""
 
-    first: npt.NDArray[np.int64]  # (P,) int64, indices of a and b
-    second: npt.NDArray[np.int64]
+    first: Int64  # (P,) int64, indices of a and b
+    second: Int64
     score: Float64  # (P,) float64, finite
     counts: dict[str, int]  # number of pairs: all, dropped by each filter, and ranked
 
@@ -181,8 +178,7 @@ def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, 
     skip_b |= _length(b.xyz - p1.xyz[0]) < _TOLERANCE * w
     apart = b.xyz[None] - a.xyz[:, None]
     distance = _length(apart)
-    near = distance < _TOLERANCE * w
-    kept = ~skip_a[:, None] & ~skip_b[None] & ~near
+    kept = ~skip_a[:, None] & ~skip_b[None] & ~(distance < _TOLERANCE * w)
     i, j = np.nonzero(kept)
     r1, r2 = _two_rankings(
         apart[i, j] / distance[i, j, None],
@@ -240,8 +236,7 @@ def _two_rankings(
     aligned = np.abs(unit @ axis) + _EPSILON - _FREE_COSINE
     c_a, c_b = (np.abs(np.einsum("ij,ij->i", unit, normal)) + _EPSILON for normal in normals)
     r1 = 2.0 - pd[0] - pd[1] - _ALIGNMENT_WEIGHT * aligned
-    r2 = 2.0 - k[0] - k[1] + c_a + c_b - np.abs(c_a - c_b)
-    return r1, r2
+    return r1, 2.0 - k[0] - k[1] + c_a + c_b - np.abs(c_a - c_b)
 
 
 def _length(vectors: Float64) -> Float64:

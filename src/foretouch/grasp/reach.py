@@ -5,11 +5,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import GraspError
-from foretouch.types import Float64, Grasp
+from foretouch.types import Bool, Float64, Floating, Grasp
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
 _TOGETHER = 16  # of them at a time, for many grasps
@@ -35,7 +34,7 @@ class ReachConfig(Settings):
 DEFAULT_REACH = ReachConfig()
 
 
-def check_reach(grasp: Grasp, cloud_xyz: npt.NDArray[np.floating], max_width_m: float, max_distance_m: float) -> None:
+def check_reach(grasp: Grasp, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> None:
     """Check that a hand can open as wide as a grasp, and that both contacts are at the object.
 
     Args:
@@ -58,9 +57,7 @@ def check_reach(grasp: Grasp, cloud_xyz: npt.NDArray[np.floating], max_width_m: 
             raise GraspError(f"{name}: {away}, more than max_distance_m {max_distance_m:g}")
 
 
-def fast_accept_reach(
-    g1: Float64, g2: Float64, cloud_xyz: npt.NDArray[np.floating], max_width_m: float, max_distance_m: float
-) -> npt.NDArray[np.bool_]:
+def fast_accept_reach(g1: Float64, g2: Float64, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> Bool:
     """(K,) whether `check_reach` accepts each pair of (K, 3) contacts; false where it has to decide.
 
     A sample of the points is tried, the middle one first, which is within reach of most contacts.
@@ -83,13 +80,13 @@ def fast_accept_reach(
     return accepted
 
 
-def _within(points: npt.NDArray[np.floating], contact: Float64, distance_m: float) -> bool:
+def _within(points: Floating, contact: Float64, distance_m: float) -> bool:
     with np.errstate(over="ignore", invalid="ignore"):
         apart = points - contact
         return bool((np.einsum("ij,ij->i", apart, apart) <= distance_m * distance_m).any())
 
 
-def _nearest_m(points: npt.NDArray[np.floating], contact: Float64) -> float:
+def _nearest_m(points: Floating, contact: Float64) -> float:
     """Distance of the nearest finite point [m]; infinite without one."""
     finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     return min((math.dist(point, contact.tolist()) for point in finite.tolist()), default=math.inf)

@@ -20,14 +20,13 @@ to have an axis or a sign of its own, one direction of the camera's frame decide
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.grasp.hold import HeldGrasp
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Plane
+from foretouch.types import Bool, Float32, Float64, Floating, Plane
 
 _tent_sums = Kernel(
     "tent_sums",
@@ -98,11 +97,11 @@ class _StablePairs:
     """All pairs of candidates with their scores; row and column 0 are those of the initial points."""
 
     score: Float64  # (A, B) float64
-    passes: npt.NDArray[np.bool_]  # (A, B) bool, both rankings reach their minimum
+    passes: Bool  # (A, B) bool, both rankings reach their minimum
     contacts: Float64  # (2, 3) float64 [m], the weighted mean of the pairs, each moved onto the surface near it
 
 
-def _smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Float64:
+def _smoothstep(values: Floating, low: float, high: float) -> Float64:
     """0 below `low`, 1 above `high`, with a continuous slope between."""
     t = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
@@ -208,8 +207,7 @@ def stable_side(
 ) -> StableSide:
     """Candidates around one initial point, on a grid anchored at it."""
     radius = min(SEARCH_VOXELS * config.voxel_m, _OVERLAP_FRACTION * width_m)
-    third = cross(frame.axis, frame.across)
-    basis = np.stack([frame.axis, frame.across, third])
+    basis = np.stack([frame.axis, frame.across, cross(frame.axis, frame.across)])
     mass, sums, n_points = _node_sums(points, initial, basis, radius, config.voxel_m)
     held = mass > 1e-6
     centres = np.concatenate([initial[None], sums[held] / mass[held, None]])
@@ -243,8 +241,7 @@ def _local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> 
         (M, 3) float64 unit normals of any sign, and (M,) float64 curvature, 0 ... 1/3.
     """
     normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
-    sizes = (len(centres), radius_m)
-    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
+    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, len(centres), radius_m, normals, curvature)
     return normals, curvature
 
 
@@ -307,8 +304,7 @@ class StableRanking:
         normals, curvature = _local_planes(self._points, contacts, self._normal_radius_m)
         first, second = contacts[:1], contacts[1:]
         r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]), axis)
-        passes = r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK
-        return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(passes)
+        return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK)
 
     def score_held(self, held: HeldGrasp) -> tuple[float, bool]:
         """`score` of a grasp of an earlier cloud, for its own axis if that is as good a one up to noise."""
@@ -336,14 +332,11 @@ class StableRanking:
         unit = apart / np.maximum(_norm(apart), _EPSILON)[..., None]
         c_a = np.abs(np.einsum("abi,ai->ab", unit, normals[0]))
         c_b = np.abs(np.einsum("abi,bi->ab", unit, normals[1]))
-        aligned = np.abs(unit @ axis) - _FREE_COSINE
-        r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * aligned
-        r2 = 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
-        return r1, r2
+        r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * (np.abs(unit @ axis) - _FREE_COSINE)
+        return r1, 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
 
     def _plane_distance(self, xyz: Float64, axis: Float64) -> Float64:
-        plane_at = self._frame.centroid + self._slide_m * axis
-        return np.asarray(np.abs((xyz - plane_at) @ axis), np.float64)
+        return np.asarray(np.abs((xyz - (self._frame.centroid + self._slide_m * axis)) @ axis), np.float64)
 
 
 def _soft_max(mass: Float64, values: Float64) -> float:

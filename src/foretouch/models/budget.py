@@ -10,8 +10,6 @@ How long each level takes here is measured once and kept in the user's cache fol
 show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import os
@@ -44,10 +42,7 @@ _COUNTS: Final = (1, 10, 100, 1000)  # grasps of the requests that are timed
 _POINTS: Final = 3000  # of the object, about the median of the public clouds
 _LIBRARIES: Final = ("numpy", "scipy", "torch")
 
-_RECENT: Final = 100  # answers that show how slow the machine is...
-_RECENT_S: Final = 3.0  # ...at most so old [s]
 _ADDED_S: Final = 2e-3  # to times whose ratio is taken: a delay is neither a factor nor a term, but between the two [s]
-_GUARD_S: Final = 2e-4  # before the end of the budget, from which an answer counts as late: until it is handed over [s]
 
 PAUSE_S: Final = 0.02
 """Time asleep before what is timed, as between the clouds of a camera [s]."""
@@ -170,8 +165,7 @@ def _read(path: Path, own: Mapping[str, Any]) -> Profile:
     try:
         found = document["fingerprint"]
         if differing := next((name for name in own if found.get(name) != own[name]), None):
-            reason = f"is of {found.get(differing)!r}, not of {own[differing]!r}"
-            raise FileError(path, reason, field=differing)
+            raise FileError(path, f"is of {found.get(differing)!r}, not of {own[differing]!r}", field=differing)
         times = {
             name: dict(sorted((int(count), float(value)) for count, value in document["p95_s"][name].items()))
             for name in own["levels"]
@@ -232,8 +226,8 @@ class LatencyBudget:
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
     # The least so far between receipt and choice [s], by digits of the number.
     _waits: dict[int, float] = field(default_factory=dict, init=False)
-    # When each of the latest answers ended [s], and how slow it was.
-    _recent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_RECENT), init=False)
+    # When each of the latest answers ended [s], and how slow it was; those of the last 3 s count.
+    _recent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=100), init=False)
     _overloaded: bool = field(default=False, init=False)
     _counts: Counter[str] = field(
         default_factory=lambda: Counter(answered=0, late=0, reduced=0, unaffordable=0), init=False
@@ -251,7 +245,7 @@ class LatencyBudget:
         waited, digits = began - arrived, len(str(count))
         with self._lock:
             least = self._waits[digits] = min(waited, self._waits.get(digits, waited))
-            recent = sorted(ratio for ended, ratio in self._recent if ended > began - _RECENT_S)
+            recent = sorted(ratio for ended, ratio in self._recent if ended > began - 3.0)
             place = _best(expected, self.budget_s - waited, recent)
             idle = _best(expected, self.budget_s - least)
             level = self.levels[place]
@@ -260,7 +254,7 @@ class LatencyBudget:
 
     def is_over(self, answer: Answer) -> bool:
         """Whether an answer is late by now, or so close to it that it may be when it is handed over."""
-        return self.now() - answer.arrived > self.budget_s - _GUARD_S
+        return self.now() - answer.arrived > self.budget_s - 2e-4  # [s], for handing it over
 
     def end(self, answer: Answer) -> bool:
         """Note the end of an answer, right before it is published, and whether it is late as by `is_over`."""

@@ -8,12 +8,10 @@ half widths cover the requested share of residuals, with equal weight for each c
 fitted to recordings in order of time, or else follow from B and W.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +26,6 @@ from foretouch.types import TOUCH_SIZE, Float64
 GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""
 
-_POSITIVE: Final = ("within", "spread", "half_width")
 _TRACKER: Final = "tracker/"
 _MIN_VALUE: Final = 1e-9  # [counts²] of a variance; that of rounding is 0.08
 _MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
@@ -128,7 +125,7 @@ class Calibration:
         return tensors
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Calibration:
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
         """From `to_tensors`.
 
         Raises:
@@ -140,9 +137,11 @@ class Calibration:
         tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
         _check_array("rest", tensors["rest"])
         tracked = any(name.startswith(_TRACKER) for name in tensors)
-        tracker = read_part(TrackerParameters, tensors, _TRACKER) if tracked else None
-        groups = {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in GROUPS}
-        calibration = cls(tensors["rest"], groups, tracker)
+        calibration = cls(
+            tensors["rest"],
+            {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in GROUPS},
+            read_part(TrackerParameters, tensors, _TRACKER) if tracked else None,
+        )
         _ = calibration.tracker_parameters  # refuses groups of which none can be made
         return calibration
 
@@ -151,7 +150,7 @@ def _check_array(name: str, array: npt.NDArray[Any]) -> None:
     shape = (TOUCH_SIZE, TOUCH_SIZE) if name == "between" else (TOUCH_SIZE,)
     if array.shape != shape:
         raise ModelError(f"{name}: shape {array.shape} is not {shape}")
-    positive = name in _POSITIVE
+    positive = name in {"within", "spread", "half_width"}
     if not np.isfinite(array).all() or (positive and not (array >= _MIN_VALUE).all()):
         raise ModelError(
             f"{name}: holds a value that is not finite{f' and at least {_MIN_VALUE:g}' if positive else ''}"

@@ -72,11 +72,7 @@ def read_card(path: str | Path) -> dict[str, Any]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        FileError: If it cannot be written, such as on a full disk; the file before is kept.
-    """
+    """Write a text file atomically; `FileError` if it cannot be written, and the file before is kept."""
     replace_files({path: text.encode()})
 
 

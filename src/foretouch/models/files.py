@@ -92,14 +92,7 @@ def read_tensors(
         raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
         return load(path)
-    except (
-        SafetensorError,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-    ) as err:  # dtypes it does not know
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # or an unknown dtype
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 
 
@@ -118,9 +111,9 @@ class TensorRecord:
             ModelError: Names the array that is missing, or breaks a rule of `_check`.
         """
         known = fields(cls)  # type: ignore[arg-type]
-        for one in known:
-            if one.name not in tensors and one.default_factory is MISSING:
-                raise ModelError(f"{one.name}: is missing")
+        required = (one.name for one in known if one.default_factory is MISSING)
+        if missing := next((name for name in required if name not in tensors), None):
+            raise ModelError(f"{missing}: is missing")
         record = cls(**{one.name: tensors[one.name] for one in known if one.name in tensors})
         record._check()
         return record

@@ -4,8 +4,6 @@
 The card names the others with their hashes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, TypeAlias

@@ -12,8 +12,6 @@ Gross errors (a house instead of a can, metres mistaken for millimetres, a grasp
 fallback, because its kernel fades to the mean by itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -29,7 +27,6 @@ IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
 
 _SIZES: Final = 8
-_CONSTANT: Final = 1e-9  # [m or 1]; a smaller deviation of a column is rounding
 _NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
 
@@ -37,7 +34,7 @@ _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training betwe
 def standardisation(rows: Float64) -> tuple[Float64, Float64]:
     """Mean and deviation of each column; 1 where a column is constant."""
     deviation = rows.std(axis=0)
-    return rows.mean(axis=0), np.where(deviation > _CONSTANT, deviation, 1.0)
+    return rows.mean(axis=0), np.where(deviation > 1e-9, deviation, 1.0)  # a smaller one is rounding [m or 1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,13 +11,11 @@ from foretouch.models.card import CARD_FORMAT, read_card
 from foretouch.models.touch_model import TouchModel
 
 DEFAULT_MODEL: Final = "contact-v2"
-_RUN_FILES: Final = ("config.yaml", "log.jsonl", "state.safetensors")  # of a training, before its model is written
 
 
 def available_models() -> list[str]:
     """Names of the models that come with the package, the default first."""
-    names = sorted(path.stem for path in _released().glob("*.json"))
-    return sorted(names, key=lambda name: name != DEFAULT_MODEL)
+    return sorted((path.stem for path in _released().glob("*.json")), key=lambda name: (name != DEFAULT_MODEL, name))
 
 
 def load_model(name_or_path: str | Path = "default") -> TouchModel:
@@ -71,7 +69,7 @@ def _card_in(folder: Path) -> Path:
         return folder / models[0]
     if models:
         raise ModelError(f"{folder}: holds several models, {', '.join(models)}: name the card of one")
-    if any((folder / name).exists() for name in _RUN_FILES):
+    if any((folder / name).exists() for name in ("config.yaml", "log.jsonl", "state.safetensors")):
         raise ModelError(
             f"{folder}: is an unfinished run without a model card; `foretouch train --resume` completes it"
         )

@@ -7,8 +7,6 @@ Earlier readings are a tare, touches of the same object, or the history of a han
 through the tracker of the sensors' state (`models.tracker`), with the parameters of the model's calibration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -36,7 +34,6 @@ from foretouch.types import (
     stacked,
 )
 
-_EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
 _FLAGS = {
     (outside, known): ("out_of_range",) * outside + ("unfamiliar",) * (not known)
     for outside in (False, True)
@@ -136,21 +133,12 @@ class TouchModel:
         self.estimator = estimator
         self._widen = widen
 
-    def reduced(self, estimator: Estimator, widen: Float64) -> TouchModel:
-        """The same model, which estimates in a cheaper way.
-
-        Args:
-            estimator: With the rest level and the readings of this model.
-            widen: (50,) factors of the half widths of its intervals.
-        """
+    def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
+        """The same model with a cheaper estimator, and (50,) factors of the half widths of its intervals."""
         return TouchModel(estimator, self.card, self.calibration, widen)
 
     def new_tracker(self) -> SensorTracker:
-        """A tracker of a hand whose readings are compared with this model's predictions.
-
-        Raises:
-            ModelError: If the model has no calibration.
-        """
+        """A tracker of a hand whose readings are compared with predictions; `ModelError` without a calibration."""
         return SensorTracker(self._calibrated().tracker_parameters)
 
     def predict(
@@ -213,12 +201,13 @@ class TouchModel:
             tracker = self.new_tracker()
             tracker.add_tare(0, self.tare_offset(tare))
             history = History(tracker, 0, same_object=False, tare=True)
-        if history is None or not history.evidence.readings:
-            counts, half = estimate.counts, self._unread_half_widths(estimate.in_distribution)
-            return self._predictions(grasps, estimate.in_distribution, counts, half, "none", Evidence())
-        return self._predictions(
-            grasps, estimate.in_distribution, *history.adapt(estimate), history.reference, history.evidence
-        )
+        known = estimate.in_distribution
+        if history is not None and history.evidence.readings:
+            return self._predictions(grasps, known, *history.adapt(estimate), history.reference, history.evidence)
+        half = None
+        if self.calibration is not None:
+            half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
+        return self._predictions(grasps, known, estimate.counts, half, "none", Evidence())
 
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS
@@ -228,8 +217,8 @@ class TouchModel:
         Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
         """
         check_object(cloud.xyz, limits)
-        # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
-        refusals = _refusals(grasps, cloud, _EXECUTED_WIDTH_M, limits.max_range_m)
+        # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
+        refusals = _refusals(grasps, cloud, 2.0, limits.max_range_m)
         usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
         estimate = self.estimator.estimate(cloud, usable)  # a useless cloud is named first
         if any(refusals):
@@ -244,8 +233,7 @@ class TouchModel:
             TactileError: If the tare is not a reading of working sensors.
         """
         rest = self._calibrated().rest
-        faults = touch_faults(tare)
-        if faults:
+        if faults := touch_faults(tare):
             raise TactileError(f"tare: {faults[0]}")
         return tare.vector() - rest
 
@@ -253,12 +241,6 @@ class TouchModel:
         if self.calibration is None:
             raise ModelError(f"{self.name}: cannot adapt to readings: its card holds no calibration")
         return self.calibration
-
-    def _unread_half_widths(self, known: npt.NDArray[np.bool_]) -> Float64 | None:
-        """(K, 50) half widths before any reading [counts], of objects in the training distribution or out of it."""
-        if self.calibration is None:
-            return None
-        return np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
 
     def _predictions(
         self,
@@ -273,13 +255,11 @@ class TouchModel:
             return []
         if half is not None and self._widen is not None:
             half = half * self._widen
-        outside: list[bool] = np.any(self.ranges.outside(counts), axis=1).tolist()
-        known: list[bool] = in_distribution.tolist()
-        flags = [_FLAGS[pair] for pair in zip(outside, known, strict=True)]
+        outside = np.any(self.ranges.outside(counts), axis=1).tolist()
+        flags = [_FLAGS[pair] for pair in zip(outside, in_distribution.tolist(), strict=True)]
         bounds = None if half is None else (counts - half, counts + half)
-        reason = "the model gives a value that is not finite"
         refused = {
-            k: TouchPrediction(grasps[k], None, status="refused", reason=reason)
+            k: TouchPrediction(grasps[k], None, status="refused", reason="the model gives a value that is not finite")
             for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist()
         }
         return TouchPredictions(grasps, counts, bounds, flags, reference, evidence, refused)

@@ -5,19 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from foretouch.errors import FileError
 from foretouch.types import Float64, Touch
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     from matplotlib.figure import Figure
+
+
+Axes: TypeAlias = "matplotlib.axes.Axes"
 
 
 Rows = Sequence[Mapping[str, Any]]
 """Rows of a `results.csv`."""
-
-_DPI = 120
 
 FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 """In the order of g1, g2."""
@@ -33,7 +35,7 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path, dpi: int = _DPI) -> Path:
+def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """Write a figure in the format of its suffix, usually PNG; its folder is created.
 
     Returns:

@@ -8,8 +8,6 @@
 /answer                                         the same as text, with flags and reasons
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -31,19 +29,13 @@ _COLOURS: Final = {"TH": (240, 115, 130), "MF": (60, 190, 205)}
 _TARGET, _OTHER = (60, 160, 80), (150, 150, 150)
 _CANDIDATE: Final = (120, 120, 120)
 _TABLE: Final = (120, 128, 140, 255)
-_QUAD: Final = ((0, 1, 2), (0, 2, 3))
 _CURVES: Final = {"predicted": "predicted", "lower": "90 % interval", "upper": "90 % interval", "read": "read"}
 _BOUND: Final = ((170, 140, 90), 1.5)
 _LINES: Final = {"predicted": ((230, 150, 0), 2.5), "lower": _BOUND, "upper": _BOUND, "read": ((90, 140, 255), 3.0)}
-_STEPS_A_SECOND: Final = 5.0  # when played
-_MARKDOWN: Final = "text/markdown"
 _MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
-_POINT_M: Final = 0.0008
 _AXIS_M: Final = 0.06
 _LEAST_SIZE_M: Final = 0.1  # of what is looked at
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
-_GAP_MM: Final = 28.0  # between the unrolled electrodes predicted and read
-_MM_A_DEGREE: Final = 0.15  # about the core, whose radius is 8 mm
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,10 +117,8 @@ class _Writer:
             self._scene(step)
             self._steps.append(replace(step, cloud=None, objects=None))
         if self._steps:
-            texts = rr.TextDocument.columns(
-                text=list(map(_text, self._steps)), media_type=[_MARKDOWN] * len(self._steps)
-            )
-            self._send("/answer", texts)
+            texts, kinds = [_text(step) for step in self._steps], ["text/markdown"] * len(self._steps)
+            self._send("/answer", rr.TextDocument.columns(text=texts, media_type=kinds))
             self._hands()
             self._electrodes()
             layout = _layout([self._curves(name) for name in FINGER_NAMES], self._eye)
@@ -159,13 +149,12 @@ class _Writer:
         points, colours = _points(step.cloud)
         if self._eye is None and len(points):
             self._eye = _point_of_interest(step, points)
-        cloud = rr.Points3D(points, colors=colours, radii=_POINT_M) if len(points) else None
-        self._log("/scene/cloud", cloud)
+        self._log("/scene/cloud", rr.Points3D(points, colors=colours, radii=0.0008) if len(points) else None)
         self._log("/scene/objects", self._boxes(step.objects) if step.objects else None)
         table = None
         if step.table is not None and len(points):
             corners = _table_corners(step.table, points)
-            table = rr.Mesh3D(vertex_positions=corners, triangle_indices=_QUAD, albedo_factor=_TABLE)
+            table = rr.Mesh3D(vertex_positions=corners, triangle_indices=[(0, 1, 2), (0, 2, 3)], albedo_factor=_TABLE)
         self._log("/scene/table", table)
         lines = [[one.g1, one.g2] for one in step.candidates]
         self._log("/scene/candidates", rr.LineStrips3D(lines, colors=_CANDIDATE, radii=0.0004) if lines else None)
@@ -190,13 +179,11 @@ class _Writer:
 
     def _hands(self) -> None:
         """The pose of the hand, and both fingertips with their skin at the contacts."""
-        rr, steps = self._rr, self._steps
-        found = [k for k, step in enumerate(steps) if step.grasp is not None]
-        grasps = [step.grasp for step in steps]
+        rr, grasps = self._rr, [step.grasp for step in self._steps]
+        found = [k for k, grasp in enumerate(grasps) if grasp is not None]
         if not found:
             return
-        poses = [(grasp.midpoint, grasp.rotation) for grasp in grasps if grasp is not None]
-        self._poses("/scene/hand", found, poses)
+        self._poses("/scene/hand", found, [(one.midpoint, one.rotation) for one in grasps if one is not None])
         shown = [_AXIS_M * (grasp is not None) for grasp in grasps]
         self._send("/scene/hand", rr.TransformAxes3D.columns(axis_length=shown))
         lines = [
@@ -230,7 +217,7 @@ class _Writer:
         colours = colormaps["plasma" if tared else "viridis"]
         on_skin = electrode_positions() + _PAD.layer_m * electrode_normals()
         along, across, depth = 1e3 * electrode_positions().T
-        flat = np.column_stack([np.degrees(np.arctan2(across, -depth)) * _MM_A_DEGREE, -along])
+        flat = np.column_stack([0.15 * np.degrees(np.arctan2(across, -depth)), -along])  # [mm]; the core's radius is 8
         for name, finger in FINGER_NAMES.items():
             levels = {
                 what: [
@@ -244,7 +231,7 @@ class _Writer:
                 continue
             low, high = np.percentile([one for column in levels.values() for one in column if one is not None], [1, 99])
             for what, column in levels.items():
-                path, place = f"/electrodes/{name}/{what}", np.array([_GAP_MM * (what == "read"), 0.0])
+                path, place = f"/electrodes/{name}/{what}", np.array([28.0 * (what == "read"), 0.0])
                 heading = rr.Points2D([place - [0.0, 15.0]], radii=0.01, labels=[what], colors=_CANDIDATE)
                 self._to.log(f"{path}_title", heading, static=True)
                 shades = [
@@ -299,8 +286,7 @@ def _fingertip_pose(grasp: Grasp, contact: Float64) -> tuple[Float64, Float64]:
 
 def _table_corners(table: Plane, points: Float32) -> Float64:
     """(4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
-    first = np.eye(3)[np.argmin(np.abs(table.normal))]
-    u = np.cross(table.normal, first)
+    u = np.cross(table.normal, np.eye(3)[np.argmin(np.abs(table.normal))])
     u /= np.linalg.norm(u)
     v = np.cross(table.normal, u)
     base = -table.offset * table.normal
@@ -329,10 +315,8 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
     kept = np.flatnonzero(np.isfinite(points).all(axis=1))
     kept = kept[:: max(1, -(-len(kept) // _MAX_POINTS))]
     points = points[kept].astype(np.float32, copy=False)
-    if cloud.rgb is not None:
-        return points, cloud.rgb.reshape(-1, 3)[kept]
-    if not len(points):
-        return points, None
+    if cloud.rgb is not None or not len(points):
+        return points, None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)[kept]
     from matplotlib import colormaps
 
     near, far = np.percentile(points[:, 2], [1.0, 99.0])
@@ -349,10 +333,8 @@ def _text(step: ViewStep) -> str:
         flags = f", **{', '.join(one.flags)}**" if one.flags else ""
         lines += [f"predicted by {step.model or 'an unnamed model'}, adapted to: {one.reference}{flags}", ""]
     else:
-        lines += [
-            ": ".join(filter(None, ("not predicted", step.reason or (one.reason if one is not None else "")))),
-            "",
-        ]
+        reason = step.reason or (one.reason if one is not None else "")
+        lines += [f"not predicted: {reason}" if reason else "not predicted", ""]
     if value is None and step.read is None:
         return "\n".join(lines)
     lines += ["| counts | predicted | read |", "|---|---|---|"]
@@ -394,7 +376,7 @@ def _layout(electrodes: Sequence[int], eye: tuple[Float64, float] | None) -> Any
     )
     return rrb.Blueprint(
         rrb.Horizontal(scene, *columns, column_shares=[2, 1, 1]),
-        rrb.TimePanel(state="collapsed", timeline="step", fps=_STEPS_A_SECOND, play_state="paused"),
+        rrb.TimePanel(state="collapsed", timeline="step", fps=5.0, play_state="paused"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
     )

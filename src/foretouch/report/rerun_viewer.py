@@ -4,8 +4,6 @@
 Rerun is started with its usage statistics turned off, in a configuration folder of its own, and listens on 127.0.0.1 alone.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess
@@ -19,9 +17,7 @@ from typing import Final
 
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
 
-_STATISTICS_OFF_S: Final = 30.0
 _SCREENSHOT_S: Final = 120.0
-_SETTLED_S: Final = 1.0  # until what was loaded is drawn
 _POLL_S: Final = 0.1
 _NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  # what Rerun prints without a driver
 
@@ -36,7 +32,9 @@ def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 
     """
     with _viewer_environment() as environment, tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         printed, drawn = Path(folder) / "printed.txt", Path(folder) / "drawn.png"
-        port = _free_port()
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = int(free.getsockname()[1])
         command = [*_viewer(port), "--headless", "--window-size", f"{size[0]}x{size[1]}", recording]
         with printed.open("wb") as output:
             viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
@@ -65,16 +63,10 @@ def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
             state = client.get_state()
             if state.active_recording is not None and state.recordings[0].timelines and not state.loading:
                 client.set_time("step", sequence=0, play_state="paused")
-                time.sleep(_SETTLED_S)
+                time.sleep(1.0)  # until what was loaded is drawn
                 client.save_screenshot(str(path))
                 return
         time.sleep(_POLL_S)
-
-
-def _free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def open_viewer(recording: Path) -> None:
@@ -108,11 +100,7 @@ def _viewer_environment() -> Iterator[dict[str, str]]:
     with tempfile.TemporaryDirectory(prefix="foretouch-rerun-") as folder:
         environment = {**os.environ, "XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder, "RERUN_APP_ONLY": "true"}
         done = subprocess.run(  # noqa: S603  Rerun's own viewer
-            [_viewer()[0], "analytics", "disable"],
-            env=environment,
-            capture_output=True,
-            check=False,
-            timeout=_STATISTICS_OFF_S,
+            [_viewer()[0], "analytics", "disable"], env=environment, capture_output=True, check=False, timeout=30.0
         )
         if done.returncode:
             raise ForetouchError("Rerun cannot turn its usage statistics off, so it is not started")

@@ -22,11 +22,6 @@ from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPred
 
 _FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _SHEET_COLUMNS = 2  # samples side by side
-_SHEET_DPI = 100
-_SHEET_ROW_INCHES = 2.6
-_SHEET_HEAD_INCHES = 1.3  # title and scale
-_ROW_INCHES = 3.9
-_LEAST_RANGE_M = 0.1  # of depth, over the scale of colours: otherwise noise on a table would be all there is to see
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 _TARGET_COLOUR = "#ff8000"
 
@@ -51,17 +46,17 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
         grasps: One or more.
     """
     # Finger, `predicted` or `read`, and touch of each panel of electrodes; those of a finger are side by side.
-    rows = [
+    panels = [
         [
-            (name, *one)
+            (name, what, touch)
             for name in _FINGER_COLOURS
-            for one in (("predicted", grasp.prediction.value), ("read", grasp.read))
+            for what, touch in (("predicted", grasp.prediction.value), ("read", grasp.read))
+            if touch is not None
         ]
         for grasp in grasps
     ]
-    panels = [[(name, what, touch) for name, what, touch in row if touch is not None] for row in rows]
     most = max(map(len, panels))
-    figure = new_figure(7.2 + 2.5 * most, _ROW_INCHES * len(grasps) + 0.2)
+    figure = new_figure(7.2 + 2.5 * most, 3.9 * len(grasps) + 0.2)
     scale = _Scale([(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
     parts = np.atleast_1d(np.asarray(figure.subfigures(len(grasps), 1, hspace=0.02)))
     for part, one, row in zip(parts, grasps, panels, strict=True):
@@ -85,8 +80,7 @@ def _half_width(prediction: TouchPrediction, name: str) -> str:
     """Half width of the interval of one finger's pressure [counts]; "" without a calibration."""
     if prediction.lower is None or prediction.upper is None:
         return ""
-    low, high = (finger_parts(touch, name)[0] for touch in (prediction.lower, prediction.upper))
-    return f" ± {(high - low) / 2.0:.0f}"
+    return f" ± {(finger_parts(prediction.upper, name)[0] - finger_parts(prediction.lower, name)[0]) / 2.0:.0f}"
 
 
 def _agreement(one: DrawnGrasp) -> str:
@@ -96,8 +90,7 @@ def _agreement(one: DrawnGrasp) -> str:
         return f"not predicted: {one.prediction.reason}"
     if read is None:
         return ""
-    difference = np.abs(value.vector() - read.vector())
-    thumb, middle, *electrodes = difference
+    thumb, middle, *electrodes = np.abs(value.vector() - read.vector())
     text = f"Predicted and read differ by {thumb:.0f} (thumb) and {middle:.0f} (middle finger) counts of pressure, "
     text += f"and by {np.mean(electrodes):.0f} counts an electrode"
     if one.prediction.lower is None or one.prediction.upper is None:
@@ -116,7 +109,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
         title: Of the figure.
     """
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
-    figure = new_figure(7.6 * _SHEET_COLUMNS, _SHEET_ROW_INCHES * rows + _SHEET_HEAD_INCHES)
+    figure = new_figure(7.6 * _SHEET_COLUMNS, 2.6 * rows + 1.3)  # below title and scale
     figure.suptitle(title)
     grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
     for axes in grid.flat:
@@ -126,7 +119,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
         _draw_sample(list(front), sample, scale)
     if scale.drawn is not None:
         scale.add_to(figure, list(grid.flat))
-    return save(figure, Path(path), _SHEET_DPI)
+    return save(figure, Path(path), dpi=100)
 
 
 def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> None:
@@ -194,7 +187,8 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
         depth = scene.xyz[..., 2]
         rows, columns = np.divmod(target.pixels, target.image_shape[1])
         near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
-        drawn = axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - _LEAST_RANGE_M), vmax=far)
+        # Over less than 0.1 m, noise on a table would be all there is to see.
+        drawn = axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
         inside = np.zeros(depth.shape)
         inside[rows, columns] = 1.0
         axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)

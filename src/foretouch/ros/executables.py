@@ -7,8 +7,6 @@ nodes of `perception` work one at a time, and a cloud goes through all their ste
 the interpreter's lock. With the parameter `direct` unset they also may (see `runtime.workers`).
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -38,8 +36,6 @@ NODES = {
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
 """Nodes of each executable, which is installed as `foretouch_<name>` and is the function `<name>` of this module."""
-
-_POLL_S = 0.5  # between checks whether the nodes have ended, or the process was interrupted
 
 
 def __getattr__(name: str) -> Callable[[], int]:
@@ -84,7 +80,7 @@ def _serve(names: Sequence[str], arguments: list[str]) -> int:
             rclpy.try_shutdown()
 
 
-def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
+def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
     """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
 
     Raises:
@@ -103,7 +99,7 @@ def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
     return nodes
 
 
-def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
+def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:
     """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them.
 
     Returns:
@@ -120,7 +116,7 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
             with uninterrupted():
                 executor.add_node(node)
                 node.autostart()
-        spin_on(executor, nodes[0].internal_errors, lambda: all(node.has_ended() for node in nodes), _POLL_S)
+        spin_on(executor, nodes[0].internal_errors, lambda: all(node.has_ended() for node in nodes), 0.5)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
@@ -133,7 +129,7 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
     return any(node.has_failed for node in nodes)
 
 
-def _warn_of_unknown_parameters(nodes: Sequence[ForetouchNode[Any]]) -> None:
+def _warn_of_unknown_parameters(nodes: "Sequence[ForetouchNode[Any]]") -> None:
     """Warn of parameters that none of the nodes has: each is given to all nodes of the process."""
     for node in nodes:
         for name in sorted(getattr(node, "_parameter_overrides", {})):

@@ -4,8 +4,6 @@
 Threads: the executor spins in the background, so that the caller's thread is free to draw and to handle Ctrl-C.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 import time
@@ -26,10 +24,6 @@ if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
 
-_QUIET_S = 0.1  # for messages in flight: rclpy's shutdown breaks running callbacks
-_POLL_S = 0.2  # between checks whether the graph is being closed
-_IDLE_S = 5.0  # longest time between two answers
-_DISCOVERY_S = 1.5  # until the nodes of another graph, which announce themselves every 0.2 s, are known
 _SOURCES = ("replay", "camera")
 
 
@@ -97,7 +91,7 @@ class Graph:
         return all(node.state_name == "active" for node in self.nodes.values() if node.config.autostart)
 
     @property
-    def replay(self) -> ReplayNode | None:
+    def replay(self) -> "ReplayNode | None":
         """The replay, if it is one of the nodes."""
         return cast("ReplayNode | None", self.nodes.get("replay"))
 
@@ -107,7 +101,7 @@ class Graph:
             for node in self.nodes.values():
                 node.look_for_second_graph()
             found = list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
-            if found or time.monotonic() > self._began_s + _DISCOVERY_S:
+            if found or time.monotonic() > self._began_s + 1.5:  # others announce themselves every 0.2 s
                 return found
             time.sleep(0.1)  # a short replay ends before all others are discovered
 
@@ -140,7 +134,7 @@ class Graph:
         """Wait until the monitor has received `count` answers; False once none has come for five seconds."""
         answered, last = self.answered(), time.monotonic()
         while answered < count:
-            if time.monotonic() - last > _IDLE_S:
+            if time.monotonic() - last > 5.0:
                 return False
             time.sleep(0.02)
             if self.answered() > answered:
@@ -152,7 +146,7 @@ class Graph:
 
         for node in reversed(self.nodes.values()):
             node.stop()
-        time.sleep(_QUIET_S)
+        time.sleep(0.1)  # for messages in flight: rclpy's shutdown breaks running callbacks
         self._closing.set()
         if hasattr(self, "_executor"):
             self._executor.shutdown(timeout_sec=1.0)
@@ -170,7 +164,7 @@ class Graph:
         from foretouch.ros.runtime.internal_errors import spin_on
 
         with suppress(ExternalShutdownException):
-            spin_on(self._executor, self.monitor.internal_errors, self._closing.is_set, _POLL_S)
+            spin_on(self._executor, self.monitor.internal_errors, self._closing.is_set, 0.2)
 
     def _make_nodes(self) -> None:
         for name, parameters in self._parameters.items():

@@ -69,18 +69,13 @@ class Campaign:
     first: tuple[Finger, Finger]  # thumb and middle finger as they are mounted at first
 
     def time_of(self, slot: int) -> CampaignTime:
-        """When the grasp of a slot is executed.
-
-        Raises:
-            SimulationError: If the slot is beyond the last session.
-        """
+        """When the grasp of a slot is executed; a `SimulationError` if it is beyond the last session."""
         config = self.config
         visit, grasp = divmod(slot, config.grasps)
         session, place = divmod(visit, config.objects)
         if session >= len(config.days):
             raise SimulationError(f"slot {slot}: the campaign has {config.size} grasps", "calendar")
-        powered_s = float(self._powered_s[session][place, grasp])
-        return self._time(session, powered_s, visit, grasp)
+        return self._time(session, float(self._powered_s[session][place, grasp]), visit, grasp)
 
     def live(self, elapsed_s: float) -> CampaignTime:
         """The time of a live hand that was switched on some time ago [s], and stays on until the next session."""
@@ -142,8 +137,7 @@ class Campaign:
 
     def _exchanges(self, finger: int) -> list[ExchangeConfig]:
         """Of one finger, in order of time."""
-        mine = (each for each in self.config.exchanges if each.finger == _FINGERS[finger])
-        return sorted(mine, key=attrgetter("session"))
+        return sorted((e for e in self.config.exchanges if e.finger == _FINGERS[finger]), key=attrgetter("session"))
 
     def _exchanges_before(self, finger: int, session: int) -> int:
         return sum(each.session <= session for each in self._exchanges(finger))

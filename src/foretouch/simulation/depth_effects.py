@@ -2,9 +2,8 @@
 """What a stereo camera adds to exact depth: noise, flying pixels, the shadow beside an object."""
 
 import numpy as np
-import numpy.typing as npt
 
-from foretouch.types import Float64
+from foretouch.types import Bool, Float64
 
 D415_BASELINE_M = 0.055  # distance of the imagers
 FLYING_SHARE = 0.5  # of the pixels of a depth edge that lie between both sides
@@ -29,9 +28,8 @@ def add_stereo_noise(depth: Float64, noise_m: float, rng: np.random.Generator) -
     """
     from scipy.ndimage import uniform_filter
 
-    white = rng.standard_normal(depth.shape)
     # The mean of k x k independent values has 1/k of their deviation; wrapping keeps it so at the border.
-    noise = _MATCHING_WINDOW_PX * uniform_filter(white, _MATCHING_WINDOW_PX, mode="wrap")
+    noise = _MATCHING_WINDOW_PX * uniform_filter(rng.standard_normal(depth.shape), _MATCHING_WINDOW_PX, mode="wrap")
     finite = np.isfinite(depth)
     return np.where(finite, depth + noise_m * np.where(finite, depth, 0.0) ** 2 * noise, np.inf)
 
@@ -58,7 +56,7 @@ def add_flying_pixels(depth: Float64, rng: np.random.Generator) -> Float64:
     return result
 
 
-def stereo_shadow(depth: Float64, focal_px: float, baseline_m: float = D415_BASELINE_M) -> npt.NDArray[np.bool_]:
+def stereo_shadow(depth: Float64, focal_px: float, baseline_m: float = D415_BASELINE_M) -> Bool:
     """Pixels that the second imager, to the right of the first, cannot see.
 
     A pixel at column u of the depth (H, W) [m] is seen there at u - f·B/z. It is hidden if a pixel to its right, hence

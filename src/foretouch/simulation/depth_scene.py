@@ -16,8 +16,7 @@ from foretouch.types import Cloud, Float64
 
 TABLE: Final = 1  # label of the table; 0 is everything else
 FIRST_OBJECT: Final = 2  # label of the first object
-TABLE_M: Final = np.array([1.4, 1.0])
-"""Edges of the table top about the world's origin [m]."""
+TABLE_M: Final = np.array([1.4, 1.0])  # edges of the table top about the world's origin [m]
 
 _FLOOR_M = 0.75  # below the table top
 _ATTEMPTS = 200  # places tried for one object before all are placed anew
@@ -145,8 +144,7 @@ def random_scene(
     Raises:
         ConfigError: If so many objects find no place.
     """
-    top = view == "top" or (view == "any" and rng.random() < 0.25)
-    tilt = 0.0 if top else np.radians(rng.uniform(30.0, 55.0))
+    tilt = 0.0 if view == "top" or (view == "any" and rng.random() < 0.25) else np.radians(rng.uniform(30.0, 55.0))
     camera = CameraView.towards_table(width, height, rng.uniform(0.8, 1.2), tilt)
     for _ in range(_ROUNDS):
         placed: list[Primitive] = []
@@ -214,8 +212,8 @@ def _in_view(solid: Primitive, view: CameraView) -> bool:
 
 
 def _collide(one: Primitive, other: Primitive) -> bool:
-    distance = float(np.linalg.norm((one.position - other.position)[:2]))
-    return distance < footprint_m(one) + footprint_m(other) + _GAP_M
+    apart = footprint_m(one) + footprint_m(other) + _GAP_M
+    return float(np.linalg.norm((one.position - other.position)[:2])) < apart
 
 
 def _overlap_in_image(one: Primitive, other: Primitive, view: CameraView) -> bool:

@@ -84,8 +84,7 @@ def scan(series: Float64, rng: np.random.Generator) -> Float64:
     cuts = rng.uniform(0.0, channels) + _FRESH_PER_ROW * np.arange(rows + 1)
     cuts += _CUT_JITTER * rng.standard_normal(rows + 1)
     cursor = np.maximum.accumulate(np.floor(cuts).astype(np.int64))
-    since_cut = (np.arange(channels) - cursor[:-1, None]) % channels
-    fresh = since_cut < np.diff(cursor)[:, None]
+    fresh = (np.arange(channels) - cursor[:-1, None]) % channels < np.diff(cursor)[:, None]
     fresh[:1] = True
     sampled = np.where(fresh, np.arange(rows)[:, None], 0)
     return np.asarray(np.take_along_axis(series, np.maximum.accumulate(sampled, axis=0), axis=0))
@@ -146,6 +145,5 @@ def slip_path(
     keep the mean speed; `length_m` is the mean length of one slip.
     """
     slips = rng.poisson(speed_m_s / (length_m * rate_hz), rows)
-    lengths = rng.standard_gamma(np.maximum(slips, 1)) * length_m * (slips > 0)
-    path = np.cumsum(lengths)
+    path = np.cumsum(rng.standard_gamma(np.maximum(slips, 1)) * length_m * (slips > 0))
     return np.asarray(path - path[0]) if rows else path

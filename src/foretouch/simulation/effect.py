@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.grasp import GraspPlan
 from foretouch.simulation.campaign import Campaign, CampaignTime
@@ -19,7 +18,7 @@ from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.solids import Body, Hits
 from foretouch.simulation.view import Window
 from foretouch.simulation.world import SampleKey, World
-from foretouch.types import Cloud, Float64, Grasp, Touch
+from foretouch.types import Cloud, Float64, Grasp, Int32, Int64, Touch
 
 
 class SampleState:
@@ -31,12 +30,12 @@ class SampleState:
     bodies: list[Body]  # the object first, then the clutter
     window: Window  # rows and columns of the image that are rendered
     exact_depth: Float64  # (h, w) along the optical axis [m], inf where there is nothing
-    labels: npt.NDArray[np.int32]  # (h, w): 0 none, 1 table, 2 the object, 3 and on the clutter
+    labels: Int32  # (h, w): 0 none, 1 table, 2 the object, 3 and on the clutter
     hits: list[Hits | None]  # of each body, flat over the window; None for a body that the window does not show
     normals: Float64  # (h, w, 3), outward unit normals in the world; zero where no body is
     depth: Float64  # (h, w) [m], as the camera measures it; inf where it measures nothing
     cloud: Cloud  # the object's points in the camera frame
-    pixels: npt.NDArray[np.int64]  # (n,), pixel of each point in the flat image
+    pixels: Int64  # (n,), pixel of each point in the flat image
     plan: GraspPlan  # result of GeoGrasp
     grasp: Grasp  # the grasp that is executed, in the camera frame
     fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world

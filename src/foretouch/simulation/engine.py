@@ -15,12 +15,12 @@ from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.world import SampleKey, World
 
+# Reasons of failed tries that are not named by the effect.
 _REASONS: Final[dict[type[ForetouchError], str]] = {
     ContactError: "contact",
     ConvergenceError: "not_converged",
     GraspError: "no_grasp",
 }
-"""Reasons of failed tries that are not named by the effect."""
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,7 @@ from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.fingertip import quantise
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import DriftConfig, SceneConfig, TimelineConfig, draw
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
@@ -133,8 +131,9 @@ class SimulatedHand:
             config = self.config
             length_s = 2.0 * (config.rest_s + config.approach_s + config.close_s) + config.hold_s
             counts = self.rest(round(length_s * config.rate_hz), repeat, elapsed_s)
-            pose = grasp.midpoint, grasp.rotation
-            return GraspTrajectory(counts, start, None, None, None, *pose, reason=err.reason, message=str(err))
+            return GraspTrajectory(
+                counts, start, None, None, None, grasp.midpoint, grasp.rotation, reason=err.reason, message=str(err)
+            )
         steady = np.flatnonzero(state.load == 1.0)
         midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
         return GraspTrajectory(
@@ -223,5 +222,4 @@ def _achieved(fingers: tuple[ContactFrame, ContactFrame], grasp: Grasp, world: W
     x, z = R_camera_world @ thumb.rotation[:, 0], -(R_camera_world @ thumb.normal)
     if x @ grasp.rotation[:, 0] < 0.0:
         x = -x
-    midpoint = world.view.to_camera((thumb.origin + middle.origin) / 2.0)
-    return midpoint, np.column_stack([x, np.cross(z, x), z])
+    return world.view.to_camera((thumb.origin + middle.origin) / 2.0), np.column_stack([x, np.cross(z, x), z])

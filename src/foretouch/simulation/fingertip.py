@@ -30,13 +30,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.simulation.contact import ContactFrame, ContactSolution, PadConfig, PadWindow
 from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
-from foretouch.types import ELECTRODES, Float64
+from foretouch.types import ELECTRODES, Float64, Int64
 
 # The liquid.
 BOTTOMING_M: Final = 3e-4  # displacement b at which the skin meets the core
@@ -162,12 +161,8 @@ def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 
 
-def quantise(counts: Float64) -> npt.NDArray[np.int64]:
-    """Round and clip to 0..4095 as the 12-bit converter does.
-
-    Raises:
-        TactileError: If a value is not finite: a converter has no such count.
-    """
+def quantise(counts: Float64) -> Int64:
+    """Round and clip to 0..4095 as the 12-bit converter does; a `TactileError` if a value is not finite."""
     if not np.isfinite(counts).all():
         raise TactileError(f"counts: {np.count_nonzero(~np.isfinite(counts))} values are not finite")
     return np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.int64)

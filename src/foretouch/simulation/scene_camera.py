@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.camera import SyntheticCamera
 from foretouch.errors import SimulationError
@@ -22,7 +21,7 @@ from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.simulation.world import SampleKey
-from foretouch.types import Float64
+from foretouch.types import Float64, Int32, UInt8
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
@@ -84,7 +83,7 @@ class FrameMaker:
         shape = self._engine.world.rays.shape
         return self._image(np.zeros(shape[:2]), np.zeros(shape, np.uint8), np.zeros(shape[:2], np.int32))
 
-    def _image(self, depth: Float64, rgb: npt.NDArray[np.uint8], labels: npt.NDArray[np.int32]) -> DepthImage:
+    def _image(self, depth: Float64, rgb: UInt8, labels: Int32) -> DepthImage:
         world = self._engine.world
         return DepthImage(to_millimetres(depth), rgb, labels, world.view.matrix, world.plane.coefficients)
 

@@ -33,19 +33,14 @@ class ScheduleConfig(Settings):
     )
 
     def load(self) -> SceneConfig:
-        """The scene.
-
-        Raises:
-            ConfigError: If there is no path, or the file breaks a rule.
-        """
+        """The scene; a `ConfigError` if there is no path, or the file breaks a rule."""
         if not self.path:
             raise ConfigError("path: is empty; name a scene file")
         return load_scene(self.path)
 
     def slot(self, stamp_ns: int) -> int:
         """The sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
-        dwell_ns = round(self.dwell_s * 1e3) * _MS_NS
-        return max(0, stamp_ns - self.origin_ns) // dwell_ns % self.samples
+        return max(0, stamp_ns - self.origin_ns) // (round(self.dwell_s * 1e3) * _MS_NS) % self.samples
 
 
 def centre_of_objects(scene: SceneConfig) -> Float64:

@@ -28,8 +28,8 @@ from foretouch.simulation.world import SampleKey
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import ELECTRODES, GraspSample
 
+#: The keys of the state that every sample is made of.
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
-"""The keys of the state that every sample is made of."""
 
 _BLOCK = 16  # slots that a worker makes at a time
 _AHEAD = 3  # blocks a worker that may wait for the reader
@@ -97,11 +97,7 @@ def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
 
 
 def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
-    """Make one try again, with all that was known along the way.
-
-    Raises:
-        SimulationError: As it did.
-    """
+    """Make one try again, with all that was known along the way; raises the `SimulationError` that it raised."""
     return _engine_of(scene).run(key)
 
 
@@ -109,8 +105,8 @@ def _engine_of(scene: SceneConfig) -> Engine:
     return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
 
 
+# Samples, time by effect, failures, and whether they end with a slot that is given up.
 _Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
-"""Samples, time by effect, failures, and whether they end with a slot that is given up."""
 
 
 def _make_block(engine: Engine, slots: range) -> _Block:

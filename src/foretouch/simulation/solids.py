@@ -21,8 +21,8 @@ from foretouch.types import Float32, Float64
 _MISS = 1e30  # embree answers 1e37 where a ray meets nothing
 _UNIT_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
+#: Rotation of a body that lies on its side: its z along the table.
 LYING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Rotation of a body that lies on its side: its z along the table."""
 
 
 def about_z(angle: float) -> Float64:
@@ -129,8 +129,7 @@ class Primitive(ABC):
         Returns:
             (...) float64, t of the first hit, inf where there is none.
         """
-        flat = directions.reshape(-1, 3) @ self.rotation
-        t = self._cast((origin - self.position) @ self.rotation, flat)
+        t = self._cast((origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation)
         return t.reshape(directions.shape[:-1])
 
     def surface_distance(self, points: Float64) -> Float64:

@@ -85,8 +85,7 @@ class CameraView:
         """The pixels that can see the convex hull of points (n, 3)."""
         (left, top), (right, bottom) = self.bounds(points)
         columns = slice(int(max(0.0, np.floor(left))), int(min(self.width, np.ceil(right) + 1.0)))
-        rows = slice(int(max(0.0, np.floor(top))), int(min(self.height, np.ceil(bottom) + 1.0)))
-        return rows, columns
+        return slice(int(max(0.0, np.floor(top))), int(min(self.height, np.ceil(bottom) + 1.0))), columns
 
     def table_plane(self) -> Float64:
         """(4,) float64 a, b, c, d of the table top in the camera frame, the normal towards the camera."""

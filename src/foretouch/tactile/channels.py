@@ -96,11 +96,10 @@ class TactileRanges(Settings):
         return found
 
 
-P2_RANGES: Final = TactileRanges()
-"""Found empirically for the sensors of P2 (section III-C)."""
+P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (section III-C)
 
+#: P1's public code divides the labels by these numbers.
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
-"""P1's public code divides the labels by these numbers."""
 
 
 _LEFT_MM: Final = (

@@ -29,10 +29,9 @@ from foretouch.config import Settings, setting
 from foretouch.tactile import columns
 from foretouch.types import ELECTRODES, Float64
 
+#: Columns of PDC and the electrodes of each finger in a vector of 50 counts.
 FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_MF", "E_MF"))}
-"""Columns of PDC and the electrodes of each finger in a vector of 50 counts."""
 
-_MAD_TO_SIGMA: Final = 1.4826
 _LEAST_NOISE: Final = np.array([0.4] + ELECTRODES * [4.4])  # measured without contact: PDC, electrodes [counts]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
@@ -160,7 +159,7 @@ class ContactDetector:
 
 def _resting_noise(readings: Float64) -> Float64:
     """(25,) standard deviation of each channel in (T, 25) readings without contact, at least what sensors showed."""
-    spread = _MAD_TO_SIGMA * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
+    spread = 1.4826 * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
     return np.asarray(np.maximum(spread, _LEAST_NOISE), np.float64)
 
 
@@ -174,10 +173,10 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactCo
     """
     settings = config or ContactConfig()
     values, resting = np.asarray(counts, np.float64), np.asarray(rest, np.float64)
-    scores = []
-    for index in FINGER_COLUMNS.values():
-        change = values[:, index] - np.median(resting[:, index], axis=0)
-        scores.append(_scores(change / _resting_noise(resting[:, index]), settings))
+    scores = [
+        _scores((values[:, index] - np.median(resting[:, index], axis=0)) / _resting_noise(resting[:, index]), settings)
+        for index in FINGER_COLUMNS.values()
+    ]
     return np.stack(scores, axis=-1)
 
 

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from foretouch.errors import TactileError
 from foretouch.types import Float64, Touch
 
-FULL_SCALE: Final = 4095
-"""Largest count of the 12-bit converter."""
+FULL_SCALE: Final = 4095  # largest count of the 12-bit converter
 
 _REFERENCE_KOHM: Final = 10.0
 
@@ -34,9 +33,8 @@ def touch_faults(touch: Touch) -> tuple[str, ...]:
 
 
 def _pdc_faults(name: str, value: float) -> list[str]:
-    if not 0 < value <= FULL_SCALE:  # NaN fails too
-        return [f"{name}: {value:g} is not between 0 and {FULL_SCALE} counts, an absent or dead sensor"]
-    return []
+    text = f"{name}: {value:g} is not between 0 and {FULL_SCALE} counts, an absent or dead sensor"
+    return [] if 0 < value <= FULL_SCALE else [text]  # NaN is a fault too
 
 
 def _electrode_faults(name: str, values: Float64) -> list[str]:

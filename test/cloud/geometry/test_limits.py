@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What no camera sees and no hand holds is refused by name; every recorded object is accepted."""
+"""What a camera sees and a hand holds is accepted; what is refused stands in test/corpus/clouds.py."""
 
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
-from every_case import every_case, every_refusal
+from every_case import every_case
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.errors import CloudError, ConfigError
+from foretouch.errors import ConfigError
 from foretouch.types import Plane
 
 
@@ -18,18 +17,6 @@ def _ball(radius_m: float, distance_m: float) -> np.ndarray:
     points = rng.normal(size=(500, 3))
     points *= radius_m / np.linalg.norm(points, axis=1, keepdims=True)
     return (points + np.array([0.0, 0.0, distance_m])).astype(np.float32)
-
-
-def test_objects_out_of_the_limits_are_named() -> None:
-    cases = [
-        ("100 m away, more than max_range_m 10", 0.04, 100.0),
-        ("away, more than max_range_m 10", 0.04, 1e30),
-        ("m away, less than min_range_m 0.16", 0.04, 0.1),
-        ("e-09 m, less than min_extent_m 0.005", 1e-9, 1e-6),
-        ("less than min_extent_m 0.005", 1e-42, 1e-41),
-        ("m, more than max_extent_m 0.6", 5.0, 6.0),
-    ]
-    every_refusal(CloudError, cases, lambda radius_m, distance_m: check_object(_ball(radius_m, distance_m)))
 
 
 def test_objects_within_the_limits_which_are_settings_are_accepted() -> None:
@@ -45,26 +32,9 @@ def test_objects_within_the_limits_which_are_settings_are_accepted() -> None:
         ObjectLimits(min_extent_m=0.7)
 
 
-def test_tables_that_no_camera_sees_are_named() -> None:
+def test_tables_that_a_camera_sees_are_accepted() -> None:
     def check(*coefficients: float) -> None:
         check_table(Plane.from_coefficients(coefficients))
 
-    cases = [
-        ("plane: .*behind the camera", 0.0, 0.0, 1.0, 1.27),
-        ("plane: .*behind the camera", 0.0, 0.0, -1.0, -1.27),
-        ("plane: .*behind the camera", 0.1, 0.1, 1.0, 0.5),
-        (r"plane: is 1e\+09 m away, more than max_range_m 10", 0.0, 0.0, 1.0, -1e9),
-    ]
-    every_refusal(CloudError, cases, check)
     seen = [(0, 0, 1, -1.27), (0, 0, -1, 1.27), (0, 1, 0, 0), (1, 0, 0, 0), (0, -1, 0, 0.4), (0, 1, 0, 0.4)]
     every_case([*seen, (0, -0.9, -0.4, 1.2)], check)
-
-
-@pytest.mark.real_data
-def test_every_recorded_object_is_accepted(real_data: Path) -> None:
-    from foretouch.cloud.io.files import read_cloud
-
-    paths = sorted(real_data.glob("vision2tactile/*/*/cloud-object.pcd"))
-    assert len(paths) >= 400
-    for path in paths:
-        check_object(read_cloud(path).xyz)

@@ -32,24 +32,6 @@ def _strictly(cloud: Cloud) -> Segmentation:
     return found
 
 
-def test_one_damaged_coordinate_does_not_move_the_table() -> None:
-    image = _scene()
-    listed = image.reshape(-1, 3)[np.isfinite(image[..., 2].reshape(-1))]
-
-    def check(xyz: Float32, axis: int, value: float) -> None:
-        expected = _strictly(Cloud(xyz)).plane.coefficients
-        index = np.argwhere((xyz[..., 2] > 0.2) & (xyz[..., 2] < 2.0))
-        for chosen in index[:: len(index) // 6]:
-            damaged = xyz.copy()
-            damaged[(*chosen, axis)] = value
-            found = _strictly(Cloud(damaged))
-            assert found.status == "ok"
-            np.testing.assert_allclose(found.plane.coefficients, expected, atol=1e-3)
-
-    cases = product({"image": image, "list": listed}.items(), (0, 1), (1e20, -1e30, 3e38, 50.0))
-    every_case({f"{one[0]} {axis} {value}": (one[1], axis, value) for one, axis, value in cases}, check)
-
-
 def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table() -> None:
     xyz = _scene()
     config = SegmentationConfig()
@@ -94,15 +76,11 @@ def test_damaged_pixels_of_sample_objects_or_anywhere_are_counted(rng: np.random
         assert found.counts["off_ray"] > 100
 
 
-def test_an_image_that_no_camera_makes_is_refused(rng: np.random.Generator) -> None:
-    xyz = _scene()
-    found = _strictly(Cloud(rng.permutation(xyz.reshape(-1, 3)).reshape(xyz.shape)))
-    assert (found.status, "beside the rays of their pixels" in found.reason) == ("bad_cloud", True)
-    xyz *= np.array([1000.0, 1000.0, 1.0], np.float32)  # lateral coordinates in millimetres
-    found = _strictly(Cloud(xyz))
-    assert (found.status, "field_of_view_deg 120" in found.reason) == ("bad_cloud", True)
-    found = _strictly(Cloud(xyz[np.isfinite(xyz[..., 2])]))
-    assert (found.status, "field of view of 120" in found.reason) == ("bad_cloud", True)
+def test_an_image_in_millimetres_is_refused() -> None:
+    xyz = _scene() * np.array([1000.0, 1000.0, 1.0], np.float32)  # its lateral coordinates alone
+    for cloud, reason in ((xyz, "field_of_view_deg 120"), (xyz[np.isfinite(xyz[..., 2])], "field of view of 120")):
+        found = _strictly(Cloud(cloud))
+        assert (found.status, reason in found.reason) == ("bad_cloud", True)
 
 
 def test_a_rotated_image_and_pixels_on_one_line_are_on_rays() -> None:

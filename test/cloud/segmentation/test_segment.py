@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects on tables: against the truth of rendered scenes, and the reported reason if there are none."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +8,9 @@ import numpy.typing as npt
 import pytest
 from every_case import every_case
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.clusters import ClusterConfig, CropConfig, in_range
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _count_depths, segment
+from foretouch.errors import ConfigError
 from foretouch.simulation.depth_scene import DepthImage, random_scene
 from foretouch.types import Cloud
 
@@ -55,6 +55,16 @@ def _checked(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmenta
     distances = [obj.distance_m for obj in segmentation.objects]
     assert distances == sorted(distances)
     return segmentation
+
+
+def test_the_range_includes_its_ends() -> None:
+    z = np.array([0.1, 0.16, 1.0, 2.0, 2.1, np.nan, np.inf, -np.inf, -1.0], np.float32)
+    np.testing.assert_array_equal(np.flatnonzero(in_range(z, CropConfig())), [1, 2, 3])
+    xyz = np.zeros((len(z), 3), np.float32)
+    xyz[:, 2] = z
+    assert _count_depths(xyz, CropConfig()) == (6, 3)
+    with pytest.raises(ConfigError, match=r"min_range_m: 1\.5 is not below max_range_m 1\.0"):
+        CropConfig(min_range_m=1.5, max_range_m=1.0)
 
 
 def test_all_objects_and_no_others_are_found() -> None:
@@ -112,45 +122,9 @@ def test_strides_colours_frame_and_stamp_do_not_matter_or_are_kept(rng: np.rando
         assert (obj.cloud.frame_id, obj.cloud.stamp_ns) == ("camera", 42)
 
 
-def test_missing_and_infinite_coordinates_are_ignored(rng: np.random.Generator) -> None:
-    speckled, damaged = _image(1).cloud(), _image(1).cloud()
-    speckled.xyz[rng.random(speckled.xyz.shape[:2]) < 0.2] = np.nan
-    bad = rng.random(damaged.xyz.shape[:2]) < 0.02
-    damaged.xyz[bad, rng.integers(0, 3, bad.sum())] = rng.choice([np.nan, np.inf, -np.inf], bad.sum())
-    for cloud in (speckled, damaged, Cloud(damaged.xyz.reshape(-1, 3))):
-        assert len(_checked(cloud).objects) == 3
-
-
 def _table(rng: np.random.Generator, n: int = 20_000) -> npt.NDArray[np.float32]:
     points = rng.uniform((-0.4, -0.3, 0.0), (0.4, 0.3, 0.0), (n, 3)) + np.array([0.0, 0.0, 1.0])
     return (points + rng.normal(0.0, 0.0005, points.shape)).astype(np.float32)
-
-
-def test_clouds_without_a_scene_have_a_reason(rng: np.random.Generator) -> None:
-    balls = rng.normal(size=(2, 5000, 3))
-    balls[1] *= (rng.random(5000) ** (1 / 3) / np.linalg.norm(balls[1], axis=1))[:, None]
-    cases = {
-        "none": (np.empty((0, 3)), "empty_cloud", "holds no point"),
-        "NaN": (np.full((10, 20, 3), np.nan), "empty_cloud", "none of 200 points is finite"),
-        "infinite": (np.full((500, 3), np.inf), "empty_cloud", "none of 500 points is finite"),
-        "mm": (np.full((500, 3), 850.0), "empty_cloud", "depths are 850 to 850; is the cloud in metres"),
-        "few": (np.full((99, 3), 1.0), "too_few_points", "99 points in range, fewer than 100"),
-        "one place": (np.full((5000, 3), 1.0), "no_plane", "coincide or are collinear"),
-        "line": (np.linspace((0, 0, 1), (0.5, 0.2, 1.2), 5000), "no_plane", "coincide or are collinear|narrow"),
-    }
-
-    def check(points: np.ndarray, status: str, reason: str) -> None:
-        xyz = np.asarray(points, np.float32)
-        for cloud in (Cloud(xyz), Cloud(xyz if xyz.ndim == 3 else xyz.reshape(1, -1, 3))):
-            segmentation = _checked(cloud)
-            assert segmentation.status == status
-            assert re.search(reason, segmentation.reason)
-
-    every_case(cases, check)
-    blobs = {f"{r} {k}": r * ball + [0.0, 0.0, 1.0] for r in (0.01, 0.03, 0.1, 0.4) for k, ball in enumerate(balls)}
-    assert {name: segment(Cloud(xyz.astype(np.float32))).status for name, xyz in blobs.items()} == dict.fromkeys(
-        blobs, "no_plane"
-    )
 
 
 def test_without_a_plausible_object_the_reason_is_named(rng: np.random.Generator) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings whose stamps repeat, come in the wrong order or from a clock that is set; clouds bounded in time and memory."""
 
-from __future__ import annotations
-
 import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
@@ -23,7 +21,7 @@ def cloud(data: bytes) -> SerializedCloud:
     return SerializedCloud(data, lambda: None)
 
 
-def test_order_is_that_of_the_stamps_whatever_the_arrival() -> None:
+def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number() -> None:
     buffer, stamps = TouchBuffer(), [T0 + k * PERIOD for k in range(200)]
     feed(buffer, *(stamps[k ^ 3] for k in range(200)))
     assert kept(buffer) == stamps
@@ -33,6 +31,14 @@ def test_order_is_that_of_the_stamps_whatever_the_arrival() -> None:
     feed(buffer, T0, T0, T0 + PERIOD)
     assert kept(buffer) == [T0, T0, T0 + PERIOD]
     assert dict(buffer.anomalies) == {"duplicate_stamp": 1}
+    buffer = TouchBuffer(kept_s=5.0)
+    feed(buffer, *(T0 + k * PERIOD for k in range(2000)))
+    assert 500 <= len(buffer) <= 600
+    crowded = TouchBuffer(kept_s=1e6, max_readings=300)
+    feed(crowded, *(T0 + k for k in range(2000)))
+    assert len(crowded) == 300
+    assert kept(crowded)[-1] == T0 + 1999
+    assert np.all(np.diff(kept(crowded)) == 1)
 
 
 def test_wrong_stamps_are_left_out_and_a_clock_that_is_set_back_forgets_what_was_before() -> None:
@@ -50,18 +56,7 @@ def test_wrong_stamps_are_left_out_and_a_clock_that_is_set_back_forgets_what_was
         assert dict(buffer.anomalies) == {anomaly: 1}
 
 
-def test_memory_is_bounded_in_time_and_in_number() -> None:
-    buffer = TouchBuffer(kept_s=5.0)
-    feed(buffer, *(T0 + k * PERIOD for k in range(2000)))
-    assert 500 <= len(buffer) <= 600
-    crowded = TouchBuffer(kept_s=1e6, max_readings=300)
-    feed(crowded, *(T0 + k for k in range(2000)))
-    assert len(crowded) == 300
-    assert kept(crowded)[-1] == T0 + 1999
-    assert np.all(np.diff(kept(crowded)) == 1)
-
-
-def test_the_oldest_clouds_go_when_their_time_is_over_or_memory_is_short() -> None:
+def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_stamp_neither() -> None:
     clouds = CloudBuffer(kept_s=10.0, kept_mb=1.0)
     assert clouds.add(1, cloud(b"a"), 0.0) == clouds.add(2, cloud(b"b"), 9.0) == []
     assert [gone.stamp_ns for gone in clouds.add(3, cloud(b"c"), 10.5)] == [1]
@@ -73,9 +68,6 @@ def test_the_oldest_clouds_go_when_their_time_is_over_or_memory_is_short() -> No
     assert (len(clouds), clouds.bytes) == (3, 900_000)
     assert [one.stamp_ns for one in clouds.clear()] == [7, 8, 9]
     assert (len(clouds), clouds.bytes) == (0, 0)
-
-
-def test_the_same_message_twice_is_one_cloud_and_two_of_one_stamp_are_neither() -> None:
     clouds = CloudBuffer(10.0, 1.0)
     clouds.add(1, cloud(b"a"), 0.0)
     clouds.add(1, cloud(b"a"), 0.1)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The touch of a grasp against the stream that it was cut from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

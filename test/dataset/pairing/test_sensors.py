@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dead, absent and frozen sensors are told finger by finger."""
 
-from __future__ import annotations
-
 import numpy as np
 from pair_builders import REST
 

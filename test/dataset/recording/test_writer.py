@@ -323,7 +323,8 @@ def fill(path: Path, limit: int) -> tuple[list[str], str]:
     return ended.stdout.split(), ended.stderr.strip()
 
 
-def test_a_limit_on_the_size_of_files_loses_nothing_acknowledged(tmp_path: Path) -> None:
+def test_a_limit_on_the_size_of_files_and_a_full_disk_lose_nothing_acknowledged(tmp_path: Path) -> None:
+    """And a disk that is read-only is named."""
     acknowledged, error = fill(tmp_path / "ds", 200_000)
     assert error.startswith("FileError")
     assert "File too large (errno 27): the session has ended" in error
@@ -333,8 +334,6 @@ def test_a_limit_on_the_size_of_files_loses_nothing_acknowledged(tmp_path: Path)
         repair_dataset(tmp_path / "ds")
         assert_clean(tmp_path / "ds")
 
-
-def test_a_disk_that_is_full_loses_nothing_acknowledged_and_one_that_is_read_only_is_named(tmp_path: Path) -> None:
     def check(name: str, options: str) -> None:
         disk = tmp_path / name
         disk.mkdir()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from every_case import every_case, every_refusal
 
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError
@@ -25,7 +26,7 @@ def book(tmp_path: Path) -> dict[str, list[SplitPart]]:
     return read_splits(tmp_path).parts
 
 
-def test_no_id_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
+def test_no_id_stands_on_both_sides_and_folds_test_every_labelled_sample_once(book) -> None:
     assert {kind: len(parts) for kind, parts in book.items()} == {"random": 5, "object": 5, "time": 5, "labels": 5}
     for parts in book.values():
         for part in parts:
@@ -33,9 +34,6 @@ def test_no_id_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
             assert not set(part.unlabelled) & {*part.train, *part.test}, part.name
             assert part.train
             assert part.test
-
-
-def test_every_labelled_sample_is_tested_once_by_the_folds(book: dict[str, list[SplitPart]]) -> None:
     labelled = {sample.id for sample in facts() if sample.labelled}
     for kind in ("random", "object", "time"):
         tested = [i for part in book[kind] for i in part.test]
@@ -65,46 +63,40 @@ def test_the_papers_numbers_come_out_of_the_papers_data() -> None:
     test, parts = _label_ratios(groups, np.random.default_rng(0))
     assert [np.sum(np.asarray(groups)[test] == name) for name in "abcd"] == [200, 200, 200, 200]
     sizes = {name: (len(train), len(without)) for name, (train, without) in parts.items()}
-    assert sizes == {
-        "T10": (2880, 320),
-        "T30": (2240, 960),
-        "T50": (1600, 1600),
-        "T70": (960, 2240),
-        "T90": (320, 2880),
-    }
+    assert sizes == {f"T{share}": (32 * (100 - share), 32 * share) for share in (10, 30, 50, 70, 90)}
 
 
-def test_the_seed_decides() -> None:
+def test_the_seed_decides_and_what_cannot_be_split_is_told() -> None:
     assert make_splits(facts(), 1) == make_splits(facts(), 1)
     assert make_splits(facts(), 1) != make_splits(facts(), 2)
-
-
-def test_what_cannot_be_split_is_told() -> None:
     book = json.loads(make_splits(facts(objects=1, each=6, unlabelled=0)))
     assert book["splits"].keys() == {"random", "time", "labels"}
     assert book["omitted"] == {"object": "folds: all samples are of o0; to keep groups apart takes 2"}
     assert set(json.loads(make_splits([]))["omitted"]) == {"random", "object", "time", "labels"}
 
 
-@pytest.mark.parametrize(
-    ("train", "test", "unlabelled"), [("ab", "b", ""), ("a", "b", "a"), ("a", "b", "b"), ("aa", "b", "")]
-)
-def test_an_id_on_two_sides_is_refused(tmp_path: Path, train: str, test: str, unlabelled: str) -> None:
-    part = {"name": "fold", "train": list(train), "test": list(test), "unlabelled": list(unlabelled)}
-    with pytest.raises(DatasetError, match=r"split fold: [ab] is listed twice"):
-        SplitPart("fold", tuple(train), tuple(test), tuple(unlabelled))
-    (tmp_path / SPLITS_FILE).write_text(json.dumps({"schema_version": 1, "splits": {"random": [part]}}))
-    with pytest.raises(FileError, match="is listed twice"):
-        read_splits(tmp_path)
+def test_an_id_on_two_sides_is_refused(tmp_path: Path) -> None:
+    def check(*sides: str) -> None:
+        with pytest.raises(DatasetError, match=r"split fold: [ab] is listed twice"):
+            SplitPart("fold", *map(tuple, sides))
+        part = {"name": "fold", **dict(zip(("train", "test", "unlabelled"), map(list, sides), strict=True))}
+        (tmp_path / SPLITS_FILE).write_text(json.dumps({"schema_version": 1, "splits": {"random": [part]}}))
+        with pytest.raises(FileError, match="is listed twice"):
+            read_splits(tmp_path)
+
+    every_case([("ab", "b", ""), ("a", "b", "a"), ("a", "b", "b"), ("aa", "b", "")], check)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [("{", "is no list of splits"), ("[]", "is no list"), ('{"schema_version": 2}', "schema_version: 2 is not 1")],
-)
-def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / SPLITS_FILE).write_text(text)
-    with pytest.raises(FileError, match=message):
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    def read(text: str) -> None:
+        (tmp_path / SPLITS_FILE).write_text(text)
         read_splits(tmp_path)
+
+    cases = (
+        ("is no list of splits", "{"),
+        ("is no list", "[]"),
+        ("schema_version: 2 is not 1", '{"schema_version": 2}'),
+    )
+    every_refusal(FileError, cases, read)
     with pytest.raises(FileError, match="No such file"):
         read_splits(tmp_path / "none.json")

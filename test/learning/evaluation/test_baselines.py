@@ -22,12 +22,9 @@ def labels_of(samples) -> np.ndarray:
     return np.array([sample.touch.vector() for sample in samples])
 
 
-def test_training_mean(samples) -> None:
+def test_means_of_training_and_of_known_and_new_objects(samples) -> None:
     labels = labels_of(samples[:40])
     assert_allclose(training_mean(samples[:40], labels, samples[40:], 0), np.tile(labels.mean(axis=0), (20, 1)))
-
-
-def test_object_mean_and_a_new_object(samples) -> None:
     train = [sample for sample in samples if sample.object != "box3"]
     labels = labels_of(train)
     new = next(sample for sample in samples if sample.object == "box3")

@@ -1,45 +1,111 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics by hand and against scikit-learn."""
+"""Metrics against scikit-learn; bootstrap over objects by hand, against enumeration, and its coverage."""
+
+from itertools import product
 
 import numpy as np
 import pytest
+from every_case import every_refusal
+from numpy.testing import assert_allclose
 from sklearn.metrics import r2_score, root_mean_squared_error
 
 from foretouch.errors import DatasetError
-from foretouch.learning.evaluation.metrics import score
-from foretouch.tactile import MODALITIES, columns
+from foretouch.learning.evaluation.metrics import (
+    MEAN,
+    BootstrapConfig,
+    Estimate,
+    ObjectErrors,
+    compare,
+    mean_skill,
+    score,
+    skills,
+)
+from foretouch.tactile import MODALITIES, P2_RANGES, columns
 
 
-@pytest.fixture
-def actual(rng) -> np.ndarray:
-    return rng.normal(2500.0, 200.0, (30, 50))
+def errors(own, reference=None, counts=None) -> ObjectErrors:
+    """One number an object, the same for all 50 values."""
+    own = np.asarray(own, np.float64)
+    reference = np.ones(len(own)) if reference is None else np.asarray(reference, np.float64)
+    counts = np.ones(len(own)) if counts is None else np.asarray(counts, np.float64)
+    names = tuple(f"o{k}" for k in range(len(own)))
+    return ObjectErrors(names, counts, np.tile(own[:, None], (1, 50)), np.tile(reference[:, None], (1, 50)))
 
 
-def test_by_hand() -> None:
-    actual, predicted, reference = np.full((2, 50), 3000.0), np.full((2, 50), 3000.0), np.full((2, 50), 3000.0)
-    actual[:, 0], predicted[:, 0], reference[:, 0] = [2900, 3100], [2910, 3070], [3000, 3000]
-    reference[:, 1:] += 1.0
-    one = score(predicted, actual, reference)["PDC_TH"]
-    assert one.rmse == pytest.approx(np.sqrt((100 + 900) / 2))
-    assert one.nrmse == pytest.approx(np.sqrt(500) / 900)
-    assert one.skill == pytest.approx(1 - 500 / 10000)
+def test_skill_and_rmse_by_hand() -> None:
+    both = errors([100.0, 300.0], [400.0, 400.0], [1, 3])
+    assert skills(both)["PDC_TH"].value == pytest.approx(1 - 400 / 800)
+    assert both.rmse()["E_MF"] == pytest.approx(np.sqrt(400 / 4))
+    assert skills(both.only("o1"))[MEAN].value == pytest.approx(0.25)
 
 
-def test_agrees_with_scikit_learn(actual, rng) -> None:
-    predicted = actual + rng.normal(0.0, 50.0, actual.shape)
+def test_pools_as_the_metrics_do_and_those_agree_with_scikit_learn(rng) -> None:
+    actual, predicted = (rng.normal(2500.0, 100.0, (30, 50)) for _ in range(2))
     mean = np.tile(actual.mean(axis=0), (30, 1))
-    scores = score(predicted, actual, mean)
+    names = np.array(["a", "b", "c"])[rng.integers(0, 3, 30)]
+    parts = [
+        (str(names[k]), 1.0, (predicted[k] - actual[k]) ** 2, (mean[k] - actual[k]) ** 2) for k in rng.permutation(30)
+    ]
+    ours, theirs = skills(ObjectErrors.total(parts)), score(predicted, actual, mean)
+    assert_allclose([ours[name].value for name in MODALITIES], [theirs[name].skill for name in MODALITIES])
+    assert ours[MEAN].value == pytest.approx(mean_skill(theirs))
+    assert ObjectErrors.total(parts).rmse()["E_TH"] == pytest.approx(theirs["E_TH"].rmse)
     for name in MODALITIES:
         column = columns([name])
-        assert scores[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
+        assert theirs[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
         pooled = root_mean_squared_error(actual[:, column].ravel(), predicted[:, column].ravel())
-        assert scores[name].rmse == pytest.approx(pooled)
+        assert theirs[name].rmse == pytest.approx(pooled)
+        assert theirs[name].nrmse == pytest.approx(pooled / np.ptp(P2_RANGES.of(name)))
 
 
-def test_bad_input_is_named(actual) -> None:
-    with pytest.raises(DatasetError, match=r"predicted: shape \(30, 24\)"):
-        score(actual[:, :24], actual, actual + 1)
-    with pytest.raises(DatasetError, match="predicted: holds a value that is not finite"):
-        score(np.full_like(actual, np.nan), actual, actual + 1)
-    with pytest.raises(DatasetError, match="PDC_TH: the training mean is exact"):
-        score(actual, actual, actual)
+def test_interval_against_all_resamples_of_six_objects() -> None:
+    own, reference = [0.2, 0.5, 0.9, 1.1, 0.4, 0.7], [1.0, 1.5, 1.0, 0.8, 2.0, 1.0]
+    every = [1 - sum(own[k] for k in draw) / sum(reference[k] for k in draw) for draw in product(range(6), repeat=6)]
+    tail = 0.00243  # Φ(-√(6/5) · 2.5706), t with 5 degrees of freedom
+    found = skills(errors(own, reference), BootstrapConfig(draws=200_000))["PDC_MF"]
+    assert_allclose([found.low, found.high], np.quantile(every, [tail, 1 - tail]), atol=0.01)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(0)
+    config, hits = BootstrapConfig(draws=1000), 0
+    for _ in range(400):
+        found = skills(errors(rng.normal(1.0, 0.1, 8)), config)["PDC_TH"]
+        hits += found.low <= 0.0 <= found.high
+    assert 0.92 <= hits / 400 <= 0.98  # plain percentiles: 0.89
+
+
+def test_what_is_hard_for_both_counts_for_neither() -> None:
+    hard = np.array([1.0, 5.0, 0.2, 3.0, 0.7, 2.0, 8.0])
+    pair = errors(hard * 0.9), errors(hard)
+    alone = skills(pair[0])["PDC_TH"]
+    assert alone.low < 0.0 < alone.high or alone.high < 0.0
+    assert compare(*pair)["PDC_TH"].verdict == "better"
+    assert compare(*reversed(pair))["PDC_TH"].verdict == "worse"
+    assert compare(pair[0], pair[0])[MEAN].verdict == "tie"
+    forth, back = compare(*pair)["E_TH"], compare(*reversed(pair))["E_TH"]
+    assert_allclose([forth.value, forth.low, forth.high], [-back.value, -back.high, -back.low])
+
+
+def test_same_seed_same_interval_units_do_not_matter_and_few_objects_have_none() -> None:
+    one = errors([0.2, 0.5, 0.9, 1.1, 0.4, 0.7])
+    assert skills(one) == skills(one)
+    scaled = ObjectErrors(one.objects, one.counts, 100.0 * one.squared, 100.0 * one.reference)
+    assert_allclose(skills(scaled)["E_MF"].low, skills(one)["E_MF"].low)
+    assert skills(one, BootstrapConfig(seed=1))["E_MF"].low != skills(one)["E_MF"].low
+
+    few = errors([0.5] * 5)  # promise nothing
+    assert skills(few)["PDC_TH"] == Estimate(0.5, None, None)
+    assert compare(few, errors([0.9] * 5))["PDC_TH"].verdict == "too few objects"
+
+
+def test_bad_input_is_named() -> None:
+    cases = (
+        ("no object", lambda: ObjectErrors.total([])),
+        ("squared", lambda: errors([np.nan, 1.0])),
+        ("the training mean is exact", lambda: skills(errors([1.0] * 6, [0.0] * 6))),
+        ("not tested on the same grasps", lambda: compare(errors([1.0] * 6), errors([1.0] * 7))),
+        ("not tested on the same grasps", lambda: compare(errors([1.0] * 6), errors([1.0] * 6, [2.0] * 6))),
+        (r"predicted: shape \(30, 24\)", lambda: score(np.ones((30, 24)), *np.ones((2, 30, 50)))),
+    )
+    every_refusal(DatasetError, cases, lambda call: call())

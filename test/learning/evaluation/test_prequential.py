@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replay in order of time: nothing later enters a prediction, and the baselines are those of their definitions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

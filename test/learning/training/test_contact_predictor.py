@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model calibrated: equal to the released model's predictions, with intervals from held-out samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 
@@ -69,27 +67,20 @@ def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path)
     every_case(product((0, 1, 3), (False, True)), check)
 
 
-def test_without_touches_it_is_the_estimate_from_vision(bare) -> None:
+def test_without_touches_it_is_the_estimate_from_vision_and_touches_help_on_a_new_object(bare) -> None:
     remaining = BARE[40:]
     wanted, familiar = bare.estimator.predict_rows(describe_samples(remaining))
     assert_array_equal(bare.predict(remaining), wanted)
     assert_array_equal(bare.predict_after([], remaining), wanted)
     assert_array_equal(bare.familiar(remaining), familiar)
-
-
-def test_labels_and_tares_of_predicted_samples_are_not_used(tared) -> None:
-    blind = [replace(sample, id=f"blind/{k}", touch=None, tare=None) for k, sample in enumerate(TARED[40:])]
-    assert_array_equal(tared.predict(blind), tared.predict(TARED[40:]))
-
-
-def test_touches_of_a_new_object_help_on_its_other_grasps(bare) -> None:
-    """Touches measure the lasting offsets of the objects."""
-    touched, remaining = BARE[40:43], BARE[43:]
-    before, after = (np.abs(bare.predict_after(one, remaining) - labels_of(remaining)).mean() for one in ([], touched))
+    touched, others = BARE[40:43], BARE[43:]
+    before, after = (np.abs(bare.predict_after(one, others) - labels_of(others)).mean() for one in ([], touched))
     assert after < before
 
 
-def test_a_tare_takes_the_drift_away(tared) -> None:
+def test_a_tare_takes_the_drift_away_and_labels_of_predicted_samples_are_not_used(tared) -> None:
+    blind = [replace(sample, id=f"blind/{k}", touch=None, tare=None) for k, sample in enumerate(TARED[40:])]
+    assert_array_equal(tared.predict(blind), tared.predict(TARED[40:]))
     remaining = TARED[40:]
     without, with_tare = (
         np.abs(tared.predict_after([], remaining, tare=tare) - labels_of(remaining)).mean() for tare in (False, True)
@@ -136,17 +127,11 @@ def test_new_objects_are_held_out_whole_known_ones_in_stretches_of_time() -> Non
     assert sorted(np.concatenate([fold.test for fold in few["known"][0]])) == list(range(12))
 
 
-def test_a_tare_that_was_not_taken_is_missed_by_name(tared) -> None:
+def test_a_missing_tare_or_reading_is_refused_by_name(bare, tared) -> None:
     lacking = [replace(TARED[45], tare=None)]
-    with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
-        tared.predict_after(TARED[40:43], lacking, tare=True)
-    with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
-        tared.predict_after(lacking, TARED[40:43], tare=True)
-    with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
-        tared.predict_after([], lacking, tare=True)
-
-
-def test_a_touch_without_a_reading_is_refused_by_name(bare) -> None:
+    for touched, remaining in ((TARED[40:43], lacking), (lacking, TARED[40:43]), ([], lacking)):
+        with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
+            tared.predict_after(touched, remaining, tare=True)
     with pytest.raises(DatasetError, match=f"{BARE[41].id}: touch: is not labelled"):
         bare.predict_after([BARE[40], replace(BARE[41], touch=None)], BARE[43:])
 

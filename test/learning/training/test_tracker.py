@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fitted tracker finds the drift of sensors whose drift is known, and predicts better than one that ignores it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

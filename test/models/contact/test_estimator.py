@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model: forests on known objects, the kernel and its gain on new ones, and what it calls unfamiliar."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -90,15 +88,10 @@ def test_damage_is_refused_by_part_and_name(estimator) -> None:
             (r"generalisation_gain: a value is not in \[0, 1\]", "generalisation_gain", np.full(4, 1.5)),
             ("forest_E_TH/leaf: is missing", "forest_E_TH/leaf", None),
             ("forest_together: does not fit 56 features and 50", "forest_together/value", lambda a: a[:, :49]),
-            (
-                "forest_PDC_MF: does not fit 56",
-                "forest_PDC_MF/feature",
-                lambda a: np.where(a < 0, a, 56).astype(a.dtype),
-            ),
+            ("forest_PDC_MF: does not fit 56", "forest_PDC_MF/feature", lambda a: a + a.dtype.type(56) * (a >= 0)),
             ("kernel/known: is missing", "kernel/known", None),
             ("kernel: does not fit 56 features and 50 values", "kernel/weight", lambda a: a[:, :49]),
             (r"novelty/low: shape \(3,\) is not \(5,\)", "novelty/low", lambda a: a[:3]),
-            ("novelty/high: .* not finite", "novelty/high", lambda a: a * np.nan),
             ("novelty/known, span: ", "novelty/span", np.array([1.0, 0.0])),
         ],
         check,

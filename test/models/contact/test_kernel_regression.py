@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernel ridge regression: scikit-learn's answers, the mean far away, neighbours without influence."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -37,12 +35,9 @@ def kernel(rows, target) -> KernelRegression:
     return KernelRegression(centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(DECAY))
 
 
-def test_kernel_is_the_laplacian_of_scikit_learn(rng) -> None:
+def test_kernel_and_predictions_are_those_of_scikit_learn(kernel, rows, target, rng) -> None:
     a, b = rng.normal(size=(5, 7)), rng.normal(size=(4, 7))
     assert_allclose(laplacian(a, b, DECAY), laplacian_kernel(a, b, gamma=DECAY / 7), rtol=1e-12)
-
-
-def test_predictions_are_those_of_scikit_learn(kernel, rows, target, rng) -> None:
     asked = rows.mean(axis=0) + 1.5 * rows.std(axis=0) * rng.normal(size=(40, 7))
     theirs = KernelRidge(alpha=RIDGE, kernel="laplacian", gamma=DECAY / 7).fit(
         (rows - kernel.centre) / kernel.scale, target
@@ -53,14 +48,11 @@ def test_predictions_are_those_of_scikit_learn(kernel, rows, target, rng) -> Non
     assert np.abs(wanted).max() > 0.1
 
 
-def test_far_from_all_that_is_known_it_has_no_opinion(kernel, rows) -> None:
+def test_far_from_all_that_is_known_it_has_no_opinion_and_rows_do_not_depend_on_each_other(kernel, rows) -> None:
     far = rows[:1] + rows.std(axis=0) * np.array([[0.0], [2.0], [10.0], [100.0]])
     size = np.abs(kernel.predict(far)).max(axis=1)
     assert (np.diff(size) < 0.0).all()
     assert size[3] < 1e-30  # every column 100 deviations off: exp(-2 · 100) or so
-
-
-def test_a_row_does_not_depend_on_its_neighbours(kernel, rows) -> None:
     together = kernel.predict(rows)
     assert_array_equal(together, np.concatenate([kernel.predict(row[None]) for row in rows]))
     assert_array_equal(kernel.predict(rows[::-1])[::-1], together)

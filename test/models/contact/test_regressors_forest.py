@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forests as arrays: scikit-learn's own predictions, and damage refused by name."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -32,14 +30,13 @@ def forest_of(model: Any) -> Forest:
 
 
 def test_every_row_reaches_scikit_learn_s_leaf(rng) -> None:
-    for outputs in (1, 3):
-        reaches_the_leaf(fitted(outputs)[0], 2.0 * rng.normal(size=(300, 6)))
-
-
-def reaches_the_leaf(model: Any, asked: np.ndarray) -> None:
-    leaves = model.apply(asked)
-    values = [tree.tree_.value[leaves[:, k], :, 0].astype(np.float16) for k, tree in enumerate(model.estimators_)]
-    assert_allclose(forest_of(model).predict(asked), np.mean(values, axis=0, dtype=np.float64), atol=1e-14)
+    """Also of a stump of one leaf."""
+    stump = ExtraTreesRegressor(2, min_samples_leaf=50, random_state=0).fit(np.eye(60), np.arange(60.0))
+    for model in (fitted(1)[0], fitted(3)[0], stump):
+        asked = 2.0 * rng.normal(size=(300, model.n_features_in_))
+        leaves = model.apply(asked)
+        values = [tree.tree_.value[leaves[:, k], :, 0].astype(np.float16) for k, tree in enumerate(model.estimators_)]
+        assert_allclose(forest_of(model).predict(asked), np.mean(values, axis=0, dtype=np.float64), atol=1e-14)
 
 
 def test_a_row_on_a_threshold_goes_scikit_learn_s_way() -> None:
@@ -61,11 +58,6 @@ def test_a_row_does_not_depend_on_its_neighbours(outputs: int) -> None:
     assert_array_equal(together, np.concatenate([forest.predict(row[None]) for row in rows]))
     assert_array_equal(forest.predict(rows[::-1])[::-1], together)
     assert forest.predict(np.empty((0, 6))).shape == (0, outputs)
-
-
-def test_a_stump_of_one_leaf_predicts_its_mean() -> None:
-    model = ExtraTreesRegressor(2, min_samples_leaf=50, random_state=0).fit(np.eye(60), np.arange(60.0))
-    assert_array_equal(forest_of(model).predict(np.zeros((2, 60))), [[29.5], [29.5]])
 
 
 def test_damage_is_refused_by_name() -> None:

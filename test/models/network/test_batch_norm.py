@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batch norm by moments against torch's own: values, every gradient, running statistics."""
 
-import multiprocessing
-from pathlib import Path
-
 import pytest
 import torch
 from torch import nn
 from torch.nn import functional
 
-from foretouch.models.network.batch_norm import batch_affine, synced_norm
+from foretouch.models.network.batch_norm import batch_affine
 
 F64 = torch.float64
 
@@ -72,54 +69,3 @@ def test_as_near_to_the_truth_as_torch_in_single(inputs: int) -> None:
 def test_a_channel_that_never_moves_stays_finite() -> None:
     x = torch.full((3, 40, 6), 0.7)
     assert all(torch.isfinite(value).all() for value in results(quick, x, torch.float32))
-
-
-def both_ways(x: torch.Tensor, total) -> list[torch.Tensor]:
-    """Of points, then of one row a cloud; the gradients of points and weights."""
-    linear, norm = pair(F64)
-    later = pair(F64, 9, 9)
-    x = x.clone().requires_grad_()
-    if total is None:
-        pooled = plain(x, linear, norm).amax(dim=1)
-        y = later[1](later[0](pooled))
-    else:
-        pooled = functional.linear(x, *batch_affine(x, linear, norm, total)).amax(dim=1)
-        y = synced_norm(later[0](pooled), later[1], total)
-    weights = [*linear.parameters(), *norm.parameters(), *later[0].parameters(), *later[1].parameters()]
-    slopes = torch.linspace(-1.0, 1.0, 9, dtype=F64)
-    found = torch.autograd.grad((y.square() * slopes).sum(), [x, *weights])
-    return [*found, norm.running_mean, norm.running_var, later[1].running_mean, later[1].running_var]
-
-
-def run_rank(rank: int, folder: str) -> None:
-    torch.set_num_threads(1)
-    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
-
-    def total(value: torch.Tensor) -> torch.Tensor:
-        value = value.detach().clone()
-        torch.distributed.all_reduce(value)
-        return value
-
-    share = slice(0, 3) if rank == 0 else slice(3, 8)  # unequal shares
-    x_slope, *slopes = both_ways(cloud(F64, 8, 30, 6)[share], total)
-    weights, statistics = slopes[:8], slopes[8:]
-    whole = [total(slope) for slope in weights]
-    Path(folder, f"{rank}").write_bytes(
-        torch.cat([t.flatten() for t in (x_slope, *whole, *statistics)]).numpy().tobytes()
-    )
-    torch.distributed.destroy_process_group()
-
-
-@pytest.mark.slow
-def test_two_processes_share_their_statistics(tmp_path: Path) -> None:
-    workers = [multiprocessing.get_context("fork").Process(target=run_rank, args=(r, str(tmp_path))) for r in range(2)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join(60)
-    assert [worker.exitcode for worker in workers] == [0, 0]
-    x_slope, *rest = both_ways(cloud(F64, 8, 30, 6), None)
-    for rank, share in enumerate((slice(0, 3), slice(3, 8))):
-        found = torch.frombuffer(bytearray((tmp_path / str(rank)).read_bytes()), dtype=F64)
-        expected = torch.cat([t.flatten() for t in (x_slope[share], *rest)])
-        torch.testing.assert_close(found, expected, rtol=1e-8, atol=1e-9)

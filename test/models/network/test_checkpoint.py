@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from contact_model_builders import edit_card
 from every_case import every_case
 from safetensors.torch import load_file, save_file
 
@@ -20,16 +21,6 @@ from foretouch.models.registry import load_model
 @pytest.fixture
 def card(tmp_path: Path, make_net) -> Path:
     return save_network(tmp_path, "tiny", make_net(), {"limits": ["a toy"]})
-
-
-def edit(card: Path, **changes: Any) -> None:
-    document = json.loads(card.read_text())
-    for key, value in changes.items():
-        if value is ...:
-            del document[key]
-        else:
-            document[key] = value
-    card.write_text(json.dumps(document))
 
 
 def refused(card: Path, rule: str) -> None:
@@ -61,7 +52,7 @@ def test_wrong_weights_are_named(card: Path) -> None:
         tensors = load_file(weights)
         change(tensors)
         save_file(tensors, weights)
-        edit(card, sha256=file_sha256(weights))
+        edit_card(card, sha256=file_sha256(weights))
         refused(card, rule)
 
     every_case(
@@ -81,7 +72,7 @@ def test_wrong_cards_are_named(card: Path, make_net, small, tmp_path: Path) -> N
 
     def check(rule: str, changes: dict[str, Any]) -> None:
         card.write_text(original)
-        edit(card, **changes)
+        edit_card(card, **changes)
         refused(card, rule)
 
     config = json.loads(original)["config"]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks with their fallback (predictions themselves: `test_touch_model.py`)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

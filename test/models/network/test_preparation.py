@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from every_case import every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import CloudError, ModelError
@@ -10,16 +11,11 @@ from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.types import Cloud
 
 
-def test_points_lie_in_the_unit_sphere(can, small) -> None:
-    prepared = prepare_cloud(can, small)
-    assert prepared.points.shape == (64, 3)
-    assert prepared.points.dtype == np.float32
-    assert np.linalg.norm(prepared.points, axis=1).max() <= 1.0 + 1e-6
-
-
-def test_cloud_and_grasp_move_together(can, small, make_grasps) -> None:
+def test_points_lie_in_the_unit_sphere_and_grasps_move_with_them(can, small, make_grasps) -> None:
     grasps = make_grasps(3)
     prepared = prepare_cloud(can, small)
+    assert (prepared.points.shape, prepared.points.dtype) == ((64, 3), np.float32)
+    assert np.linalg.norm(prepared.points, axis=1).max() <= 1.0 + 1e-6
     fed = prepare_grasps(grasps, prepared.frame, small)
     assert fed.shape == (3, 15)
     for row, grasp in zip(fed, grasps, strict=True):
@@ -52,31 +48,21 @@ def test_channels(can, small) -> None:
     assert_allclose(normal[:, :3], colour[:, :3])
 
 
-def test_one_cloud_gives_one_input(can, small) -> None:
+def test_one_cloud_gives_one_input_and_points_without_depth_are_left_out(can, small) -> None:
     assert np.array_equal(prepare_cloud(can, small).points, prepare_cloud(can, small).points)
     other = prepare_cloud(can, small, np.random.default_rng(99)).points
     assert not np.array_equal(other, prepare_cloud(can, small).points)
-
-
-def test_points_without_depth_are_left_out(can, small) -> None:
     holes = Cloud(np.concatenate([can.xyz, np.full((100, 3), np.nan, np.float32)]))
     assert np.array_equal(prepare_cloud(holes, small).points, prepare_cloud(Cloud(can.xyz), small).points)
 
 
-@pytest.mark.parametrize(
-    ("xyz", "message"),
-    [
-        (np.empty((0, 3)), "0 finite points of 0 are fewer than 32"),
-        (np.full((50, 3), np.nan), "0 finite points of 50"),
-        (np.full((50, 3), np.inf), "0 finite points of 50"),
-        (np.ones((50, 3)), "all 50 finite points are in one place"),
-    ],
-)
-def test_unusable_clouds_are_named(small, xyz, message: str) -> None:
-    with pytest.raises(CloudError, match=message):
-        prepare_cloud(Cloud(xyz.astype(np.float32)), small)
-
-
-def test_missing_colour_is_named(can, small) -> None:
+def test_unusable_clouds_and_missing_colour_are_named(can, small) -> None:
+    cases = (
+        ("0 finite points of 0 are fewer than 32", np.empty((0, 3))),
+        ("0 finite points of 50", np.full((50, 3), np.nan)),
+        ("0 finite points of 50", np.full((50, 3), np.inf)),
+        ("all 50 finite points are in one place", np.ones((50, 3))),
+    )
+    every_refusal(CloudError, cases, lambda xyz: prepare_cloud(Cloud(xyz.astype(np.float32)), small))
     with pytest.raises(ModelError, match=r"needs xyz\+rgb and the cloud has no rgb"):
         prepare_cloud(Cloud(can.xyz), small.replace(channels="xyz+rgb"))

@@ -54,15 +54,12 @@ def test_objects_are_received_in_order_with_their_pixels(rng, rgb):
         assert one.cloud.stamp_ns == 99
 
 
-def test_no_object_is_a_cloud_without_points_and_a_cloud_of_others_one_object(rng):
+def test_no_object_is_a_cloud_without_points_a_cloud_of_others_one_object_and_a_strange_label_refused(rng):
     message = sent(objects_to_msg((), "cam", 99))
     assert (message.header.frame_id, stamp_ns(message.header.stamp), message.width) == ("cam", 99, 0)
     assert objects_from_msg(message, PLANE) == ()
     (only,) = objects_from_msg(cloud_to_msg(image(rng, rgb=False)), PLANE)
     assert (only.id, only.pixels, only.cloud.size) == ("", None, 47)  # its finite points
-
-
-def test_a_label_of_another_type_and_sizes_that_do_not_add_up_are_refused(rng):
     message = cloud_to_msg(Cloud(rng.normal(size=(5, 3)).astype(np.float32)))
     label = PointField(name="label", offset=12, datatype=PointField.FLOAT32, count=1)
     message.fields, message.point_step, message.row_step = [*message.fields, label], 16, 80

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""What is received is what was sent, to the last bit, or refused with a status and a reason in one line."""
+
 import math
 
 import numpy as np
@@ -9,24 +11,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
-from std_msgs.msg import Header
+from shape_msgs.msg import Plane as PlaneMsg
+from std_msgs.msg import Header, String
 
+from foretouch.cli.answers import answer_record
 from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
-from foretouch.errors import CloudError, GraspError
+from foretouch.errors import CloudError, GraspError, MissingDependencyError, ModelError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
     grasp_to_msg,
+    header_to_msg,
     plane_from_msg,
     plane_to_msg,
+    prediction_from_msg,
     prediction_to_msg,
+    reference_text,
     refusal_to_msg,
     stamp_to_msg,
 )
+from foretouch.ros.messages.requests import RefusalError, read_table
+from foretouch.ros.messages.tactile import biotac_all_to_msg, tactile_class
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Evidence, Grasp, Plane, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Interval, Status
+from foretouch_msgs.msg import Interval, Status, TablePlane, TouchPredictionArray
 
 UNIT = Grasp(np.zeros(3), np.ones(3), np.eye(3))
 
@@ -69,19 +79,17 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
         with pytest.raises(GraspError, match=match):
             decode_grasp(message)
 
-    every_case(
-        [
-            (r"g1: .*nan.* is not finite", lambda m: setattr(m.g1, "x", math.nan)),
-            (r"g2: .*inf.* is not finite", lambda m: setattr(m.g2, "z", math.inf)),
-            (r"g1, g2: both contacts are at", lambda m: setattr(m, "g2", m.g1)),
-            (r"orientation: length 5.* is not 1", lambda m: setattr(m.pose.orientation, "w", 5.0)),
-            (r"orientation: length nan", lambda m: setattr(m.pose.orientation, "x", math.nan)),
-            (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, 0.5))),
-            (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, math.nan))),
-            (r"rotation: is not that of pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
-        ],
-        check,
-    )
+    cases = [
+        (r"g1: .*nan.* is not finite", lambda m: setattr(m.g1, "x", math.nan)),
+        (r"g2: .*inf.* is not finite", lambda m: setattr(m.g2, "z", math.inf)),
+        (r"g1, g2: both contacts are at", lambda m: setattr(m, "g2", m.g1)),
+        (r"orientation: length 5.* is not 1", lambda m: setattr(m.pose.orientation, "w", 5.0)),
+        (r"orientation: length nan", lambda m: setattr(m.pose.orientation, "x", math.nan)),
+        (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, 0.5))),
+        (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, math.nan))),
+        (r"rotation: is not that of pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
+    ]
+    every_case(cases, check)
     message = grasp_to_msg(UNIT)
     assert has_orientation(message)
     message.rotation, message.pose.orientation.w = np.zeros(9), 0.0
@@ -159,3 +167,55 @@ def test_many_grasps_are_decoded_as_one_by_one():
         assert (found.score, found.id, found.object_id) == (expected.score, expected.id, expected.object_id)
     assert len(pairs) == 25
     assert decode_grasps([]) == []
+
+
+HEADER = header_to_msg("camera", 5)
+
+
+def test_a_table_that_was_not_found_is_refused_with_a_reason():
+    def check(status, reason, refused_as, text):
+        with pytest.raises(RefusalError) as refusal:
+            read_table(TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason), HEADER)
+        assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
+
+    cases = [
+        (Status.NO_PLANE, "no plane", Status.NO_PLANE, "no plane"),
+        (Status.NO_PLANE, "", Status.NO_PLANE, "table: status no_plane without a reason"),
+        (250, "", Status.BAD_REQUEST, "table: status 250 is unknown"),
+        (Status.NO_OBJECT, "a\nb", Status.NO_OBJECT, r"a\nb"),
+    ]
+    every_case(cases, check)
+
+
+def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
+    prediction = TouchPrediction(grasp=UNIT, value=Touch.from_vector(np.full(50, 2000.0)), lower=None, upper=None)
+    good, strange = (prediction_to_msg(prediction, grasp_to_msg(UNIT), HEADER) for _ in range(2))
+    strange.reference = 77
+    reason = "reference: 77 is none of none, tare, touches, history"
+    with pytest.raises(ModelError, match=reason):
+        prediction_from_msg(strange)
+    assert reference_text(strange) == "reference 77"
+    bad = grasp_to_msg(UNIT)
+    bad.g1.x = float("nan")
+    refused = refusal_to_msg(bad, HEADER, Status.BAD_GRASP, "g1: is not finite")
+    lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
+    assert lines[0]["status"] == "ok"
+    assert lines[1:] == [{"status": "failed", "reason": reason}, {"status": "bad_grasp", "reason": "g1: is not finite"}]
+
+
+def test_messages_hold_each_finger_at_its_index():
+    counts = {name: np.arange(25, dtype=np.int16) + 100 * k for k, name in enumerate(("TH", "FF"))}
+    sent = biotac_all_to_msg(counts, "hand", 1_763_000_000_000_000_000)
+    assert (sent.header.frame_id, stamp_ns(sent.header.stamp)) == ("hand", 1_763_000_000_000_000_000)
+    assert [list(one.electrodes[:2]) for one in sent.tactiles] == [[101, 102], [0, 0], [0, 0], [0, 0], [1, 2]]
+    for name in FINGER_ORDER:
+        np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
+    assert {(one.tac, one.tdc) for one in sent.tactiles} == {(0, 0)}
+    warm = biotac_all_to_msg({"TH": np.arange(29, dtype=np.int16)}, "hand", 1_763_000_000_000_000_000).tactiles[-1]
+    assert (len(warm.electrodes), warm.pac0, warm.pac1, warm.tac, warm.tdc) == (24, 25, 26, 27, 28)
+
+
+def test_a_class_is_found_by_its_type_and_a_missing_package_is_named():
+    assert tactile_class("std_msgs/String") is String
+    with pytest.raises(MissingDependencyError, match="sr_robot_msgs is not installed"):
+        tactile_class("sr_robot_msgs/BiotacAll")

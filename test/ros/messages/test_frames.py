@@ -6,25 +6,20 @@ import math
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from shape_msgs.msg import Plane as PlaneMsg
-from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.dataset.messages import decode_grasp, rotation_from_quaternion
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
-from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.requests import read_cloud
 from foretouch.types import Cloud, Grasp
-from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Status, TouchPrediction
 
 pytestmark = pytest.mark.ros
 
@@ -104,42 +99,3 @@ def test_a_cloud_keeps_its_other_fields_and_its_byte_order(rng):
     big = cloud_to_msg(Cloud(np.array([[1.0, 2.0, 3.0]], np.float32), None, "cam", 5))
     big.data, big.is_bigendian = np.frombuffer(bytes(big.data), "<f4").astype(">f4").tobytes(), True
     assert_allclose(read_cloud(TRANSFORM.cloud(big)).xyz, [to_base(np.array([1.0, 2.0, 3.0]))], atol=1e-6)
-
-
-def test_markers_move_by_their_pose():
-    marker = Marker(header=Header(frame_id="cam"), points=[Point(x=1.0)])
-    marker.pose.position.y = 2.0
-    (moved,) = TRANSFORM.markers(MarkerArray(markers=[marker])).markers
-    assert (moved.header.frame_id, marker.header.frame_id, moved.points) == ("base", "cam", marker.points)
-    q = moved.pose.orientation
-    drawn = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply(xyz_of(moved.points[0])) + xyz_of(moved.pose.position)
-    assert_allclose(drawn, to_base(np.array([1.0, 2.0, 0.0])), atol=1e-14)
-
-
-def test_predictions_and_samples_move_with_all_their_parts(rng):
-    one, header = grasp_to_msg(random_grasp(rng)), Header(frame_id="cam")
-    header.stamp.sec = 5
-    answer = TouchAnswer(header, [one], [Refusal(Status.NO_GRASP, "none")], model="m")
-    (array,) = TRANSFORM.answer(answer).message.predictions
-    assert (array.header.frame_id, array.header.stamp.sec, array.model, array.reason) == ("base", 5, "m", "none")
-    assert array.grasp == TRANSFORM.grasp(one)
-    pose, prediction = PoseStamped(header=header, pose=one.pose), TouchPrediction(header=header, grasp=one, model="m")
-    result = SampleGrasps.Result(grasp_candidates=[pose], grasps=[one], predictions=[prediction], costs=[1.0])
-    feedback = SampleGrasps.Feedback(grasp_candidates=[pose], grasps=[one], costs=[1.0])
-    for message in (result, feedback):
-        found = TRANSFORM.sampled(message)
-        assert found.grasp_candidates[0].pose == found.grasps[0].pose == TRANSFORM.grasp(one).pose
-        assert (found.grasp_candidates[0].header.frame_id, list(found.costs)) == ("base", [1.0])
-    (moved,) = TRANSFORM.sampled(result).predictions
-    assert (moved.header, moved.grasp, moved.model) == (array.header, array.grasp, "m")
-    assert pose.header.frame_id == prediction.header.frame_id == "cam"
-
-
-def test_what_is_no_rigid_transform_is_refused():
-    for translation, rotation, reason in (
-        ([math.nan, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], "translation"),
-        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.9], "length 0.9"),
-        ([0.0, 0.0, 0.0], [0.0, 0.0, math.inf, 1.0], "is not 1"),
-    ):
-        with pytest.raises(GraspError, match=reason):
-            FrameTransform.from_quaternion("base", "cam", np.array(translation), np.array(rotation))

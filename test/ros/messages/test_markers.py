@@ -61,10 +61,7 @@ def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
     assert (finger[:, 0] <= -0.04 + 1e-9).all()
     assert np.linalg.norm(thumb - GRASP.g1, axis=1).max() < 0.02
     assert (points(drawn(np.ones(24), np.ones(24), thumb_takes_g1=False)["thumb"][0])[:, 0] < 0.0).all()
-
-
-def test_a_drop_is_red_and_none_is_green():
-    low, high = P2_RANGES.of("E_TH")
+    low, high = P2_RANGES.of("E_TH")  # a drop is red and none is green
     counts = np.full(24, high)
     counts[5], counts[6] = low, (low + high) / 2
     colours = drawn(counts, counts)["thumb"][0].colors

@@ -28,13 +28,13 @@ pytestmark = pytest.mark.ros
 TOUCH, POINTS, MARKERS = "/foretouch/touch", "/foretouch/points", "/foretouch/markers"
 
 
-def decoded(client, data):
+def decoded(client, topic, content):
     """A message decoded by rosbags, with nothing but the definition that the server sent."""
-    channel = client.channels[data.topic]
+    channel = client.channels[topic]
     assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(channel["schema"], channel["schemaName"]))
-    return store.deserialize_cdr(data.content, channel["schemaName"])
+    return store.deserialize_cdr(content, channel["schemaName"])
 
 
 def subscribed(graph, node, client, *topics):
@@ -59,8 +59,8 @@ def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
             graph.until(lambda wanted=k + 1: len(heard) >= wanted)
         received = {TOUCH: [], POINTS: [], MARKERS: []}
         while len(received[TOUCH]) < 3 or len(received[POINTS]) < 3 or not received[MARKERS]:
-            data = client.next_data()
-            received[data.topic].append(decoded(client, data))
+            topic, content = client.next_data()
+            received[topic].append(decoded(client, topic, content))
     assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in received[TOUCH]] == stamps
     for mine, theirs in zip(heard, received[TOUCH], strict=True):
         (expected,), (found,) = mine.predictions, theirs.predictions

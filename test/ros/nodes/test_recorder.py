@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pair_builders import REST, level
 from rclpy.serialization import serialize_message
-from robot_builders import MS, QUICK, accounts, start
+from robot_builders import MS, QUICK, accounts, outcomes, start
 
 from foretouch.dataset.recording import HOLD, RecordedDataset, TopicCounts, verify_dataset
 from foretouch.ros.messages.tactile import biotac_all_to_msg
@@ -15,10 +15,6 @@ from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 pytestmark = pytest.mark.ros
-
-
-def outcomes(status):
-    return dict(zip(status.outcomes, status.outcome_counts, strict=True))
 
 
 def stored(path):
@@ -122,15 +118,11 @@ def test_a_best_effort_sensor_is_heard_and_its_dead_electrodes_are_named(graph, 
 
 def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path):
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
-    data, tactile = (
-        serialize_message(biotac_all_to_msg({}, "rh", time.time_ns())),
-        node._input_topics.inputs["/rh/tactile"],
-    )
+    data, tactile = serialize_message(biotac_all_to_msg({}, "rh", 5)), node._input_topics.inputs["/rh/tactile"]
     for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
         stamps = {"received_timestamp": 1, "source_timestamp": 1}
-        tactile._receive(
-            data, {"publication_sequence_number": sequence, "publisher_gid": {"data": publisher}, **stamps}
-        )
+        info = {"publication_sequence_number": sequence, "publisher_gid": {"data": publisher}, **stamps}
+        tactile._receive(data, info)
     graph.until(lambda: accounts(node.status())["/rh/tactile"].written == 6)
     for _ in range(2):  # while it records, and after
         assert accounts(node.status())["/rh/tactile"].lost == node.status().lost == 2

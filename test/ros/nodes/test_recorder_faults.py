@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder node while things break around it: cables, clocks, the disk, and the process itself."""
 
-import errno
-import os
 import re
 import shutil
 import signal
@@ -12,8 +10,7 @@ import numpy as np
 import pytest
 from pair_builders import REST, level
 from rclpy.qos import ReliabilityPolicy
-from recording_builders import fail_writes
-from robot_builders import FRAME, MS, QUICK, Robot, accounts, start
+from robot_builders import FRAME, MS, QUICK, Robot, accounts, outcomes, start
 
 from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_dataset, verify_dataset
 from foretouch.errors import FileError
@@ -27,10 +24,6 @@ pytestmark = pytest.mark.ros
 
 def sensors(status):
     return dict(zip(status.sensors, status.sensor_states, strict=True))
-
-
-def outcomes(status):
-    return dict(zip(status.outcomes, status.outcome_counts, strict=True))
 
 
 def recorded(path):
@@ -78,24 +71,6 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
     assert [one.sample.grasp.id for one in recorded(tmp_path / "set") if one.sample.touch] == ["before", "after"]
-
-
-def test_a_disk_that_fails_ends_the_recording_with_the_reason(graph, tmp_path, monkeypatch):
-    node, robot, statuses = start(graph, tmp_path / "set")
-    robot.grasp("g-0", 0)
-    graph.until(lambda: node.status().samples == 1)
-    fail_writes(monkeypatch, 1, errno.EIO)  # what follows are the last counts, for which there is room
-    robot.feel(REST, 30)
-    graph.until(lambda: node.reason)
-    monkeypatch.undo()
-    assert f"{os.strerror(errno.EIO)} (errno 5): the session has ended, its 1 samples are in the file" in node.reason
-    graph.until(lambda: statuses and statuses[-1].reason == node.reason)
-    graph.until(lambda: node.status().received == sum(robot.sent.values()))
-    for topic in node.status().topics:
-        assert topic.received == topic.written + sum(topic.drop_counts)
-    assert len(recorded(tmp_path / "set")) == 1
-    assert node.begin(str(tmp_path / "set")) == tmp_path / "set"  # the disk is back
-    assert node.status().reason == ""
 
 
 def test_a_folder_that_cannot_be_written_is_refused_in_one_line(graph, tmp_path):

@@ -112,28 +112,22 @@ def test_a_request_that_cannot_be_answered_is_refused_with_the_reason_and_the_ne
     def far_without_orientation(r):
         without_orientation(r.grasps[0]).g1.x = 1e160
 
-    every_case(
-        [
-            ("grasps: is empty", Status.NO_GRASP, lambda r: setattr(r, "grasps", [])),
-            ("x is missing", Status.BAD_CLOUD, lambda r: setattr(r, "cloud", PointCloud2())),
-            ("row_step", Status.BAD_CLOUD, lambda r: setattr(r.cloud, "row_step", 1)),
-            ("finite", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, math.nan))),
-            ("holds no plane", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.zeros(4))),
-            ("beyond 1e+100", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, 1e308))),
-            (
-                "farther away than 1000 m",
-                Status.BAD_PLANE,
-                lambda r: setattr(r.table[0], "coef", [0.0, 0.0, 1.0, 1e20]),
-            ),
-            ("is not 1", Status.BAD_GRASP, lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160)),
-            ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "rotation", np.full(9, 1e160))),
-            ("'77' is none of", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "object_id", "77")),
-            ("1e+160 m apart, more than max_width_m 0.2", Status.BAD_GRASP, far_without_orientation),
-            ("", Status.TOO_FEW_POINTS, one_place),
-            ("", Status.OK, lambda _: None),
-        ],
-        check,
-    )
+    cases = [
+        ("grasps: is empty", Status.NO_GRASP, lambda r: setattr(r, "grasps", [])),
+        ("x is missing", Status.BAD_CLOUD, lambda r: setattr(r, "cloud", PointCloud2())),
+        ("row_step", Status.BAD_CLOUD, lambda r: setattr(r.cloud, "row_step", 1)),
+        ("finite", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, math.nan))),
+        ("holds no plane", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.zeros(4))),
+        ("beyond 1e+100", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, 1e308))),
+        ("farther away than 1000 m", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", [0.0, 0.0, 1.0, 1e20])),
+        ("is not 1", Status.BAD_GRASP, lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160)),
+        ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "rotation", np.full(9, 1e160))),
+        ("'77' is none of", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "object_id", "77")),
+        ("1e+160 m apart, more than max_width_m 0.2", Status.BAD_GRASP, far_without_orientation),
+        ("", Status.TOO_FEW_POINTS, one_place),
+        ("", Status.OK, lambda _: None),
+    ]
+    every_case(cases, check)
     assert not planner.node.internal_errors.counts()
 
 

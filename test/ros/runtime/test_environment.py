@@ -31,14 +31,12 @@ def printed(code, **environment):
     return done.stdout.split()
 
 
-def test_what_is_missing_is_set(bare):
-    prepare_environment()
-    assert os.environ["AMENT_PREFIX_PATH"] == sys.prefix
-    assert [os.environ.get(name) for name in PROFILE_VARIABLES].count(str(SHARED_MEMORY_PROFILE)) == 1
-    assert os.environ["OMP_NUM_THREADS"] == "1"
-
-
-def test_what_the_user_has_set_stays(bare):
+def test_what_is_missing_is_set_and_what_the_user_has_set_stays(bare):
+    with bare.context():
+        prepare_environment()
+        assert os.environ["AMENT_PREFIX_PATH"] == sys.prefix
+        assert [os.environ.get(name) for name in PROFILE_VARIABLES].count(str(SHARED_MEMORY_PROFILE)) == 1
+        assert os.environ["OMP_NUM_THREADS"] == "1"
     for name in NAMES:
         with bare.context() as patch:
             for other in NAMES:

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs are taken and worked on in one thread, and by another while that takes long."""
+"""Inputs are taken and worked on in one thread, and by another while that takes long; those of one stamp together."""
 
 import threading
 import time
+from collections import Counter
+from itertools import count
 
 import pytest
 from sensor_msgs.msg import PointCloud2
@@ -10,7 +12,7 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.ros.runtime.processing_node import warm_up_cloud
+from foretouch.ros.runtime.processing_node import StampSynchronizer, warm_up_cloud
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.msg import GraspArray, TablePlane, TouchPredictionArray
 
@@ -78,3 +80,40 @@ def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, monkeyp
     assert [one.header.stamp.nanosec for one in heard] == [1, 4, 5]
     summary = node.statistics.summary()
     assert (summary.received, summary.used, summary.lost) == (3, 3, 0)
+
+
+def make(depth=3):
+    drops, clock = Counter(), count()
+    receive, drop = lambda: float(next(clock)), lambda reason: drops.update([reason])
+    return StampSynchronizer(frozenset({"cloud", "table"}), depth, receive, drop), drops
+
+
+def test_a_set_is_complete_in_either_order_and_keeps_its_first_arrival():
+    sets, drops = make()
+    assert sets.add("cloud", 7, "c7") is None
+    assert sets.add("table", 8, "t8") is None
+    assert sets.add("table", 7, "t7") == ({"cloud": "c7", "table": "t7"}, 0.0)
+    assert sets.add("cloud", 8, "c8").arrived == 1.0
+    assert (dict(drops), len(sets._waiting)) == ({}, 0)
+    sets.add("cloud", 1_000_000_000_000_000_000, "c")
+    assert sets.add("table", 1_000_000_000_000_000_001, "t") is None  # a nanosecond apart
+
+
+def test_the_oldest_incomplete_set_makes_room_and_every_dropped_one_is_counted():
+    sets, drops = make(depth=3)
+    for stamp in range(5):
+        sets.add("cloud", stamp, stamp)
+    assert drops == {"unpaired": 2}
+    assert sets.add("table", 0, "late") is None
+    assert sets.add("table", 4, "t").messages["cloud"] == 4
+    waiting = len(sets._waiting)
+    sets.clear("stopped")
+    assert (drops["stopped"], len(sets._waiting)) == (waiting, 0)
+
+
+def test_a_repeated_stamp_drops_the_first():
+    sets, drops = make()
+    sets.add("cloud", 1, "first")
+    sets.add("cloud", 1, "second")
+    assert drops == {"repeated_stamp": 1}
+    assert sets.add("table", 1, "t").messages["cloud"] == "second"

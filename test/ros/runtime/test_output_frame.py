@@ -66,24 +66,22 @@ def test_a_file_that_cannot_be_used_is_named_with_the_field_in_one_line(write, t
         assert str(caught.value).startswith(f"{path}: ")
         assert "\n" not in str(caught.value)
 
-    every_case(
-        [
-            (r"rotation: length 1.05357 of \[0.6, -0.5, 0.5, 0.5\] is not 1", OWN.replace("0.5, -0.5", "0.6, -0.5")),
-            (r"translation\[0\]: nan is not finite", OWN.replace("0.45", ".nan")),
-            (r"translation\[0\]: 450.0 is above 100.0 m", OWN.replace("0.45", "450")),
-            (r"rotation\[3\]: 'fast' is not a number", OWN.replace("0.5]", "fast]")),
-            (r"translation: \[0.45, 0.8\] is not 3 numbers", OWN.replace("-0.2, ", "")),
-            ("position: unknown setting; known: translation, rotation", OWN.replace("translation", "position")),
-            ("frame_id: 3 is not text", OWN.replace("frame_id: base\n", "frame_id: 3\n", 1)),
-            (r"translation: \[\] is not 3 numbers", "rotation: [0, 0, 0, 1]"),
-            ("holds a list, not a mapping", "- 1"),
-            ("is not a calibration of easy_handeye2", EASY),
-            ("rotation: length 0.953", ON_BASE.replace("w: 0.5", "w: 0.4")),
-            ("is not a calibration of easy_handeye2: there is no 'z'", ON_BASE.replace(", z: 0.8", "")),
-            ("is not a calibration of easy_handeye2", "transform: 3"),
-        ],
-        check,
-    )
+    cases = [
+        (r"rotation: length 1.05357 of \[0.6, -0.5, 0.5, 0.5\] is not 1", OWN.replace("0.5, -0.5", "0.6, -0.5")),
+        (r"translation\[0\]: nan is not finite", OWN.replace("0.45", ".nan")),
+        (r"translation\[0\]: 450.0 is above 100.0 m", OWN.replace("0.45", "450")),
+        (r"rotation\[3\]: 'fast' is not a number", OWN.replace("0.5]", "fast]")),
+        (r"translation: \[0.45, 0.8\] is not 3 numbers", OWN.replace("-0.2, ", "")),
+        ("position: unknown setting; known: translation, rotation", OWN.replace("translation", "position")),
+        ("frame_id: 3 is not text", OWN.replace("frame_id: base\n", "frame_id: 3\n", 1)),
+        (r"translation: \[\] is not 3 numbers", "rotation: [0, 0, 0, 1]"),
+        ("holds a list, not a mapping", "- 1"),
+        ("is not a calibration of easy_handeye2", EASY),
+        ("rotation: length 0.953", ON_BASE.replace("w: 0.5", "w: 0.4")),
+        ("is not a calibration of easy_handeye2: there is no 'z'", ON_BASE.replace(", z: 0.8", "")),
+        ("is not a calibration of easy_handeye2", "transform: 3"),
+    ]
+    every_case(cases, check)
     with pytest.raises(ConfigError, match=r"none\.yaml"):
         read_hand_eye(str(tmp_path / "none.yaml"))
 

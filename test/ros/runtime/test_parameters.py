@@ -70,19 +70,17 @@ def test_an_invalid_change_is_refused_with_the_reason_and_changes_nothing(node):
         assert reason in result.reason
         assert settings.value == before
 
-    every_case(
-        [
-            ("inner.depth", 10, "10"),
-            ("speed", -0.5, "-0.5"),
-            ("speed", float("nan"), "nan"),
-            ("word", "c", "'c' is none of a, b"),
-            ("fixed", False, "read-only"),
-            ("speed", "fast", "type"),
-            ("target.mode", "point", "TargetConfig.point: is empty"),
-            ("numbers", ["x"], "is not a number"),
-        ],
-        check,
-    )
+    cases = [
+        ("inner.depth", 10, "10"),
+        ("speed", -0.5, "-0.5"),
+        ("speed", float("nan"), "nan"),
+        ("word", "c", "'c' is none of a, b"),
+        ("fixed", False, "read-only"),
+        ("speed", "fast", "type"),
+        ("target.mode", "point", "TargetConfig.point: is empty"),
+        ("numbers", ["x"], "is not a number"),
+    ]
+    every_case(cases, check)
     both = [Parameter("speed", value=2.0), Parameter("word", value="c")]
     assert not node.set_parameters_atomically(both).successful
     assert (settings.value.speed, node.get_parameter("speed").value) == (1.0, 1.0)

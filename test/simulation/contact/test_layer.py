@@ -126,31 +126,15 @@ def test_hard_gaps_converge(rng):
             assert distance.min() > -0.021 * solution.depth_m
             assert solution.force_n == pytest.approx(command.force_n or solution.force_n, rel=1e-9)
 
-    layers = [
-        layer
-        for modulus in (1e2, 1e6, 1e12)
-        for layer in (
-            half_space(modulus),
-            half_space(modulus, 0.5),
-            Layer(modulus_pa=modulus, poisson=0.3, thickness_m=0.003),
-        )
-    ]
+    moduli = (1e2, 1e6, 1e12)
+    layers = [half_space(modulus, poisson) for modulus in moduli for poisson in (0.3, 0.5)]
+    layers += [Layer(modulus_pa=modulus, poisson=0.3, thickness_m=0.003) for modulus in moduli]
     every_case([(name, gap, layer) for (name, gap), layer in product(gaps.items(), layers)], check)
 
 
-def test_small_pushes_are_proportional_and_none_is_no_pressure():
+def test_small_pushes_are_proportional_and_too_few_iterations_are_refused_with_the_numbers():
     problem = paraboloid(24, 0.006, skin(0.002))
     small, smaller = (solve_layer(problem, Command(force_n=force)) for force in (1e-9, 1e-29))
     assert_allclose(smaller.pressure * 1e20, small.pressure, rtol=1e-6)
-    nothing = solve_layer(problem, Command(depth_m=-1e-3))
-    assert not nothing.pressure.any()
-    assert nothing.force_n == nothing.area_m2 == 0.0
-
-
-def test_too_much_and_too_few_iterations_are_refused_with_the_numbers():
-    with pytest.raises(ContactError, match=r"layers\[0\]: compressed by .* max_strain 0.95: press less"):
-        solve_layer(paraboloid(24, 0.012, skin()), Command(force_n=1e4))
-    with pytest.raises(ContactError, match=r"more than the 0\.012 m window is wide"):
-        solve_layer(paraboloid(24, 0.012), Command(force_n=1e6))
     with pytest.raises(ContactError, match=r"no convergence after 4 iterations on 24\^2 cells, \d+ of them in contact"):
         solve_layer(paraboloid(24, 0.012, skin()), Command(force_n=1.0), max_iterations=2)

@@ -29,16 +29,13 @@ def test_window_holds_frame_depth_and_points_that_fit():
         assert np.isnan(window.points[~on_pad]).all()
 
 
-def test_gap_starts_at_first_touch_wherever_the_object_is():
+def test_gap_starts_at_first_touch_wherever_the_object_is_and_what_is_no_surface_is_refused():
     window = pad_window(PAD, pad_direction(0.2, 0.1))
     height = np.where(window.x < 0.002, -50 * window.x**2, -np.inf)
     gap = gap_field(window.depth, height)
     assert gap.min() == 0.0
     assert np.isinf(gap[window.x >= 0.002]).all()
     assert_allclose(gap_field(window.depth, height - 0.3), gap, atol=1e-15)
-
-
-def test_what_is_no_surface_or_place_of_the_pad_is_refused():
     with pytest.raises(ContactError, match="no cell of the window holds both"):
         gap_field(np.zeros((2, 2)), np.full((2, 2), -np.inf))
     for direction in (np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):

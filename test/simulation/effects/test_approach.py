@@ -37,16 +37,13 @@ def test_pad_and_ball_meet_where_their_normals_are_opposite() -> None:
         np.testing.assert_allclose(behind, local[2] - np.sqrt(square), atol=5e-5)
 
 
-def test_the_relief_of_a_surface_has_its_height_and_is_fixed_to_the_object() -> None:
+def test_the_relief_has_its_height_and_a_posture_moves_the_contact_over_the_pad() -> None:
     rough = CAN | {"surface": {"relief_m": 1e-4}}
     plain = [run(scene(), "relief", slot=slot).relief for slot in range(8)]
     heights = [run(scene(rough), "relief", slot=slot).relief - plain[slot] for slot in range(8)]
     assert np.std(heights) == pytest.approx(1e-4, rel=0.25)
     again = run(scene(rough, grasps={"thumb": {"force_n": [2.0, 2.0]}}), "relief", slot=5)
     np.testing.assert_array_equal(again.relief - plain[5], heights[5])
-
-
-def test_the_posture_moves_the_contact_over_the_pad() -> None:
     postures = ({"thumb_posture": {"pitch_deg": [pitch, pitch]}} for pitch in (-20.0, 0.0, 20.0))
     places = [run(scene(BALL, fingers=fingers), "pads").pads[0].frame.origin[0] for fingers in postures]
     assert places == sorted(places)

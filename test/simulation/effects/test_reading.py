@@ -42,17 +42,14 @@ def test_a_session_moves_tare_and_touch_of_one_object_alike() -> None:
     assert np.abs(shifts[1] - shifts[0]).max() > 1.0
 
 
-def test_noise_moves_tare_and_touch_apart() -> None:
+def test_noise_moves_tare_and_touch_apart_and_drift_the_touch_beyond_an_older_tare() -> None:
     plain, noisy = run(scene(**HELD), *SERIES), run(scene(fingers={"noise": {}}, **HELD), *SERIES)
     moved = (noisy.series - plain.series)[..., 1:]
     assert np.std(moved) == pytest.approx(np.hypot(4.2, 1.9), rel=0.25)
     assert abs(np.corrcoef(moved[0].ravel(), moved[1].ravel())[0, 1]) < 0.5
-
-
-def test_drift_moves_the_touch_beyond_an_older_tare() -> None:
     drift = {"session_s": [100, 100], "tare_age_s": [60, 60]}
     config = scene(fingers={"drift": drift}, **HELD)
-    plain, warm = run(scene(**HELD), *SERIES), run(config, *SERIES)
+    warm = run(config, *SERIES)
     expected = temperature_drift(config.fingers.drift.temperature, np.array([100.0, 160.0]))  # type: ignore[union-attr]
     for finger in range(2):
         np.testing.assert_allclose((warm.series - plain.series)[:, finger], expected)

@@ -10,12 +10,8 @@ from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
 from foretouch.simulation.solids import Box
 from foretouch.simulation.world import World
 
-FLAT = {
-    "name": "box",
-    "shape": "box",
-    "size_m": [0.12, 0.16, 0.05],
-    "pose": {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]},
-}
+STILL = {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]}
+FLAT = {"name": "box", "shape": "box", "size_m": [0.12, 0.16, 0.05], "pose": STILL}
 
 
 def test_depth_and_labels_are_those_of_the_solid() -> None:
@@ -83,7 +79,7 @@ def test_clutter_hides_a_part_and_is_no_part_of_the_cloud() -> None:
     assert smaller >= 1
 
 
-def test_the_cloud_lies_on_the_object_in_the_camera_frame() -> None:
+def test_the_cloud_lies_on_the_object_and_colours_are_darker_where_it_turns_away() -> None:
     config = scene({"name": "ball", "shape": "ball", "size_m": [0.1, 0.1, 0.1]}, camera={"tilt_deg": 20})
     state = run(config, "cloud", "bodies", "pixels")
     world = World.of(config)
@@ -92,9 +88,6 @@ def test_the_cloud_lies_on_the_object_in_the_camera_frame() -> None:
     rows, columns = np.divmod(state.pixels, world.view.width)
     pixel, _ = world.view.project(points)
     np.testing.assert_allclose(pixel, np.column_stack([columns, rows]), atol=1e-3)
-
-
-def test_colours_are_the_objects_and_darker_where_it_turns_away() -> None:
     state = run(scene(CAN | {"colour": [200, 100, 0]}), "cloud")
     rgb = state.cloud.rgb
     assert rgb is not None
@@ -113,7 +106,7 @@ def test_a_view_that_cannot_be_made_is_a_named_failure() -> None:
     assert caught.value.reason == "no_place"
 
 
-def test_objects_stand_on_the_table_within_their_ranges() -> None:
+def test_objects_stand_on_the_table_within_their_ranges_and_random_shapes_take_turns() -> None:
     def check(rest: str, slot: int) -> None:
         pose = {"rest": rest, "x_m": [0.01, 0.02], "y_m": [-0.05, 0.05]}
         body = run(scene(CAN | {"pose": pose, "size_spread": 0.1}), "bodies", slot=slot).bodies[0]
@@ -126,9 +119,6 @@ def test_objects_stand_on_the_table_within_their_ranges() -> None:
         assert (rest == "any") or up == pytest.approx(1.0 if rest == "upright" else 0.0, abs=1e-9)
 
     every_case([(rest, slot) for rest in ("upright", "side", "any") for slot in range(12)], check)
-
-
-def test_random_shapes_take_turns() -> None:
     config = scene({"name": "thing", "shape": "random", "variants": 3, "size_m": [0.08, 0.08, 0.08]}, CAN)
     variants = [run(config, "bodies", slot=slot).bodies[0].variant for slot in range(8)]
     assert variants == [0, 0, 1, 0, 2, 0, 0, 0]

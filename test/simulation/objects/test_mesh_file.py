@@ -4,11 +4,10 @@
 import json
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from every_case import every_case
+from every_case import every_case, every_refusal
 from sim_builders import run
 
 from foretouch.errors import ConfigError, FileError, SimulationError
@@ -129,14 +128,9 @@ def test_the_hash_of_a_scene_covers_the_content_of_the_mesh_and_not_its_path(
 def test_settings_that_do_not_fit_the_shape_are_refused(tmp_path: Path, block: TriangleMesh) -> None:
     millimetres = write(tmp_path / "mm.ply", TriangleMesh(block.vertices * 1e3, block.faces))
     cases = [
-        ({"shape": "mesh"}, "thing.file: is needed for the shape mesh"),
-        ({"shape": "can", "file": "a.ply"}, "thing.file: is only for the shape mesh"),
-        ({"shape": "can", "size_m": ()}, "size_m: .* is not three lengths"),
-        ({"shape": "mesh", "file": millimetres, "size_m": ()}, "size_m: .* is not three lengths from 0.005 to 0.5 m"),
+        ("thing.file: is needed for the shape mesh", {"shape": "mesh"}),
+        ("thing.file: is only for the shape mesh", {"shape": "can", "file": "a.ply"}),
+        ("size_m: .* is not three lengths", {"shape": "can", "size_m": ()}),
+        ("size_m: .* is not three lengths from 0.005 to 0.5 m", {"shape": "mesh", "file": millimetres, "size_m": ()}),
     ]
-
-    def check(settings: dict[str, Any], reason: str) -> None:
-        with pytest.raises(ConfigError, match=reason):
-            ObjectConfig(name="thing", **settings)
-
-    every_case(cases, check)
+    every_refusal(ConfigError, cases, lambda settings: ObjectConfig(name="thing", **settings))

@@ -4,7 +4,7 @@ import pytest
 from every_case import every_case
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.objects import SHAPES, TriangleMesh, shapes, unit_mesh
+from foretouch.simulation.objects import SHAPES, shapes, unit_mesh
 
 MEMBERS = [(shape, 0) for shape in SHAPES] + [("random", k) for k in range(1, 12)]
 
@@ -40,13 +40,5 @@ def test_members_of_the_family_differ_and_come_back() -> None:
     assert len(volumes) == 12
     unit_mesh.cache_clear()
     assert {round(unit_mesh("random", k).volume(), 6) for k in range(12)} == volumes
-
-
-def test_what_is_no_solid_is_refused_by_name() -> None:
-    mesh = unit_mesh("can")
-    with pytest.raises(SimulationError, match=r"tin: the mesh has an edge"):
-        TriangleMesh(mesh.vertices, mesh.faces[1:]).closed("tin")
-    with pytest.raises(SimulationError, match=r"tin: the mesh encloses -"):
-        TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]).closed("tin")
     with pytest.raises(SimulationError, match=r"'cube' is none of ball, box, can"):
         unit_mesh("cube")

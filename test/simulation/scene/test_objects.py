@@ -28,13 +28,10 @@ def test_every_object_draws_its_own_values_within_the_ranges() -> None:
     assert all(item.rigid and item.thickness_m is None for item in drawn())
 
 
-def test_stiffness_is_uniform_in_its_logarithm() -> None:
+def test_stiffness_is_uniform_in_its_logarithm_and_more_objects_leave_the_first_as_they_were() -> None:
     """The median of the draws from 10 kPa to 1 MPa is near 100 kPa; uniform in the modulus it would be 505 kPa."""
     moduli = [item.young_pa for item in drawn(young_pa=[1e4, 1e6], count=400)]
     assert np.median(np.log10(np.array(moduli, np.float64))) == pytest.approx(5.0, abs=0.15)
-
-
-def test_more_objects_leave_the_first_ones_as_they_were() -> None:
     assert drawn(**MIXED | {"count": 60})[:40] == drawn(**MIXED)
     assert drawn(**MIXED, seed=1) != drawn(**MIXED)
 

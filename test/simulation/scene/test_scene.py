@@ -22,13 +22,18 @@ def test_every_scene_of_the_repository_loads_and_can_be_explained() -> None:
         assert all(plan.reason for plan in plans.values())
 
 
-def test_the_scene_that_models_are_trained_on_is_frozen() -> None:
+def test_the_scene_that_models_are_trained_on_is_frozen_and_others_are_what_they_are_for() -> None:
     """Renew the hash, printed by `foretouch simulate SCENE --explain --json`, only together with every model."""
     path = SCENES["deformables"]
     assert load_scene(path).sha256() == path.with_suffix(".sha256").read_text().strip()
+    unseen = load_scene(SCENES["unseen_objects"])
+    assert len(unseen.objects) >= 90  # enough to calibrate and to judge on
+    assert unseen.fingers.sessions is not None
+    first, second = (item.to_mapping() for item in load_scene(SCENES["lookalikes"]).objects)
+    assert {key for key in first if first[key] != second[key]} == {"name", "young_pa"}
 
 
-def test_the_hash_covers_every_setting_that_changes_a_sample() -> None:
+def test_the_hash_covers_every_setting_and_a_scene_survives_the_way_through_plain_data() -> None:
     plain, random = scene(CAN), scene(CAN | {"shape": "random"})
     others = [
         scene(CAN, fingers={"sessions": {}}),
@@ -40,14 +45,12 @@ def test_the_hash_covers_every_setting_that_changes_a_sample() -> None:
         scene(CAN | {"shape": "random", "first_variant": 1}),
     ]
     assert len({one.sha256() for one in (plain, *others)}) == 1 + len(others)
-
-
-def test_the_scenes_are_what_they_are_for() -> None:
-    unseen = load_scene(SCENES["unseen_objects"])
-    assert len(unseen.objects) >= 90  # enough to calibrate and to judge on
-    assert unseen.fingers.sessions is not None
-    first, second = (item.to_mapping() for item in load_scene(SCENES["lookalikes"]).objects)
-    assert {key for key in first if first[key] != second[key]} == {"name", "young_pa"}
+    fingers = {"timeline": {"hold_s": 1.0}, "scan": {}, "thumb": {"electrode_rest": 3000}}
+    config = scene(CAN, SPONGE, camera={"noise": {}}, fingers=fingers)
+    again = SceneConfig.from_mapping(config.to_mapping())
+    assert again == config
+    assert again.sha256() == config.sha256()
+    assert config.fingers.thumb.pdc_rest == scene().fingers.thumb.pdc_rest != scene().fingers.middle.pdc_rest
 
 
 def test_contradictions_are_named() -> None:
@@ -104,12 +107,3 @@ def test_contradictions_are_named() -> None:
             SceneConfig.from_mapping({"objects": [CAN], **mapping}, "s.yaml")
 
     every_case(cases, check)
-
-
-def test_a_scene_survives_the_way_through_plain_data_and_a_thumb_that_is_changed_in_part_stays_one() -> None:
-    fingers = {"timeline": {"hold_s": 1.0}, "scan": {}, "thumb": {"electrode_rest": 3000}}
-    config = scene(CAN, SPONGE, camera={"noise": {}}, fingers=fingers)
-    again = SceneConfig.from_mapping(config.to_mapping())
-    assert again == config
-    assert again.sha256() == config.sha256()
-    assert config.fingers.thumb.pdc_rest == scene().fingers.thumb.pdc_rest != scene().fingers.middle.pdc_rest

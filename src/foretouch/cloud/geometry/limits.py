@@ -51,8 +51,7 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     Raises:
         LimitError: Names the measure and its limit.
     """
-    points = xyz.reshape(-1, 3)
-    columns = points.T.astype(np.float64, order="C")  # reductions along rows of three are slow
+    columns = xyz.reshape(-1, 3).T.astype(np.float64, order="C")  # reductions along rows of three are slow
     if not np.isfinite(columns).all():
         columns = columns[:, np.isfinite(columns).all(axis=0)]
     if columns.shape[1] == 0:

@@ -7,11 +7,10 @@ Comparisons and sums that decide on single points are made in float32, as in PCL
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64
+from foretouch.types import Bool, Float32, Float64, Floating, Int64, Integer
 
 _mean_neighbour_distance = Kernel("mean_neighbour_distance", np.float32, int, int, np.float32, np.uint8)
 _moments_within = Kernel("summed_moments", np.float32, int, np.float32, int, float, np.float32, np.float64)
@@ -31,11 +30,11 @@ _LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on 
 class VoxelGrid:
     """Assignment of N points to M occupied cells of a grid anchored at the origin."""
 
-    cell: npt.NDArray[np.int64]  # (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z
-    counts: npt.NDArray[np.int64]  # (M,) int64, points per cell, at least 1
+    cell: Int64  # (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z
+    counts: Int64  # (M,) int64, points per cell, at least 1
     leaf_m: float  # edge of a cell [m]
 
-    def mean(self, values: npt.NDArray[np.floating]) -> Float64:
+    def mean(self, values: Floating) -> Float64:
         """(M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
         means = np.empty((len(self.counts), values.shape[1]))
         values = np.ascontiguousarray(values, np.float64)
@@ -69,14 +68,11 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
     if not np.prod(size) < 2.0**62:
         raise CloudError(f"xyz: spans {size.tolist()} cells of {leaf_m} m, too many to number")
     i, j, k = ijk.astype(np.int64)
-    key = i + int(size[0]) * (j + int(size[1]) * k)
-    _, cell, counts = np.unique(key, return_inverse=True, return_counts=True)
+    _, cell, counts = np.unique(i + int(size[0]) * (j + int(size[1]) * k), return_inverse=True, return_counts=True)
     return VoxelGrid(cell.reshape(-1), counts, leaf_m)
 
 
-def normals_and_curvature(
-    xyz: Float32, query: npt.NDArray[np.integer], radius_m: float = 0.03
-) -> tuple[Float64, Float64]:
+def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) -> tuple[Float64, Float64]:
     """Normals and curvature of chosen points, by fitting a plane to the neighbours of each.
 
     Neighbours, including the point itself, are strictly closer than the radius. The normal is the minor eigenvector of
@@ -93,8 +89,7 @@ def normals_and_curvature(
     """
     if len(query) == 0:
         return np.zeros((0, 3)), np.zeros(0)
-    near = xyz[_in_box(xyz, xyz[query], radius_m)]
-    return _fit(_summed_moments(near, xyz[query], radius_m), xyz[query])
+    return _fit(_summed_moments(xyz[_in_box(xyz, xyz[query], radius_m)], xyz[query], radius_m), xyz[query])
 
 
 def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid | None = None) -> int:
@@ -110,8 +105,7 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid |
     # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
     if grid is None or grid.leaf_m > radius_m * _CUBE:
         grid = voxel_grid(xyz, radius_m * _CUBE)
-    spans = _spans_plane(_moments_of_cells(xyz, grid))
-    undecided = np.flatnonzero(~spans[grid.cell])
+    undecided = np.flatnonzero(~_spans_plane(_moments_of_cells(xyz, grid))[grid.cell])
     # A subset of the neighbours that spans a plane is sufficient; all are used for the few remaining points.
     for step in (_SAMPLE_STEP, 1):
         if len(undecided) == 0:
@@ -128,10 +122,10 @@ def _moments_of_cells(xyz: Float32, grid: VoxelGrid) -> Float64:
     return sums
 
 
-def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:
+def _in_box(xyz: Float32, around: Float32, radius_m: float) -> Bool:
     """Points that can be neighbours of any of `around`, by bounding box."""
     margin = np.float32(radius_m * _MARGIN)
-    inside: npt.NDArray[np.bool_] = np.ones(len(xyz), np.bool_)
+    inside: Bool = np.ones(len(xyz), np.bool_)
     for column, middle in zip(np.ascontiguousarray(xyz.T), around.T, strict=True):
         inside &= column >= middle.min() - margin
         inside &= column <= middle.max() + margin
@@ -154,7 +148,7 @@ def _covariance(sums: Float64) -> Float64:
     return np.asarray(square - mean[:, 1:4, None] * mean[:, None, 1:4], np.float64)
 
 
-def _spans_plane(sums: Float64) -> npt.NDArray[np.bool_]:
+def _spans_plane(sums: Float64) -> Bool:
     """(Q,) bool: whether neighbourhoods contain three points that are not collinear."""
     c = _covariance(sums)
     trace = np.trace(c, axis1=1, axis2=2)
@@ -170,7 +164,7 @@ def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
     return normals, curvature
 
 
-def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> npt.NDArray[np.bool_]:
+def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> Bool:
     """(N,) bool, inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
 
     The standard deviation is that of a sample (n - 1). A single point is an inlier.
@@ -202,7 +196,7 @@ def mean_neighbour_distance(xyz: Float32, k: int) -> Float32:
     return result
 
 
-def _tree_mean_distance(xyz: Float32, query: npt.NDArray[np.int64], k: int) -> Float32:
+def _tree_mean_distance(xyz: Float32, query: Int64, k: int) -> Float32:
     """For the points that the compiled search gives up: in a pile of thousands, or so far away that squares overflow."""
     from scipy.spatial import cKDTree
 

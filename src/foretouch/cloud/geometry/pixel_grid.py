@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import CloudError
-from foretouch.types import Float32, Float64
+from foretouch.types import Float32, Float64, Int64, Integer
 
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
@@ -22,13 +21,13 @@ _IMAGE_SIDE = 4096  # columns or rows in any case
 class PixelGrid:
     """The pixels of the points of a depth image, at most one point per pixel."""
 
-    row: npt.NDArray[np.int64]  # (N,) int64, 0 ... height - 1
-    column: npt.NDArray[np.int64]  # (N,) int64, 0 ... width - 1
+    row: Int64  # (N,) int64, 0 ... height - 1
+    column: Int64  # (N,) int64, 0 ... width - 1
     height: int  # size of the part of the image that contains the points
     width: int
 
     @classmethod
-    def from_pixels(cls, pixels: npt.NDArray[np.integer], image_shape: tuple[int, int]) -> Self | None:
+    def from_pixels(cls, pixels: Integer, image_shape: tuple[int, int]) -> Self | None:
         """A grid from flat, row-major indices into an image; None if it would be large and almost empty.
 
         Time and memory are those of the smallest rectangle around the pixels, which a message may place anywhere.
@@ -75,7 +74,7 @@ class PixelGrid:
         return cls._cropped(row, column)
 
     @classmethod
-    def _cropped(cls, row: npt.NDArray[np.int64], column: npt.NDArray[np.int64]) -> Self | None:
+    def _cropped(cls, row: Int64, column: Int64) -> Self | None:
         """Indices relative to the first row and column; None if two points share a pixel."""
         if len(row) == 0:
             return cls(row, column, 0, 0)
@@ -88,7 +87,7 @@ class PixelGrid:
         return cls(row, column, height, width)
 
 
-def _lattice(ray: Float64) -> npt.NDArray[np.int64] | None:
+def _lattice(ray: Float64) -> Int64 | None:
     """Index of each ray on an evenly spaced line, or None if they are not evenly spaced."""
     levels = np.sort(ray)
     gaps = np.diff(levels)

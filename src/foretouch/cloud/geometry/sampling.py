@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.columns import centred_columns, distances
 from foretouch.errors import CloudError
-from foretouch.types import Float64
+from foretouch.types import Float64, Floating, Int64
 
 SAMPLERS = ("random", "voxel", "farthest")
 _VOXEL_HALVINGS = 20  # of the voxel's edge: 21 bits hold a cell's index, and float32 resolves little more
@@ -17,9 +16,7 @@ _MAX_M = 1e30  # whose square is a number in float64
 _MIN_SCALE_M = 1e-6  # a smaller cloud is one point and the rounding of float32
 
 
-def sample_indices(
-    xyz: npt.NDArray[np.floating], n: int, *, method: str = "random", rng: np.random.Generator
-) -> npt.NDArray[np.int64]:
+def sample_indices(xyz: Floating, n: int, *, method: str = "random", rng: np.random.Generator) -> Int64:
     """Indices of a fixed number of points.
 
     If the cloud has fewer than `n` points, all are returned, and some repeatedly, drawn at random.
@@ -55,7 +52,7 @@ def sample_indices(
     return rng.choice(size, n, replace=False).astype(np.int64)
 
 
-def _farthest(xyz: npt.NDArray[np.floating], n: int, first: int) -> npt.NDArray[np.int64]:
+def _farthest(xyz: Floating, n: int, first: int) -> Int64:
     """Farthest-point sampling; coordinates are contiguous, and the loop allocates no array."""
     columns = [np.ascontiguousarray(xyz[:, axis], np.float32) for axis in range(3)]
     nearest = np.full(len(xyz), np.inf, np.float32)
@@ -75,7 +72,7 @@ def _farthest(xyz: npt.NDArray[np.floating], n: int, first: int) -> npt.NDArray[
     return chosen
 
 
-def _one_per_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def _one_per_voxel(xyz: Floating, n: int, rng: np.random.Generator) -> Int64:
     """One point per voxel, reduced at random to n; filled up if coinciding points leave too few voxels."""
     shuffled = rng.permutation(len(xyz))  # the first point of a cell is then a random one
     points = xyz[shuffled].astype(np.float64)
@@ -88,12 +85,11 @@ def _one_per_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generat
             if extent > 0.0
             else np.zeros_like(points, np.int64)
         )
-        keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-        _, first = np.unique(keys, return_index=True)
+        _, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
         if len(first) >= n:
             return shuffled[rng.choice(first, n, replace=False)].astype(np.int64)
     rest = np.setdiff1d(np.arange(len(xyz)), first)
-    chosen: npt.NDArray[np.int64] = shuffled[np.concatenate([first, rng.choice(rest, n - len(first), replace=False)])]
+    chosen: Int64 = shuffled[np.concatenate([first, rng.choice(rest, n - len(first), replace=False)])]
     return chosen
 
 
@@ -105,7 +101,7 @@ class UnitSphereFrame:
     scale: float  # distance of its farthest point from the centroid [m]
 
     @classmethod
-    def fit(cls, xyz: npt.NDArray[np.floating]) -> Self:
+    def fit(cls, xyz: Floating) -> Self:
         """The frame of a cloud.
 
         Args:
@@ -127,6 +123,6 @@ class UnitSphereFrame:
             raise CloudError(f"xyz: all {len(points)} points coincide at {centre.tolist()}")
         return cls(centre, scale)
 
-    def apply_points(self, points: npt.NDArray[np.floating]) -> Float64:
+    def apply_points(self, points: Floating) -> Float64:
         """(..., 3) [m] to the unit sphere, float64."""
         return (np.asarray(points, np.float64) - self.centre) / self.scale

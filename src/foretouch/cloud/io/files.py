@@ -12,17 +12,16 @@ import tokenize
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.pcd import read_pcd, write_pcd
 from foretouch.cloud.io.ply import read_ply, write_ply
 from foretouch.cloud.io.records import SIZE_LIMIT, check_unpacked
 from foretouch.errors import CloudError, FileError
-from foretouch.types import Cloud
+from foretouch.types import AnyArray, Cloud, Float32
 
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
@@ -51,12 +50,11 @@ def read_cloud(path: str | Path) -> Cloud:
     if reader is None:
         raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
     try:
-        cloud: Cloud = reader(path)
+        return reader(path)
     except OSError as err:
         raise FileError(path, err.strerror or str(err)) from err
     except CloudError as err:
         raise FileError(path, str(err)) from err
-    return cloud
 
 
 def write_cloud(path: str | Path, cloud: Cloud) -> None:
@@ -120,15 +118,14 @@ def _unpacked(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, siz
     return archive.read(member)
 
 
-def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[Any]:
+def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
     stream = io.BytesIO(content)
     try:
-        version = np.lib.format.read_magic(stream)
         read_header = {
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
             (3, 0): np.lib.format.read_array_header_2_0,
-        }[version]
+        }[np.lib.format.read_magic(stream)]
         shape, by_columns, dtype = read_header(stream, _NPY_HEADER_LIMIT)
     except _DAMAGE as err:
         rule = f"is damaged or no .npy array: {type(err).__name__}: {' '.join(str(err).split())}"
@@ -145,7 +142,7 @@ def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[
     return (flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)).copy("K")
 
 
-def _coordinates(path: Path, xyz: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def _coordinates(path: Path, xyz: AnyArray) -> Float32:
     if xyz.dtype.kind != "f":
         raise FileError(path, f"dtype {xyz.dtype} is no floating number", field="xyz")
     with np.errstate(over="ignore"):
@@ -153,7 +150,7 @@ def _coordinates(path: Path, xyz: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 
 def _write_npz(path: Path, cloud: Cloud) -> None:
-    arrays: dict[str, npt.NDArray[Any]] = {
+    arrays: dict[str, AnyArray] = {
         "xyz": cloud.xyz,
         "frame_id": np.array(cloud.frame_id),
         "stamp_ns": np.array(cloud.stamp_ns, np.int64),

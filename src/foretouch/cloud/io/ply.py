@@ -5,10 +5,8 @@ The shape of an organised cloud is in the two `obj_info` lines `num_cols` and `n
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.records import (
@@ -21,27 +19,19 @@ from foretouch.cloud.io.records import (
     whole_number,
 )
 from foretouch.errors import FileError
-from foretouch.types import Cloud
+from foretouch.types import AnyArray, Cloud
 
-_NAMES = [
-    "char",
-    "uchar",
-    "short",
-    "ushort",
-    "int",
-    "uint",
-    "float",
-    "double",
-    "int8",
-    "uint8",
-    "int16",
-    "uint16",
-    "int32",
-    "uint32",
-    "float32",
-    "float64",
-]
-_TYPES = dict(zip(_NAMES, 2 * ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"], strict=True))
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+_TYPES |= {np.dtype(kind).name: kind for kind in _TYPES.values()}  # int8 and so on
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOURS = ("red", "green", "blue")
 
@@ -89,10 +79,9 @@ def write_ply(path: Path, cloud: Cloud) -> None:
     parts: list[tuple[str, str]] = [(name, "<f4") for name in "xyz"]
     if cloud.rgb is not None:
         parts += [(name, "u1") for name in _COLOURS]
-    records: npt.NDArray[Any] = np.empty(cloud.size, parts)
+    records: AnyArray = np.empty(cloud.size, parts)
     for k, (name, _) in enumerate(parts):
-        values = cloud.xyz if k < 3 or cloud.rgb is None else cloud.rgb
-        records[name] = values[..., k % 3].reshape(-1)
+        records[name] = (cloud.xyz if k < 3 or cloud.rgb is None else cloud.rgb)[..., k % 3].reshape(-1)
     lines = ["ply", "format binary_little_endian 1.0"]
     if cloud.organised:
         lines += [f"obj_info num_cols {cloud.xyz.shape[1]}", f"obj_info num_rows {cloud.xyz.shape[0]}"]

@@ -13,22 +13,17 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import CloudError
-from foretouch.types import Cloud, Float32, UInt8
-
-_Bytes: TypeAlias = "bytes | bytearray | memoryview | array.array[int] | npt.NDArray[np.uint8]"
+from foretouch.types import AnyArray, Cloud, Float32, UInt8
 
 # Codes of sensor_msgs/PointField.
 DATATYPES: dict[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _NAMES = {1: "INT8", 2: "UINT8", 3: "INT16", 4: "UINT16", 5: "INT32", 6: "UINT32", 7: "FLOAT32", 8: "FLOAT64"}
 _UINT8, _FLOAT32, _FLOAT64 = 2, 7, 8
 _PACKED_COLOUR = (5, 6, 7)  # four bytes, regardless of the declared type
-_HOST_IS_BIGENDIAN = sys.byteorder == "big"
 
 
 @dataclass(frozen=True)
@@ -77,7 +72,7 @@ class PointCloud2Layout:
     def _field(self, name: str) -> PointField | None:
         return next((field for field in self.fields if field.name == name), None)
 
-    def _view(self, data: UInt8, dtype: str, offset: int, last: tuple[int, int] | None = None) -> npt.NDArray[Any]:
+    def _view(self, data: UInt8, dtype: str, offset: int, last: tuple[int, int] | None = None) -> AnyArray:
         """One number of each point, or `last` = (count, stride in bytes) of them, without a copy."""
         shape = self._shape
         strides = (self.row_step, self.point_step)[2 - len(shape) :]
@@ -100,7 +95,7 @@ class PointCloud2Layout:
                 raise CloudError(f"{name}: count {field.count} is not 1")
             fields.append(field)
         x, y, z = fields
-        native = self.is_bigendian == _HOST_IS_BIGENDIAN
+        native = self.is_bigendian == (sys.byteorder == "big")
         spacing = y.offset - x.offset
         if native and spacing == z.offset - y.offset and all(f.datatype == _FLOAT32 for f in fields):
             return self._view(data, "f4", x.offset, (3, spacing))
@@ -126,7 +121,9 @@ class PointCloud2Layout:
         return np.stack([self._view(data, "u1", offset) for offset in offsets], axis=-1) if len(offsets) == 3 else None
 
 
-def decode(layout: PointCloud2Layout, data: _Bytes) -> tuple[Float32, UInt8 | None]:
+def decode(
+    layout: PointCloud2Layout, data: bytes | bytearray | memoryview | array.array[int] | UInt8
+) -> tuple[Float32, UInt8 | None]:
     """Coordinates and colours of a message.
 
     Args:
@@ -172,7 +169,7 @@ def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
     shape = cloud.xyz.shape[:-1]
     height, width = shape if cloud.organised else (1, *shape)
     fields = [PointField(name, 4 * i, _FLOAT32) for i, name in enumerate("xyz")]
-    points: npt.NDArray[Any] = cloud.xyz.astype("<f4", order="C", copy=False)
+    points: AnyArray = cloud.xyz.astype("<f4", order="C", copy=False)
     if cloud.rgb is not None:
         fields.append(PointField("rgb", 12, _FLOAT32))
         points = _with_colour(points, cloud.rgb)
@@ -190,7 +187,7 @@ def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
     return layout, data
 
 
-def _with_colour(xyz: npt.NDArray[np.float32], rgb: UInt8) -> npt.NDArray[np.float32]:
+def _with_colour(xyz: Float32, rgb: UInt8) -> Float32:
     points = np.empty((*xyz.shape[:-1], 4), "<f4")
     for i in range(3):  # by column: four times as fast as one assignment of three
         points[..., i] = xyz[..., i]

@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import FileError, shown
-from foretouch.types import Cloud, UInt8
+from foretouch.types import AnyArray, Cloud, UInt8
 
-Records = npt.NDArray[Any]  # (N,) of a structured dtype
+Records = AnyArray  # (N,) of a structured dtype
 
 SIZE_LIMIT: Final = 2_000_000_000  # of a file with a cloud [bytes]
 HEADER_LIMIT: Final = 65536  # bytes within which a header must end
-_UNPACKED: Final = 32_000_000  # bytes in any case; an image of 1280 x 720 points in double has 22 million
-_UNPACKED_RATIO: Final = 10  # times the size of the file, beyond that
 
 
 def whole_number(path: Path, text: str, field: str) -> int:
@@ -34,7 +31,7 @@ def whole_number(path: Path, text: str, field: str) -> int:
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
     """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes]."""
-    limit = max(_UNPACKED, _UNPACKED_RATIO * size)
+    limit = max(32_000_000, 10 * size)  # an image of 1280 x 720 points in double has 22 million bytes
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)
 
@@ -64,8 +61,7 @@ def ascii_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, fi
     size = points * sum(widths)
     words = body.split() if alone else body.split(None, size)[:size]
     if len(words) != size:
-        rule = f"{len(words)} numbers are not {points} points of {sum(widths)} = {size}"
-        raise FileError(path, rule, field=field)
+        raise FileError(path, f"{len(words)} numbers are not {points} points of {sum(widths)} = {size}", field=field)
     try:
         table = np.array(words, np.float64).reshape(points, sum(widths))
     except ValueError as err:

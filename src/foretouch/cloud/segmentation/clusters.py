@@ -19,13 +19,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Plane
+from foretouch.types import Bool, Float32, Int32, Int64, Plane
 
 _plane_heights = Kernel("plane_heights", np.float32, int, np.float32, np.float32)
 _grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
@@ -37,7 +36,23 @@ _label_window = Kernel(
 
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
 
-Int32 = npt.NDArray[np.int32]
+
+@dataclass(frozen=True, kw_only=True)
+class CropConfig(Settings):
+    """Depth range along the optical axis."""
+
+    min_range_m: float = setting(0.16, "Points nearer than this are ignored", minimum=0.0, maximum=10.0, unit="m")
+    max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.01, maximum=16.0, unit="m")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_range_m >= self.max_range_m:
+            raise ConfigError(f"CropConfig.min_range_m: {self.min_range_m} is not below max_range_m {self.max_range_m}")
+
+
+def in_range(z: Float32, config: CropConfig) -> Bool:
+    """Whether depths of any shape, float32 [m], are within the range, its ends included; false without depth."""
+    return (z >= np.float32(config.min_range_m)) & (z <= np.float32(config.max_range_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +96,7 @@ class Clusters(NamedTuple):
     """Cluster labels of a window of the cloud."""
 
     labels: Int32  # (h, w) int32, an unorganised cloud in one row; 0 is none
-    solid: npt.NDArray[np.bool_]  # the same shape, bool: labelled, with a reliable depth
+    solid: Bool  # the same shape, bool: labelled, with a reliable depth
     n_labels: int  # the largest label
     rows: int = 0  # first row of the window, 0 if unorganised
     columns: int = 0  # first column of the window, 0 if unorganised
@@ -167,8 +182,7 @@ def _pixel_pitch(xyz: Float32) -> float:
     """Lateral distance of horizontal neighbours per depth: 1/f of a pinhole camera; 0 if there are none."""
     rows = xyz[:: max(1, len(xyz) // 4)]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        ray = rows[..., 0] / rows[..., 2]
-        steps = np.abs(np.diff(ray, axis=1))
+        steps = np.abs(np.diff(rows[..., 0] / rows[..., 2], axis=1))
     steps = steps[np.isfinite(steps)]
     if not steps.size:
         return 0.0
@@ -190,14 +204,13 @@ def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold
         above = np.flatnonzero((height > least) & (height < np.float32(threshold.high_m)) & in_range(z, crop))
     if not len(above):
         return []
-    cells = np.floor(xyz[above] / _VOXEL_M).astype(np.int64)
-    component, count = _label_voxels(cells)
+    component, count = _label_voxels(np.floor(xyz[above] / _VOXEL_M).astype(np.int64))
     labels = np.zeros((1, len(xyz)), np.int32)
     labels[0, above] = component
     return [Clusters(labels, labels > 0, count)]
 
 
-def _label_voxels(cells: npt.NDArray[np.int64]) -> tuple[Int32, int]:
+def _label_voxels(cells: Int64) -> tuple[Int32, int]:
     """Connected components of occupied cells (n, 3), with 26 neighbours.
 
     Returns:

@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32
+from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float64, Plane
+from foretouch.types import Cloud, Float64, Int32, Int64, Plane
 
 _collect_members = Kernel(
     "collect_members",
@@ -35,7 +34,7 @@ class ObjectSegment:
 
     id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`
     cloud: Cloud  # its points, unorganised, all finite, in the order of the input
-    pixels: npt.NDArray[np.int64]  # (n,) int64, rows of `cloud` as flat indices into the input cloud, ascending
+    pixels: Int64  # (n,) int64, rows of `cloud` as flat indices into the input cloud, ascending
     centroid: Float64  # (3,) float64, mean of the points [m]
     bounds: Float64  # (2, 3) float64, smallest and largest x, y, z [m]
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Plane
+from foretouch.types import Float32, Float64, Index, Plane
 
 _count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
 _points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
@@ -26,7 +25,6 @@ _residuals_near = Kernel(
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
-Index = npt.NDArray[np.intp]
 _Rows = Index | slice
 
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
@@ -84,8 +82,7 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
 def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:
     """Which of n points are fitted, which of those are scored, and the first batch of triples of those."""
     fitted = _some(n, _REFIT, rng)
-    some = _some(min(n, _REFIT), _SCORED, rng)
-    return fitted, some, rng.integers(min(n, _SCORED), size=(3, _BATCH))
+    return fitted, _some(min(n, _REFIT), _SCORED, rng), rng.integers(min(n, _SCORED), size=(3, _BATCH))
 
 
 @lru_cache(maxsize=8)
@@ -157,8 +154,7 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
     normal, offset = abcd[:3].astype(np.float64), float(abcd[3])
     reach, spread = config.threshold_m, 0.0
     for _ in range(2):
-        inside = _near(points, points @ normal, offset, reach)
-        normal, offset, rms, spread = _eigen_plane(inside)
+        normal, offset, rms, spread = _eigen_plane(_near(points, points @ normal, offset, reach))
         reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
     kept, scaled, wide = _residuals(points, points @ normal, offset, config.threshold_m, float(origin[2]))
     inliers = len(kept)

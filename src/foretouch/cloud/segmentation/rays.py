@@ -10,12 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.types import Float32, Float64
-
-Index = npt.NDArray[np.intp]
+from foretouch.types import Bool, Float32, Float64, Index
 
 _FITTED = 128  # points that the rays are fitted to
 _DEVIATION = 0.05  # distance of a point from the ray of its pixel, per depth, beyond which it is dropped
@@ -81,7 +78,7 @@ class RayFilter:
             angle = 2.0 * math.degrees(math.atan(widest))
             self.reason = f"rays: {angle:.0f} degrees is more than field_of_view_deg {config.field_of_view_deg:g}"
 
-    def beside(self, xyz: Float32, rows: Index, columns: Index) -> npt.NDArray[np.bool_]:
+    def beside(self, xyz: Float32, rows: Index, columns: Index) -> Bool:
         """(...) bool: whether points (..., 3) with a positive depth are beside their ray; false where one number is NaN."""
         deviation, *slopes = self.numbers
         z, apart = xyz[..., 2], []
@@ -104,7 +101,7 @@ def _tangent(config: RayConfig) -> float:
     return math.tan(math.radians(config.field_of_view_deg) / 2.0)
 
 
-def out_of_view(xyz: Float32, config: RayConfig) -> npt.NDArray[np.bool_]:
+def out_of_view(xyz: Float32, config: RayConfig) -> Bool:
     """(N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
     z = xyz[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -145,12 +142,12 @@ def not_optical(xyz: Float32, config: RayConfig = _DEFAULT) -> str:
     return f"not_optical: {what}: an optical frame (x right, y down, z forward) is needed"
 
 
-def _share(chosen: npt.NDArray[np.bool_]) -> float:
+def _share(chosen: Bool) -> float:
     """Share of the chosen ones; 1 of none."""
     return np.count_nonzero(chosen) / chosen.size if chosen.size else 1.0
 
 
-def finite_rows(points: Float32) -> npt.NDArray[np.bool_]:
+def finite_rows(points: Float32) -> Bool:
     """(n,) bool: points (n, 3) with three finite coordinates; reductions along rows of three are slow."""
     x, y, z = np.isfinite(points).T
     return np.asarray(x & y & z, np.bool_)
@@ -175,7 +172,7 @@ def _fit_rays(sample: Float32, pixels: Float64) -> Float64:
     return _least_squares(pixels[best], tangents[best]) if best.any() else rays
 
 
-def _inliers(pixels: Float64, tangents: Float64, rays: Float64) -> npt.NDArray[np.bool_]:
+def _inliers(pixels: Float64, tangents: Float64, rays: Float64) -> Bool:
     return np.asarray((np.abs(pixels @ rays - tangents) <= _DEVIATION).all(axis=1), np.bool_)
 
 

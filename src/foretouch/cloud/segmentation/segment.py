@@ -10,23 +10,22 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.segmentation.clusters import (
     ClusterConfig,
+    CropConfig,
     HeightThreshold,
-    Int32,
+    in_range,
     label_organised,
     label_unorganised,
 )
-from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.timing import timed
-from foretouch.types import Cloud, Float32, Plane
+from foretouch.types import Cloud, Float32, Index, Int32, Plane
 
 SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
@@ -111,8 +110,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
         status, reason, plane, objects, labels = _segment(cloud, config, counts, ms)
-        frame = "" if status == "ok" else not_optical(cloud.xyz, config.rays)
-        if frame:
+        if status != "ok" and (frame := not_optical(cloud.xyz, config.rays)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
     dropped = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")
@@ -156,8 +154,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         return "no_plane", fit.reason, None, (), labels
     with timed(ms, "clusters"):
         limits = config.clusters
-        noise_per_m = limits.noise_factor * fit.noise_per_m
-        threshold = HeightThreshold(fit.plane, limits.min_height_m, noise_per_m, _HIGHEST_M)
+        threshold = HeightThreshold(fit.plane, limits.min_height_m, limits.noise_factor * fit.noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
         else:
@@ -172,9 +169,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
     return "ok", "", fit.plane, objects, labels
 
 
-def _rays(
-    sample: Float32, index: npt.NDArray[np.intp], across: int, stride: int, width: int, config: RayConfig
-) -> RayFilter:
+def _rays(sample: Float32, index: Index, across: int, stride: int, width: int, config: RayConfig) -> RayFilter:
     """The rays of an image, from points of a coarse one by their flat indices in it."""
     rows, columns = (stride * one for one in np.divmod(index, across))
     rays = RayFilter(sample, rows, columns, config)
@@ -192,7 +187,7 @@ def _count_depths(xyz: Float32, config: CropConfig) -> tuple[int, int]:
     return int(counts[0]), int(counts[1])
 
 
-def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, npt.NDArray[np.intp]]:
+def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, Index]:
     """Every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range.
 
     Returns:
@@ -206,7 +201,7 @@ def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, 
     return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
 
 
-def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, npt.NDArray[np.intp]]:
+def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, Index]:
     """Every n-th row and column of an image, and the flat indices of the points in range."""
     coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
     index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)

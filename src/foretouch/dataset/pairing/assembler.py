@@ -16,6 +16,7 @@ from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
     GraspTouchMatcher,
+    Label,
     MatchedGrasp,
     PlannedGrasps,
     RejectedGrasp,
@@ -24,13 +25,11 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import TactileReader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages import TactileReader, stamp_ns
 from foretouch.types import Cloud, Grasp, GraspSample
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
-_DETECTOR: Final = "change against the tare (foretouch.tactile.contact_detector)"
 _TACTILE_TIMEOUT_S: Final = 1.0
 _CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
 
@@ -102,8 +101,7 @@ class SampleAssembler:
 
     def sensor_states(self, now_s: float) -> dict[str, str]:
         """State by finger, and of the camera: `alive`, `no data`, or the fault."""
-        camera = ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA
-        return {**self._health.states, "camera": camera}
+        return {**self._health.states, "camera": ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA}
 
     # Input.
 
@@ -134,8 +132,7 @@ class SampleAssembler:
         """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`)."""
         content = self._reader.read(message)
         stamp = received_ns if content.stamp_ns is None else content.stamp_ns
-        received = received_ns if self.config.check_clock else stamp
-        reading = TouchReading(stamp, content.counts, content.others, received)
+        reading = TouchReading(stamp, content.counts, content.others, received_ns if self.config.check_clock else stamp)
         jumps = self.readings.anomalies["clock_jump"]
         accepted = self.readings.add(reading)
         self._last_tactile_s = now_s
@@ -200,11 +197,11 @@ class SampleAssembler:
     # Records.
 
     def _labelled(self, match: MatchedGrasp) -> SampleRecord:
-        label, cut, window, executed = match.label, match.cut, match.cut.window, match.executed
+        label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
         grasp, candidates = _grasps(match.plan, executed.grasp_id)
         sample = GraspSample(
             id="",
-            object=(label.object if label else "") or self.config.object or "unknown",
+            object=label.object or self.config.object or "unknown",
             cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp.object_id),
             grasp=grasp,
             touch=cut.touch,
@@ -214,17 +211,18 @@ class SampleAssembler:
         )
         self._labelled_clouds.add(match.cloud.stamp_ns)
         others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
-        discard = (DISCARDED,) if label and label.discard else ()
         return SampleRecord(
             sample=sample,
             candidates=candidates,
             outcome=_outcome(match),
-            note="; ".join(filter(None, (self.config.note, label.note if label else ""))),
+            note="; ".join(filter(None, (self.config.note, label.note))),
             series=TouchSeries(window.stamps_ns, window.counts, cut.phases, others),
             contact_ns=cut.contact_ns,
-            detector=_DETECTOR if cut.contact_ns is not None else "",
+            detector="change against the tare (foretouch.tactile.contact_detector)"
+            if cut.contact_ns is not None
+            else "",
             pairing_error_ns=cut.error_ns,
-            flags=(*self._reader.flags, *executed.flags, *cut.flags, *discard),
+            flags=(*self._reader.flags, *executed.flags, *cut.flags, *([DISCARDED] if label.discard else [])),
         )
 
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:

@@ -7,8 +7,6 @@ all that follow the readings, such as tare and contact detectors, see those alon
 After a jump back, all readings so far are discarded, since their stamps would be those of readings to come.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections import Counter, OrderedDict
 from collections.abc import Callable
@@ -16,9 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from foretouch.types import TOUCH_SIZE, Float32
+from foretouch.types import TOUCH_SIZE, Float32, Int64
 
 _SECOND_NS = 1_000_000_000
 _MB = 1_000_000
@@ -40,12 +37,12 @@ class TouchReading:
 class TouchWindow:
     """Readings between two stamps, in the order of their stamps."""
 
-    stamps_ns: npt.NDArray[np.int64]  # (T,) int64 [ns]
+    stamps_ns: Int64  # (T,) int64 [ns]
     counts: Float32  # (T, 50) float32
     others: Float32  # (T, K) float32
-    received_ns: npt.NDArray[np.int64]  # (T,) int64 [ns]
+    received_ns: Int64  # (T,) int64 [ns]
 
-    def between(self, low_ns: int, high_ns: int) -> TouchWindow:
+    def between(self, low_ns: int, high_ns: int) -> "TouchWindow":
         """The readings stamped in [low, high)."""
         first, last = np.searchsorted(self.stamps_ns, (low_ns, high_ns))
         rows = slice(int(first), int(last))
@@ -96,11 +93,10 @@ class TouchBuffer:
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
         """The readings stamped in [low, high)."""
         rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
-        width = len(rows[0].others) if rows else 0
         return TouchWindow(
             np.array([r.stamp_ns for r in rows], np.int64),
             np.array([r.counts for r in rows], np.float32).reshape(len(rows), TOUCH_SIZE),
-            np.array([r.others for r in rows], np.float32).reshape(len(rows), width),
+            np.array([r.others for r in rows], np.float32).reshape(len(rows), len(rows[0].others) if rows else 0),
             np.array([r.received_ns for r in rows], np.int64),
         )
 
@@ -139,10 +135,9 @@ class TouchBuffer:
         return before, reading
 
     def _trim(self) -> None:
-        first = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
-        first = max(first, len(self._stamps) - self._max_readings)
-        if first > 0:
-            del self._stamps[:first], self._readings[:first]
+        old = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
+        first = max(old, len(self._stamps) - self._max_readings)  # at least 0
+        del self._stamps[:first], self._readings[:first]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +181,7 @@ class CloudBuffer:
         """Add a cloud by the stamp of its header [ns], and return the clouds that were removed for it."""
         known = self._clouds.get(stamp_ns)
         if known is not None:
-            ambiguous = known.ambiguous or known.message.data != message.data
-            self._clouds[stamp_ns] = replace(known, ambiguous=ambiguous)
+            self._clouds[stamp_ns] = replace(known, ambiguous=known.ambiguous or known.message.data != message.data)
             return []
         self._clouds[stamp_ns] = BufferedCloud(stamp_ns, message, now_s)
         self.bytes += len(message.data)

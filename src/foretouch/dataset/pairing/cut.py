@@ -11,7 +11,6 @@ intervals hold readings of the right kind only. A grasp is rejected if an interv
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
@@ -19,7 +18,7 @@ from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
-from foretouch.types import Float32, Touch
+from foretouch.types import Bool, Float32, Int64, Touch, UInt8
 
 _SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
@@ -93,7 +92,7 @@ class TouchCut:
     others: Float32  # (K,) median of the further channels over the steady contact
     tare_others: Float32  # (K,) the same over the time before the grasp
     window: TouchWindow  # the readings from the tare to the release
-    phases: npt.NDArray[np.uint8]  # (T,) uint8 of REST, APPROACH and HOLD
+    phases: UInt8  # (T,) uint8 of REST, APPROACH and HOLD
     contact_ns: int | None  # stamp of first contact [ns], by the contact detector; None where it found none
     error_ns: int  # longest time without a reading within tare or contact [ns]
     clock_ns: int  # smallest difference of reception time and stamp [ns]
@@ -182,8 +181,7 @@ def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | No
     if length_ns < _ns(_MIN_TARE_S) or len(rest) < _MIN_TARE_READINGS:
         raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
     half = len(rest) // 2
-    scores = contact_scores(rest.counts[half:], rest.counts[:half], contact)
-    if (np.median(scores, axis=0) > 1.0).any():
+    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], contact), axis=0) > 1.0).any():
         raise PairingError("restless_tare", "something was touched before the grasp")
 
 
@@ -208,11 +206,10 @@ def _flags(window: TouchWindow, onsets: tuple[int | None, int | None]) -> tuple[
     return tuple(flags)
 
 
-def _longest_run_ns(same: npt.NDArray[np.bool_], stamps_ns: npt.NDArray[np.int64]) -> int:
+def _longest_run_ns(same: Bool, stamps_ns: Int64) -> int:
     """Longest time over which neighbouring readings are the same [ns]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    runs = [int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)]
-    return max(runs, default=0)
+    return max((int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)), default=0)
 
 
 def _ns(seconds: float) -> int:

@@ -6,12 +6,10 @@ from the operator's label, or, where there is neither, from the contact detector
 interval have come, then its touch is cut out by stamps.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
@@ -22,7 +20,6 @@ from foretouch.tactile.messages import stamp_ns
 
 _SECOND_NS = 1_000_000_000
 _MAX_PLANS = 10_000
-_KEPT_GRASPS = 256  # finished ones, to reject intervals that overlap with theirs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +32,7 @@ class ExecutedGrasp:
     flags: tuple[str, ...] = ()  # source of an interval that the robot did not report: `labelled_interval`, ...
 
     @classmethod
-    def from_message(cls, message: Any) -> ExecutedGrasp:
+    def from_message(cls, message: Any) -> Self:
         """Decode a `foretouch_msgs/ExecutedGrasp` of rclpy or rosbags."""
         start, contact, release = (stamp_ns(time) for time in (message.start, message.contact, message.release))
         touched = message.success or contact or release
@@ -123,7 +120,7 @@ class GraspTouchMatcher:
         self.pending: list[_Pending] = []
         self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
-        self._finished: deque[ExecutedGrasp] = deque(maxlen=_KEPT_GRASPS)
+        self._finished: deque[ExecutedGrasp] = deque(maxlen=256)  # to reject intervals that overlap with theirs
         self._unclaimed: list[tuple[Episode, float]] = []
 
     # Input.
@@ -133,8 +130,7 @@ class GraspTouchMatcher:
         if not grasps:
             return
         for grasp in grasps:
-            known = self._stamp_of.get(grasp.id, stamp_ns)
-            self._stamp_of[grasp.id] = stamp_ns if known == stamp_ns else None
+            self._stamp_of[grasp.id] = stamp_ns if self._stamp_of.get(grasp.id, stamp_ns) == stamp_ns else None
         before, ids = self.plans.get(stamp_ns), {grasp.id for grasp in grasps}
         kept = [one for one in before.grasps if one.id not in ids] if before and before.frame_id == frame_id else []
         self.plans[stamp_ns] = PlannedGrasps(stamp_ns, frame_id, (*kept, *grasps))
@@ -157,8 +153,9 @@ class GraspTouchMatcher:
 
     def add_episode(self, episode: Episode, now_s: float) -> None:
         """Add a contact that has ended; the robot has `wait_s` to report it."""
-        known = [*self._finished, *(one.executed for one in self.pending)]
-        if not any(_covers(executed.interval, episode) for executed in known):
+        if not any(
+            _covers(one.interval, episode) for one in [*self._finished, *(one.executed for one in self.pending)]
+        ):
             self._unclaimed.append((episode, now_s))
 
     def add_label(self, label: Label, now_s: float) -> tuple[str, str]:
@@ -178,19 +175,16 @@ class GraspTouchMatcher:
         self._labels[name] = label
         if label.interval is None:
             return name, "waits for its contact"
-        executed = ExecutedGrasp(grasp_id=name, interval=label.interval, flags=("labelled_interval",))
-        self.add_executed(executed, now_s)
+        self.add_executed(ExecutedGrasp(grasp_id=name, interval=label.interval, flags=("labelled_interval",)), now_s)
         return name, "its touch is being recorded"
 
     # Output.
 
     def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
         """The grasps that are complete by now; at the end, all."""
-        if self._unclaimed:
-            self._claim_late_episodes(now_s, ending=ending)
+        self._claim_late_episodes(now_s, ending=ending)
         ready = [one for one in self.pending if ending or self._is_ready(one, now_s)]
-        if ready:
-            self.pending = [one for one in self.pending if one not in ready]
+        self.pending = [one for one in self.pending if one not in ready]
         results = [self._finish(one) for one in ready]
         if ending:
             message = "labelled, but never executed"
@@ -203,8 +197,7 @@ class GraspTouchMatcher:
             return self.pending[-1].executed.grasp_id
         if not self.plans:
             raise PairingError("grasp_unknown", "there is no grasp to label: none was planned while recording")
-        name: str = self.plans[next(reversed(self.plans))].grasps[0].id
-        return name
+        return str(self.plans[next(reversed(self.plans))].grasps[0].id)
 
     def _claim_late_episodes(self, now_s: float, *, ending: bool) -> None:
         """Give contacts that the robot has not reported in time to a waiting label, else perhaps to the best grasp."""
@@ -273,8 +266,8 @@ class GraspTouchMatcher:
         intervals = [(before.grasp_id, before.interval) for before in self._finished if before.interval is not None]
         for other, before in intervals:
             if before.overlaps(interval.start, interval.release):
-                reason = "told_twice" if other == name else "overlap"
-                raise PairingError(reason, f"grasp {other} was reported for that time already")
+                text = f"grasp {other} was reported for that time already"
+                raise PairingError("told_twice" if other == name else "overlap", text)
         ends = [before.release for _, before in intervals if before.release <= interval.start]
         cut = cut_touch(self._buffer, interval, self.config, self._contact, max(ends, default=None))
         return MatchedGrasp(plan, cloud, cut, executed, one.label)

@@ -35,8 +35,6 @@ class ContactEpisodes:
     def update(self, stamp_ns: int, counts: Float32) -> Episode | None:
         """Add a reading of both fingers; gives the episode that ends with it."""
         changes = self._detector.update(stamp_ns, counts)
-        if not changes:
-            return None
         for change in changes:
             if change.kind == "onset":
                 self._onset[change.finger] = change.stamp_ns
@@ -44,8 +42,7 @@ class ContactEpisodes:
         if not before or self._holding:
             return None
         first, both = sorted(self._onset.values())
-        released = min(change.stamp_ns for change in changes if change.kind == "release")
-        return Episode(first=first, both=both, release=released)
+        return Episode(first=first, both=both, release=min(one.stamp_ns for one in changes if one.kind == "release"))
 
     def reset(self) -> None:
         """Restart detection, after the clock has jumped."""
@@ -68,8 +65,7 @@ class SensorHealth:
         faults = () if plausible else touch_faults(Touch.from_vector(counts))
         for finger, columns in FINGER_COLUMNS.items():
             own = (fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower()))
-            state = self._state(finger, counts[columns])
-            self.states[finger] = next(own, state)
+            self.states[finger] = next(own, self._state(finger, counts[columns]))
 
     def silence(self) -> None:
         """No reading has come for a while."""

@@ -11,7 +11,7 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -59,8 +59,8 @@ class EditLog:
         recorded = record.sample.id
         label = self._labels.get(recorded)
         if label is not None:
-            sample = replace(record.sample, id=f"{label}/{recorded.partition('/')[2]}", object=label)
-            record = replace(record, sample=sample)
+            renamed = f"{label}/{recorded.partition('/')[2]}"
+            record = replace(record, sample=replace(record.sample, id=renamed, object=label))
         if recorded in self._dropped and DISCARDED not in record.flags:
             record = replace(record, flags=(*record.flags, DISCARDED))
         return record
@@ -84,13 +84,7 @@ def append_edit(path: Path, edit: Edit) -> int:
     """Append an edit, which is on the disk when this returns, and return its number; the caller holds the lock."""
     file = path / EDITS
     edits, digest, size = _read(file)
-    body = {
-        "schema_version": _VERSION,
-        "action": edit.action,
-        "ids": list(edit.ids),
-        "object": edit.object,
-        "edit": edit.edit,
-    }
+    body = {"schema_version": _VERSION, **asdict(edit)}
     line = json.dumps({**body, "sha256": _digest(digest, body)}, ensure_ascii=False) + "\n"
     with disk_errors(file):
         with file.open("ab") as log:

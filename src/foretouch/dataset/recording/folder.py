@@ -12,7 +12,7 @@ Layout, schema version 1::
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -30,7 +30,6 @@ _MANIFEST: Final = "manifest.json"
 _SEAL: Final = "sha256"
 _LOCK: Final = ".lock"
 _PART: Final = f"{_MANIFEST}.part"
-_COPY_BYTES: Final = 1 << 20
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -96,10 +95,10 @@ def lock(path: Path) -> Iterator[None]:
 @contextmanager
 def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
     """Lock a dataset of this hand and camera for writing (see `lock`); it is created if it does not exist."""
-    leftovers = {_LOCK, _PART}  # of a process that was killed before it had written the manifest
     with disk_errors(path):  # such as a name that is too long
         is_other = path.exists() and not (path / _MANIFEST).exists()
-        if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
+        # A process that is killed before it has written the manifest leaves these two.
+        if is_other and not (path.is_dir() and all(entry.name in {_LOCK, _PART} for entry in path.iterdir())):
             raise FileError(path, "exists and is no recorded dataset")
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
@@ -124,7 +123,7 @@ def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity)
     with new_folder(path) as part, opened_to_write(part, identity):
         with (part / file.name).open("xb") as copy:
             source.seek(0)
-            shutil.copyfileobj(source, copy, _COPY_BYTES)
+            shutil.copyfileobj(source, copy)
             copy.flush()
             os.fsync(copy.fileno())
         sync_folder(part)
@@ -155,17 +154,13 @@ def _create_manifest(path: Path, identity: Identity) -> None:
 def _require_same(path: Path, identity: Identity) -> None:
     """Refuse to continue with another hand, camera or minor version of foretouch; names all differences."""
     known, version = _read_identity(path)
-    pairs = [("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera)]
-    differences = [line for name, old, new in pairs for line in _differences(name, old, new)]
+    differences = [
+        f"{name}.{fact}: {old.get(fact, 'absent')} there, {new.get(fact, 'absent')} here"
+        for name, old, new in (("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera))
+        for fact in sorted(old.keys() | new.keys())
+        if old.get(fact) != new.get(fact)
+    ]
     if version.split(".")[:2] != __version__.split(".")[:2]:
         differences.append(f"foretouch: {version} there, {__version__} here")
     if differences:
         raise FileError(path, f"is a dataset of another kind, record into a new one: {'; '.join(differences)}")
-
-
-def _differences(name: str, old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
-    return [
-        f"{name}.{fact}: {old.get(fact, 'absent')} there, {new.get(fact, 'absent')} here"
-        for fact in sorted(old.keys() | new.keys())
-        if old.get(fact) != new.get(fact)
-    ]

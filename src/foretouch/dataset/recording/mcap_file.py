@@ -24,8 +24,6 @@ from foretouch.errors import DatasetError, FileError
 
 LIBRARY: Final = f"foretouch {__version__}"
 
-_TIME_END: Final = 2**63
-
 
 class McapFile:
     """A new MCAP file of the profile `ros2`. Not thread-safe.
@@ -65,7 +63,7 @@ class McapFile:
         if topic not in self._channels:
             raise DatasetError(f"{self.path}: {topic} was not declared by add_topic")
         for name, time_ns in (("log_time_ns", log_time_ns), ("publish_time_ns", sent_ns)):
-            if not 0 <= time_ns < _TIME_END:
+            if not 0 <= time_ns < 2**63:
                 raise DatasetError(f"{name}: {time_ns} is no time since 1970")
         return Message(self._channels[topic], log_time_ns, data, sent_ns, sequence & 0xFFFFFFFF)
 
@@ -130,8 +128,7 @@ class McapFile:
             self._fd = -1
 
     def _new_writer(self) -> Any:
-        stream = {"write": self._parts.append, "tell": self._end, "flush": lambda: None}
-        output: Any = SimpleNamespace(**stream)
+        output: Any = SimpleNamespace(write=self._parts.append, tell=self._end, flush=lambda: None)
         writer = Writer(output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start("ros2", LIBRARY)
         return writer
@@ -155,16 +152,12 @@ class McapFile:
                     rest = rest[os.write(self._fd, rest) :]
         except FileError:
             self._failed = True
-            self._cut()
+            try:
+                os.ftruncate(self._fd, self.size)  # remove the remains of the write
+            except OSError:
+                self.abandon()  # they stay: readers stop before them, and nothing may be written after them
             raise
         self.size += len(content)
-
-    def _cut(self) -> None:
-        """Remove the remains of a failed write."""
-        try:
-            os.ftruncate(self._fd, self.size)
-        except OSError:
-            self.abandon()  # the remains stay: readers stop before them, and nothing may be written after them
 
     def _repeat(self) -> None:
         """Pass the file to a new writer, since the index of the old one holds what could not be written."""

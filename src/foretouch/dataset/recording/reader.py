@@ -108,8 +108,7 @@ class RecordedDataset:
 
     def name(self, index: int) -> str:
         """File and offset of a sample, for messages."""
-        sample = self._samples[index]
-        return f"{sample.file}[{sample.message.start}]"
+        return f"{self._samples[index].file}[{self._samples[index].message.start}]"
 
 
 def _check_count(path: Path, data: memoryview, found: int) -> None:

@@ -8,8 +8,6 @@ Of the message counts in a recording, received = written + dropped (by reason), 
 middleware lost before they arrived were never received; they are counted separately.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os
@@ -21,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, Self, TypeAlias
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -53,8 +51,12 @@ _PARSED: Final = {
 _DECLARATIONS: Final = {Opcode.SCHEMA, Opcode.CHANNEL}
 _IN_DATA: Final = _DECLARATIONS | {Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.DATA_END}
 IN_CHUNK: Final = _DECLARATIONS | {Opcode.MESSAGE}
-_INDEXES: Final = {Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET}
-IN_SUMMARY: Final = _DECLARATIONS | _INDEXES
+IN_SUMMARY: Final = _DECLARATIONS | {
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.METADATA_INDEX,
+    Opcode.SUMMARY_OFFSET,
+}
 
 
 class Damage(NamedTuple):
@@ -251,7 +253,7 @@ class MessageCounts:
         """The counts of one topic, created if needed."""
         return self.topics.setdefault(name, TopicCounts())
 
-    def add(self, other: MessageCounts) -> None:
+    def add(self, other: "MessageCounts") -> None:
         """Add the counts of another recording."""
         for name, theirs in other.topics.items():
             counts = self.topic(name)
@@ -277,7 +279,7 @@ class MessageCounts:
         return {name: json.dumps(counts) for name, counts in self.to_record().items()}
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping[str, str]) -> MessageCounts:
+    def from_mapping(cls, mapping: Mapping[str, str]) -> Self:
         """Parse the result of `to_mapping`; a `DatasetError` if a text is invalid."""
         result = cls()
         for name, text in mapping.items():

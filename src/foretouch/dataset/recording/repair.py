@@ -47,8 +47,6 @@ from foretouch.dataset.recording.sample_codec import (
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import DatasetError, FileError, VersionError
 
-_KEPT: Final = ".before-repair"
-_LOST: Final = "lost before repair"
 _CHUNK_BYTES: Final = 4_000_000
 _HEAD: Final = 31  # bytes of a message record before its CDR
 _MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
@@ -102,7 +100,7 @@ def _repair_file(path: Path) -> RepairReport:
 
 def _replace(path: Path, repaired: Path) -> Path:
     """Replace the original by the repaired file; the original gets its second name before it loses the first."""
-    names = (f"{path.name}{_KEPT}{'' if number == 1 else f'-{number}'}" for number in count(1))
+    names = (f"{path.name}.before-repair{'' if number == 1 else f'-{number}'}" for number in count(1))
     kept = next(path.with_name(name) for name in names if not path.with_name(name).exists())
     with disk_errors(path, "cannot be replaced"):
         try:
@@ -141,8 +139,8 @@ class _Repair:
             file.abandon()
 
     def _declare(self) -> None:
-        definition = sample_types().text(SAMPLE_TYPE)  # the file's own copy may be damaged
-        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, definition)
+        # The file's own copy of the definition may be damaged.
+        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
         for number, channel in sorted(self._declared.channels.items()):
             schema = self._declared.schemas.get(channel.schema_id)
             if schema is None or channel.message_encoding != "cdr" or schema.encoding != "ros2msg":
@@ -179,7 +177,7 @@ class _Repair:
             written, dropped = self._written[topic], Counter(old.dropped)
             lost = old.received - written - dropped.total()
             if lost > 0:
-                dropped[_LOST] += lost
+                dropped["lost before repair"] += lost
             result.topics[topic] = TopicCounts(written + dropped.total(), written, dropped, old.lost)
         return result
 

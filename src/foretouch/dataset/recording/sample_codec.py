@@ -43,7 +43,6 @@ COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message co
 SCHEMA_VERSION: Final = 1
 
 _OWN: Final = Path(__file__).parent / "definitions"
-_TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")
 _DIGEST_SIZE: Final = 32
 _OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
@@ -103,17 +102,13 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
     return body + hashlib.sha256(body).digest()
 
 
-def _is_intact(data: bytes | memoryview) -> bool:
-    """Whether the bytes are an unchanged result of `encode_sample`."""
-    return len(data) > _DIGEST_SIZE and hashlib.sha256(data[:-_DIGEST_SIZE]).digest() == bytes(data[-_DIGEST_SIZE:])
-
-
 def decode_sample(data: bytes | memoryview) -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
     Raises a `DatasetError` if the bytes are damaged, of another schema version, or break a rule.
     """
-    if not _is_intact(data):
+    body, digest = data[:-_DIGEST_SIZE], bytes(data[-_DIGEST_SIZE:])
+    if not body or hashlib.sha256(body).digest() != digest:
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
         message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
@@ -150,8 +145,7 @@ def _stored(message: Any) -> StoredSample:
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
     )
-    identity = Identity(hand=_texts(message.hand), camera=_texts(message.camera))
-    return StoredSample(record, identity)
+    return StoredSample(record, Identity(hand=_texts(message.hand), camera=_texts(message.camera)))
 
 
 def _texts(text: str) -> dict[str, str]:
@@ -234,7 +228,7 @@ class Definitions:
 
     def _require(self, type_name: str) -> None:
         if type_name not in self.store.fielddefs:
-            if not _TYPE_NAME.fullmatch(type_name):
+            if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is no message type, such as std_msgs/msg/String")
             self.register(type_name, _find(type_name))
         for needed in _types_in(self.store, type_name):
@@ -245,8 +239,7 @@ def _find(type_name: str) -> str:
     package, _, name = type_name.split("/")
     if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
         return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
-    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
-    for prefix in prefixes:
+    for prefix in [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]:
         file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
         if file.is_file():
             return file.read_text(encoding="utf-8")

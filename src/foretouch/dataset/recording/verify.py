@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Header, Statistics
@@ -35,8 +34,6 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
 from foretouch.errors import DatasetError
-
-_MAX_FAULTS: Final = 100  # faults reported for one file
 
 
 @dataclass(eq=False)
@@ -94,7 +91,7 @@ def verify_file(path: Path) -> FileReport:
     report = FileReport(path)
     for fault in _Verification(report, mapped(path)).faults():
         report.faults.append(fault)  # one at a time: some checks are made only where there are none so far
-    del report.faults[_MAX_FAULTS:]
+    del report.faults[100:]  # so many are reported for one file
     return report
 
 

@@ -207,8 +207,7 @@ class RecordingWriter:
             sent = log_time_ns if publish_time_ns is None else publish_time_ns
             self._pending.append((topic, self.output.message(topic, data, log_time_ns, sent, sequence)))
             self._pending_bytes += len(data)
-            late = time.monotonic() - self._flushed_s >= self.config.chunk_s
-            if late or self._pending_bytes >= _CHUNK_BYTES:
+            if self._pending_bytes >= _CHUNK_BYTES or time.monotonic() - self._flushed_s >= self.config.chunk_s:
                 self.flush()
 
     def append(self, record: SampleRecord) -> str:
@@ -270,8 +269,8 @@ class RecordingWriter:
         if not sample.id:
             sample = replace(sample, id=numbered_id(sample.object, self._last_number + 1))
         if sample.id in self._ids:
-            hint = "`foretouch dataset build` joins datasets with equal ids"
-            raise DatasetError(f"{self.path}: id {sample.id} is taken; {hint}")
+            text = f"id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
+            raise DatasetError(f"{self.path}: {text}")
         return replace(record, sample=sample)
 
     def _require_open(self) -> None:
@@ -295,8 +294,8 @@ class RecordingWriter:
         if now - self._counted_s >= self.config.accounts_s:
             self._counted_s = now
             self._guarded(self._write_counts)
-        due = 0 < self.config.fsync_samples <= self._unsynced_samples
-        if due or 0 < self.config.fsync_s <= now - self._synced_s:
+        config = self.config
+        if 0 < config.fsync_samples <= self._unsynced_samples or 0 < config.fsync_s <= now - self._synced_s:
             self._guarded(self._sync)
 
     def _write_counts(self) -> None:
@@ -344,8 +343,9 @@ class RecordingWriter:
     def _save(self, remains: BinaryIO) -> str:
         """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""
         if os.fstat(remains.fileno()).st_nlink:
-            with_samples = f"with its {self.samples} samples: the session has ended"
-            return f"was moved or unmounted during the recording, {with_samples}"
+            return (
+                f"was moved or unmounted during the recording, with its {self.samples} samples: the session has ended"
+            )
         removed, lost = "was removed during the recording:", "no fallback_folder is set"
         if self._fallback_folder is not None:
             try:

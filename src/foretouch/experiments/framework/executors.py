@@ -23,8 +23,7 @@ from foretouch.errors import ConfigError, DatasetError, ForetouchError, MissingD
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
 from foretouch.processes import ONE_THREAD, one_thread_each, process_pool
 
-LOCAL_CLUSTER: Final = "local"
-"""Address that starts a Ray node on this machine for one sweep."""
+LOCAL_CLUSTER: Final = "local"  # address that starts a Ray node on this machine for one sweep
 
 _RETRIES: Final = 3
 _DIED: Final = "its process died (killed, or out of memory)"
@@ -58,16 +57,15 @@ class CellResult:
 def run_cell(job: Job, cell: Cell) -> CellResult:
     """Run one cell; the process keeps the data for the next one."""
     start = time.process_time()
-    rows, error = None, ""
     try:
         experiment, settings, data = _loaded(job)
         start = time.process_time()  # reading the data does not count
-        rows = experiment.run(cell, settings, data)
+        return CellResult(cell, experiment.run(cell, settings, data), "", time.process_time() - start)
     except ForetouchError as err:
         error = str(err)
     except Exception as err:  # noqa: BLE001 - a defect in one cell must not end the sweep; it is reported
         error = f"{type(err).__name__}: {' '.join(str(err).split())}"
-    return CellResult(cell, rows, error, time.process_time() - start)
+    return CellResult(cell, None, error, time.process_time() - start)
 
 
 @lru_cache(maxsize=1)
@@ -114,11 +112,9 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
         raise MissingDependencyError("ray is not installed: pip install 'foretouch[sweep]'") from err
     _require_server(address)
     try:
-        if address == LOCAL_CLUSTER:
-            # Without an address, Ray would use RAY_ADDRESS.
-            ray.init(address="local", num_cpus=workers, include_dashboard=False, log_to_driver=False)
-        else:
-            ray.init(address=address, log_to_driver=False)
+        # Without an address, Ray would use RAY_ADDRESS.
+        own: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == LOCAL_CLUSTER else {}
+        ray.init(address=address, log_to_driver=False, **own)
     except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
         raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
     try:

@@ -19,8 +19,7 @@ from foretouch.errors import ConfigError
 
 _PACKAGE: Final = "foretouch.experiments"
 
-Row = dict[str, Any]
-"""Plain JSON data by column."""
+Row = dict[str, Any]  # plain JSON data by column
 
 
 class HashedData(Protocol):
@@ -29,7 +28,6 @@ class HashedData(Protocol):
     @property
     def sha256(self) -> str:
         """Hash of the content; a cell refuses data with another hash than the sweep's."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,8 @@ S = TypeVar("S", bound=Settings)
 D = TypeVar("D", bound=HashedData)
 
 
-def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
+def require_data(_settings: Settings, source: Path | None, _out: Path) -> Path:
     """Default `prepare`: use the given data, or raise a `ConfigError` if there are none."""
-    del settings, out
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
     return source
@@ -110,34 +107,23 @@ class Experiment(Generic[S, D]):
         return f"foretouch experiment {self.name}"
 
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
-        """Settings of a preset with overrides.
-
-        Raises:
-            ConfigError: If there is no such preset, or a setting is unknown or out of its bounds.
-        """
+        """Settings of a preset with overrides; a `ConfigError` if one is unknown or out of its bounds."""
         if preset not in self.presets:
             raise ConfigError(f"{self.name}: preset: {preset!r} is none of {', '.join(self.presets)}")
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
         return base.updated(overrides, self.name)
 
     def finish(
-        self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
+        self, _settings: S, _data: D, rows: list[Row], _out: Path, _progress: Callable[[int, int], None], /
     ) -> list[Row]:
         """Complete the rows of `tabulate` in this process, once all cells have run: here, with nothing.
 
-        Args:
-            settings: Settings of the sweep.
-            data: Data of the sweep.
-            rows: The rows.
-            out: Folder of the sweep.
-            progress: Called with the number of steps done and of all.
+        `_out` is the folder of the sweep; `_progress` is called with the number of steps done and of all.
         """
-        del settings, data, out, progress
         return rows
 
-    def facts(self, rows: Sequence[Row]) -> dict[str, Any]:
+    def facts(self, _rows: Sequence[Row], /) -> dict[str, Any]:
         """Further entries of the command's result in JSON."""
-        del rows
         return {}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
@@ -151,8 +137,7 @@ class Experiment(Generic[S, D]):
 
 def list_experiments() -> list[Experiment[Any, Any]]:
     """The experiments of this package, in order of lists."""
-    found = [one for module in _modules() for one in _held_by(module)]
-    return sorted(found, key=lambda one: (one.order, one.name))
+    return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: (one.order, one.name))
 
 
 def find_experiment(name: str) -> Experiment[Any, Any]:
@@ -165,10 +150,9 @@ def find_experiment(name: str) -> Experiment[Any, Any]:
     """
     module, _, own = name.partition(":")
     if "." not in module:
-        for place in sorted(_modules(), key=lambda place: not place.endswith(f".{name}")):  # imports as few as it can
-            for one in _held_by(place):
-                if one.name == name:
-                    return one
+        places = sorted(_modules(), key=lambda place: not place.endswith(f".{name}"))  # imports as few as it can
+        if known := next((one for place in places for one in _held_by(place) if one.name == name), None):
+            return known
         raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in list_experiments())}")
     try:
         found = _held_by(module)

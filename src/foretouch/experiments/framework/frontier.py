@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables, sentences and picture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.report.panels import new_figure, save_small
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from foretouch.report.panels import Axes, new_figure, save_small
 
 _BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _LINE: Final = 0.05  # height of a label, as a share of the axes
@@ -121,13 +116,9 @@ def general_notes(rows: Sequence[Row], skills: Sequence[str]) -> Iterator[str]:
 
 
 def draw(panels: Sequence[Panel], skills: Mapping[str, str], rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier beside it.
+    """Draw `tradeoff.png` into a folder: a diagram for each panel that has rows, with the names on its frontier beside it.
 
-    Args:
-        panels: The diagrams.
-        skills: Columns of skills, each with its meaning.
-        rows: Of `tradeoff.csv`.
-        folder: The folder.
+    `skills` are the columns of skills, each with its meaning.
     """
     panels = [panel for panel in panels if frontier(of_request(rows, panel.request), panel.skill)]
     if not panels:
@@ -173,17 +164,14 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
     axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
     axes.set_ylabel(meaning)
     axes.set_title(panel.title, fontsize=10)
-    names = {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in line}
-    name_points(axes, names, _LINE)
+    name_points(axes, {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in line}, _LINE)
 
 
 def name_points(axes: Axes, points: Mapping[str, tuple[float, float]], gap: float) -> None:
     """Write names right of the axes, one below the other, each joined to its point by a line.
 
-    Args:
-        axes: The axes.
-        points: By name (x, y) of the point, with ascending y, so that neither names nor lines cross.
-        gap: Height of a name, as a share of the axes.
+    The points (x, y) are in order of ascending y, so that neither names nor lines cross; `gap` is the height of a name
+    as a share of the axes.
     """
     low, high = axes.get_ylim()
     places = spread([(y - low) / (high - low) for _, y in points.values()], gap)

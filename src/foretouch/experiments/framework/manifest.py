@@ -28,6 +28,7 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.checked_files import read_json
+from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
@@ -91,12 +92,7 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable:
 
 
 def require_experiment(out: Path, name: str) -> None:
-    """Refuse the folder of another experiment; one without a manifest is accepted.
-
-    Raises:
-        ConfigError: If the manifest names another experiment.
-        FileError: If the manifest is damaged.
-    """
+    """Raise `ConfigError` for the folder of another experiment; one without a manifest is accepted."""
     file = out / MANIFEST_FILE
     if file.exists() and (found := _read_manifest(file).get("experiment")) != name:
         raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
@@ -141,7 +137,7 @@ def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> l
     Raises:
         FileError: If it cannot be written.
     """
-    rounded = [{key: _rounded(value) for key, value in row.items()} for row in rows]
+    rounded = [{k: float(f"{v:.5g}") if isinstance(v, float) else v for k, v in row.items()} for row in rows]
     text = io.StringIO()
     if rows:
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
@@ -178,10 +174,8 @@ def write_summary(out: Path, experiment: Experiment[Any, Any], tables: Sequence[
         lines += [f"## {table.title}", ""]
         if table.rows:
             header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
-            lines += [f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]]
-            lines.append("")
-        lines += [f"- {note}" for note in table.notes]
-        lines += [""] * bool(table.notes)
+            lines += [*(f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]), ""]
+        lines += [*(f"- {note}" for note in table.notes), *[""] * bool(table.notes)]
     file.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
 
 
@@ -200,8 +194,7 @@ def _origin(out: Path, experiment: Experiment[Any, Any]) -> list[str]:
         lines = [f"`{_command(manifest, experiment)}`; {version}, {machine}", ""]
     cells = manifest.get("cells", {})
     if cells and cells["finished"] != cells["all"]:
-        text = f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
-        lines += [text, ""]
+        lines += [f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone.", ""]
     return lines
 
 
@@ -209,22 +202,11 @@ def _command(manifest: Mapping[str, Any], experiment: Experiment[Any, Any]) -> s
     """Command of a sweep with the settings that differ from those of its preset."""
     preset = manifest.get("preset", "")
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
-    usual = _flat(json.loads(json.dumps(base.to_mapping())))
-    changed = {name: value for name, value in _flat(manifest["settings"]).items() if value != usual.get(name)}
+    usual = flattened(json.loads(json.dumps(base.to_mapping())))
+    changed = {name: value for name, value in flattened(manifest["settings"]).items() if value != usual.get(name)}
     texts = {k: v if isinstance(v, str) else json.dumps(v, separators=(",", ":")) for k, v in changed.items()}
     overrides = [shlex.quote(f"{name}={text}") for name, text in texts.items()]
     return " ".join([experiment.command, *([f"--preset {preset}"] if preset else []), *overrides])
-
-
-def _flat(values: Any, name: str = "") -> dict[str, Any]:
-    """Nested settings by dotted name."""
-    if not isinstance(values, dict):
-        return {name: values}
-    return {key: one for k, v in values.items() for key, one in _flat(v, f"{name}.{k}" if name else k).items()}
-
-
-def _rounded(value: Any) -> Any:
-    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def _parsed(text: str | None) -> Any:
@@ -262,7 +244,7 @@ def _read_manifest(file: Path) -> dict[str, Any]:
 
 
 def _require_same(old: Mapping[str, Any], new: Mapping[str, Any], file: Path, resumable: Sequence[str]) -> None:
-    before, now = _flat(old), _flat(json.loads(json.dumps(new)))
+    before, now = flattened(old), flattened(json.loads(json.dumps(new)))
     for name in sorted({*before, *now}):
         if before.get(name) != now.get(name) and not set(name.split(".")[1:2]) & set(resumable):
             raise ConfigError(

@@ -122,7 +122,7 @@ class Area(Experiment[S, D]):
         return settings
 
     def finish(
-        self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
+        self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None], /
     ) -> list[Row]:
         """Add the times. Rows of an earlier run in the other state of the machine are kept."""
         found = {row["variant"]: row for row in rows}
@@ -137,7 +137,7 @@ class Area(Experiment[S, D]):
         before = read_results(out / self.results) if (out / self.results).exists() else []
         return timed + [{name: row.get(name) for name in timed[0]} for row in before if row["state"] not in states]
 
-    def facts(self, rows: Sequence[Row]) -> dict[str, Any]:
+    def facts(self, rows: Sequence[Row], /) -> dict[str, Any]:
         """Variants that could not run, with the reasons, and those on the frontier of each panel."""
         lines = {one.title: frontier.frontier(frontier.of_request(rows, one.request), one.skill) for one in self.panels}
         return {
@@ -210,21 +210,18 @@ def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) ->
     ends = ["", "_low", "_high", "_sd", *(f"_{one}" for one in MODALITIES), *(f"_rmse_{one}" for one in MODALITIES)]
     if not rows:
         return {f"{name}{end}": None for end in ends}
-    errors = _total(rows)
+    errors = ObjectErrors.of_rows(rows)
     found, rmse = skills(errors, bootstrap), errors.rmse()
     folds = {(one["part"], one.get("seed")) for one in rows}
     quick = bootstrap.replace(draws=100)  # of which only the mean is used
-    each = [skills(_total([one for one in rows if (one["part"], one.get("seed")) == fold]), quick) for fold in folds]
+    each = [
+        skills(ObjectErrors.of_rows([one for one in rows if (one["part"], one.get("seed")) == fold]), quick)
+        for fold in folds
+    ]
     mean = found[MEAN]
     values = [mean.value, mean.low, mean.high, float(np.std([one[MEAN].value for one in each]))]
     values += [*(found[one].value for one in MODALITIES), *(rmse[one] for one in MODALITIES)]
     return {f"{name}{end}": value for end, value in zip(ends, values, strict=True)}
-
-
-def _total(rows: Sequence[Row]) -> ObjectErrors:
-    return ObjectErrors.total(
-        [(one["object"], one["count"], np.array(one["squared"]), np.array(one["reference"])) for one in rows]
-    )
 
 
 def _time_variants(
@@ -240,9 +237,7 @@ def _time_variants(
     answers: dict[str, Answer] = {}
     skipped = {one.name: one.missing for one in variants if one.missing}
     with threadpool_limits(1):
-        for variant in variants:
-            if variant.name in skipped:
-                continue
+        for variant in (one for one in variants if not one.missing):
             try:
                 made = area.timed(variant, settings, data)
                 answers[variant.name] = np.array(made.answer(compared))
@@ -250,8 +245,7 @@ def _time_variants(
             except ForetouchError as err:
                 skipped[variant.name] = str(err)
         load = MachineLoad()
-        functions = {name: one.answer for name, one in ready.items()}
-        times = time_calls(functions, requests, settings.timing_s, progress)
+        times = time_calls({name: one.answer for name, one in ready.items()}, requests, settings.timing_s, progress)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
     found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}

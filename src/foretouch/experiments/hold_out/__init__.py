@@ -35,8 +35,8 @@ from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENTS"]
 
+# Settings that no cell depends on; its predictor and seed are among its values.
 RESUMABLE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
-"""Settings that no cell depends on; its predictor and seed are among its values."""
 
 
 def _cells(split: Splitter, settings: HoldOutSettings, data: Any) -> list[Cell]:
@@ -110,23 +110,8 @@ def _experiment(
     data_folder: str | None = "vision2tactile",
     **others: Any,
 ) -> Experiment[Any, Any]:
-    """One way to split.
-
-    Args:
-        name: Name of the experiment.
-        question: What it answers.
-        order: Position in lists of experiments.
-        split: What is held out.
-        presets: Presets by name.
-        settings: Class of the settings.
-        base: Settings of every preset.
-        columns: Further columns of `results.csv`.
-        resumable: Further settings that no cell depends on.
-        data_folder: Folder of the data below FORETOUCH_DATA.
-        others: Further attributes of the experiment.
-    """
-    how = {"load": load, "summarise": skill_tables, "figure": draw_skill_figure, **others}
-    how.setdefault("tabulate", partial(_tabulate, columns))
+    """One way to split; `base` are settings of every preset, `resumable` further settings that no cell depends on."""
+    how = {"load": load, "summarise": skill_tables, "figure": draw_skill_figure}
     return Experiment(
         name=name,
         question=question,
@@ -138,7 +123,7 @@ def _experiment(
         run=partial(_run, split),
         resumable_settings=(*RESUMABLE, *resumable),
         data_folder=data_folder,
-        **how,
+        **{**how, "tabulate": partial(_tabulate, columns), **others},
     )
 
 
@@ -147,8 +132,7 @@ _PRESETS: Final[dict[str, dict[str, Any]]] = {
     "quick": {},  # all but the networks: minutes
     "smoke": {"seeds": [0], "training_fraction": 0.1},
 }
-_KNOWN_OBJECTS_ONLY: Final = ("object_mean", "object_time_trees")
-"""Predictors that cannot predict a new object."""
+_KNOWN_OBJECTS_ONLY: Final = ("object_mean", "object_time_trees")  # predictors that cannot predict a new object
 
 _NEW_OBJECT: Final = [name for name in PREDICTORS if name not in _KNOWN_OBJECTS_ONLY]
 _TOUCHED: Final = {"seeds": [0], "references": ["training_mean", "geometry_trees"]}

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables and figures of the hold-out experiments, beyond those of skills."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.hold_out.splits import KNOWN, OBJECT_KNOWN, UNITS, CrossTypeSettings, LookalikesSettings
@@ -27,11 +25,8 @@ from foretouch.experiments.shared.tables import (
     unique,
 )
 from foretouch.learning.evaluation.metrics import MEAN
-from foretouch.report.panels import Rows
+from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, P1_RANGES
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
 _by_predictor = partial(draw_series, series="predictor", spread=0.12)
@@ -50,12 +45,11 @@ def draw_touches(rows: Rows, folder: Path) -> list[Path]:
     together = partial(_by_predictor, x="touches", names=predictors, lowest=-1.0)
     each = partial(draw_series, x="touches", series="object", names=objects, lowest=-1.0)
     own = [row for row in select(rows, predictor=chosen) if row["object"] != ALL_OBJECTS]
-    below = f"skill, {chosen}, each object"
     lines = [
         Line(
             3.75, select(rows, object=ALL_OBJECTS), together, "", "", "skill, all objects, 95 % interval", "right upper"
         ),
-        Line(3.75, own, each, "", "touches of the new object", below, "right lower"),
+        Line(3.75, own, each, "", "touches of the new object", f"skill, {chosen}, each object", "right lower"),
     ]
     return save_panels(folder / "touches.png", 14.0, lines, sharex=True, sharey="row")
 
@@ -120,11 +114,9 @@ def summarise_types(rows: Sequence[Row]) -> list[Table]:
         together = [row for row in select(rows, table=name, object=ALL_OBJECTS) if row["modality"] != MEAN]
         title = f"{name}: RMSE in counts (over P1's divisors)"
         tables.append(Table(title, ["rmse", *MODALITIES], pivot(together, "predictor", _error_text)))
-        means = select(together, predictor="training_mean")
-        ratios += [figures[row["modality"]][0] / row["rmse"] for row in means]
+        ratios += [figures[row["modality"]][0] / row["rmse"] for row in select(together, predictor="training_mean")]
     sentences = [f"P1's published errors are {span(ratios)} times those of the mean of the training labels"]
-    ours = [row for row in rows if row["predictor"] != P1]
-    first, *others = skill_tables(ours, notes, sentences if ratios else [])
+    first, *others = skill_tables([row for row in rows if row["predictor"] != P1], notes, sentences if ratios else [])
     return [first, *tables, *others]
 
 

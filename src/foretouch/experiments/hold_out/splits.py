@@ -28,11 +28,10 @@ from foretouch.types import Float64, GraspSample
 KNOWN: Final = "known objects"
 NEW: Final = "new objects"
 SIMULATED: Final = "simulated new objects"
+# What the training size of a condition of `learning_curve` counts.
 UNITS: Final = {KNOWN: "grasps an object", NEW: "objects", SIMULATED: "objects"}
-"""What the training size of a condition of `learning_curve` counts."""
 
-OBJECT_KNOWN: Final = "trained on the tested object alone"
-"""Table of `lookalikes` that shows how much there is to gain."""
+OBJECT_KNOWN: Final = "trained on the tested object alone"  # table of `lookalikes` that shows how much there is to gain
 
 _FOLDS: Final = 5
 
@@ -125,15 +124,13 @@ class _TrainTestSplit:
     columns: Row = field(default_factory=dict)  # further columns of the results
 
 
-Splitter = Callable[[Any, Any, int], Iterator[_TrainTestSplit]]
-"""From settings, data and a seed."""
+Splitter = Callable[[Any, Any, int], Iterator[_TrainTestSplit]]  # from settings, data and a seed
 
 
 def folds(name: str) -> Splitter:
     """Folds of a named split over all objects, as one table."""
 
-    def _split(settings: HoldOutSettings, data: Dataset, seed: int) -> Iterator[_TrainTestSplit]:
-        del settings
+    def _split(_settings: HoldOutSettings, data: Dataset, seed: int) -> Iterator[_TrainTestSplit]:
         samples = labelled(data)
         if not samples:
             raise DatasetError("experiment: no sample is labelled")
@@ -142,9 +139,8 @@ def folds(name: str) -> Splitter:
     return _split
 
 
-def objects(settings: TouchSettings, data: Dataset | RealAndSimulated, seed: int) -> Iterator[_TrainTestSplit]:
+def objects(_settings: TouchSettings, data: Dataset | RealAndSimulated, _seed: int) -> Iterator[_TrainTestSplit]:
     """Each real object."""
-    del settings, seed
     samples = labelled(data.real if isinstance(data, RealAndSimulated) else data)
     return (_of_fold(samples, fold, "") for fold in make_folds(samples, "object", 0))
 
@@ -183,8 +179,7 @@ def sizes(settings: LearningCurveSettings, data: RealAndSimulated, seed: int) ->
             train, test = split_objects(labelled(data.simulated), max(settings.simulated_objects), 0)
             whole = [_TrainTestSplit(train=train, tested=[test], part="all")]
         else:
-            name = "time" if condition == KNOWN else "object"
-            whole = list(folds(name)(settings, data.real, 0))
+            whole = list(folds("time" if condition == KNOWN else "object")(settings, data.real, 0))
         draw = some_grasps if condition == KNOWN else some_objects
         for size in counts[condition]:
             columns = {"condition": condition, "size": size}
@@ -194,12 +189,11 @@ def sizes(settings: LearningCurveSettings, data: RealAndSimulated, seed: int) ->
                 yield replace(one, train=chosen, mean=mean, table=table, columns=columns)
 
 
-def sessions(settings: LookalikesSettings, data: SimulatedGrasps, seed: int) -> Iterator[_TrainTestSplit]:
+def sessions(settings: LookalikesSettings, data: SimulatedGrasps, _seed: int) -> Iterator[_TrainTestSplit]:
     """Half of the sessions with each object, each under an object name of its own, since the cloud does not show it.
 
     Fits are to the other half of all objects, or of the tested object alone.
     """
-    del seed
     train: dict[str, list[GraspSample]] = {}
     tested: dict[str, list[list[GraspSample]]] = {}
     size = settings.grasps_per_session

@@ -26,8 +26,7 @@ from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_tr
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
-Changes = Mapping[str, Float64]
-"""f by the id of the sample."""
+Changes = Mapping[str, Float64]  # f by the id of the sample
 
 
 def _simulated_changes(
@@ -40,15 +39,13 @@ def _simulated_changes(
     return {sample.id: row for sample, row in zip(real, predicted, strict=True)}
 
 
-def _offset(changes: Changes, trees: int) -> Baseline:
+def _offset(changes: Changes, _trees: int) -> Baseline:
     """Eq. 1."""
-    del trees
     return partial(_transfer, changes, lambda f, _: np.ones(f.shape[1]))
 
 
-def _scaled(changes: Changes, trees: int) -> Baseline:
+def _scaled(changes: Changes, _trees: int) -> Baseline:
     """Eq. 2."""
-    del trees
     return partial(_transfer, changes, _slopes)
 
 
@@ -63,12 +60,12 @@ def _residual(changes: Changes, trees: int) -> Baseline:
     return _predict
 
 
+# By name of the predictor, from f and the number of real trees.
 TRANSFER_METHODS: Final[dict[str, Callable[[Changes, int], Baseline]]] = {
     "simulated_offset": _offset,
     "simulated_scaled": _scaled,
     "simulated_and_real": _residual,
 }
-"""By name of the predictor, from f and the number of real trees."""
 
 
 def _transfer(
@@ -77,9 +74,8 @@ def _transfer(
     train: Sequence[GraspSample],
     labels: Float64,
     test: Sequence[GraspSample],
-    seed: int,
+    _seed: int,
 ) -> Float64:
-    del seed
     f, f_test = (np.array([changes[sample.id] for sample in side]) for side in (train, test))
     return np.asarray(labels.mean(axis=0) + slopes(f, labels) * (f_test - f.mean(axis=0)), np.float64)
 

@@ -105,9 +105,8 @@ class LabelRatioSettings(SimulatedSettings):
         return (chosen[self.ratios.index(ratio)],)
 
 
-def _cells(settings: LabelRatioSettings, data: SimulatedGrasps) -> list[Cell]:
+def _cells(settings: LabelRatioSettings, _data: SimulatedGrasps) -> list[Cell]:
     """The trees, then run by run, so that an interrupted sweep covers the whole figure."""
-    del data
     ratios = () if settings.held_out else settings.ratios
     trees = [Cell(f"T{one}+{results.TREES}", {"ratio": one, "model": results.TREES, "seed": 0}) for one in ratios]
     networks = [
@@ -155,12 +154,13 @@ def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
     return results.compare_models(rows, settings.model.ranges, settings.draws)
 
 
+# The trials are changes of this recipe, so their rates and weight decays belong to it.
 _RECIPE: Final = {"optimiser": "adamw", "learning_rate": 3e-3, "schedule": "cosine", "target_scaling": "standardised"}
-"""The trials are changes of this recipe, so their rates and weight decays belong to it."""
 
+# P2's sizes, epochs and batches of its SR-GAN, with the recipe of the trials and the size of the object as input.
 _PAPER: Final[dict[str, Any]] = {"model": {"metric_inputs": True}, "training": _RECIPE}
-"""P2's sizes, epochs and batches of its SR-GAN, with the recipe of the trials and the size of the object as input."""
 
+# 64 of 750 points, features of 64 instead of 1024 values, no T-Net, a generator of 64 points.
 _QUICK: Final[dict[str, Any]] = {
     "cached_points": 512,
     "updates": 960,
@@ -174,12 +174,11 @@ _QUICK: Final[dict[str, Any]] = {
     },
     "training": {**_RECIPE, "batch_size": 16, "generator": {"noise_length": 1, "widths": [16], "stride": 8}},
 }
-"""64 of 750 points, features of 64 instead of 1024 values, no T-Net, a generator of 64 points."""
 
 _SMOKE: Final[dict[str, Any]] = {**_QUICK, "updates": 40}
 
+# Seeds of networks and held-out samples are not those of the runs.
 _TUNING: Final = {"ratios": [50, 90], "held_out": 0.25, "seeds": [100]}
-"""Seeds of networks and held-out samples are not those of the runs."""
 
 
 def _chosen(ratios: Sequence[int]) -> dict[str, dict[str, list[str]]]:

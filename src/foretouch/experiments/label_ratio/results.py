@@ -16,12 +16,10 @@ mean RMSE of the PointNet. It is valid for these objects, this split and these s
 P2's figures are for other objects: its lowest error and the differences in its text are shown for reference only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -30,17 +28,14 @@ from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
 from foretouch.experiments.shared.figures import Line, save_panels
 from foretouch.experiments.shared.tables import SIGNS, findings, grouped, pivot, select, unique
-from foretouch.report.panels import Rows
+from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
+# Value of the column `model` for the baseline that is trained on the labelled samples alone.
 TREES: Final = "geometry_trees"
-"""Value of the column `model` for the baseline that is trained on the labelled samples alone."""
 
+# P2, section IV: eq. 1 where its text gives it [%]. The other cells are only in its Fig. 3, without numbers.
 P2_CHANGES: Final = {
     ("PDC_TH", 30): 0.09,
     ("PDC_TH", 70): -16.2,
@@ -55,13 +50,12 @@ P2_CHANGES: Final = {
     ("E_MF", 70): 14.5,
     ("E_MF", 90): -31.5,
 }
-"""P2, section IV: eq. 1 where its text gives it [%]. The other cells are only in its Fig. 3, without numbers."""
 
+# P2, section IV: lowest RMSE [% of the range], always P30, the PointNet at T30.
 P2_LOWEST: Final = {"PDC_TH": 6.37, "E_TH": 5.17, "PDC_MF": 4.83, "E_MF": 6.06}
-"""P2, section IV: lowest RMSE [% of the range], always P30, the PointNet at T30."""
 
+# P2, section IV: number of the five ratios at which the SR-GAN's mean error is lower.
 P2_AVERAGES: Final = {"PDC_TH": 4, "PDC_MF": 4, "E_TH": 3, "E_MF": 1}
-"""P2, section IV: number of the five ratios at which the SR-GAN's mean error is lower."""
 
 _TAIL: Final = 0.025
 _BARS: Final = (("pointnet", "P: PointNet", "#8d99ae"), ("srgan", "S: SR-GAN", "#00798c"))
@@ -93,13 +87,18 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
         if not runs:
             continue
         low, high = ranges.of(name)
-        row = {"modality": name, "ratio": ratio, **_compared(runs, high - low, draws, seed)}
-        row["p2_change"] = P2_CHANGES.get((name, ratio))
         trees = found.get((ratio, name, TREES, 0))
         _sizes([(runs[0][0], trees or runs[0][0])])
-        row["mean_rmse"] = np.sqrt(np.mean(_samples(runs[0][0], "reference")))
-        row["trees_rmse"] = np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None
-        result.append(row)
+        result.append(
+            {
+                "modality": name,
+                "ratio": ratio,
+                **_compared(runs, high - low, draws, seed),
+                "p2_change": P2_CHANGES.get((name, ratio)),
+                "mean_rmse": np.sqrt(np.mean(_samples(runs[0][0], "reference"))),
+                "trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None,
+            }
+        )
     return result
 
 
@@ -107,8 +106,7 @@ def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: i
     """Both models in one cell; `width` is that of the range [counts]."""
     pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
     sizes = _sizes(runs)
-    head = {"runs": len(runs), "samples": sum(sizes), "labelled": runs[0][0]["labelled"]}
-    result: Row = {**head, "updates": runs[0][0]["updates"]}
+    result: Row = {"runs": len(runs), "samples": sum(sizes), **{k: runs[0][0][k] for k in ("labelled", "updates")}}
     for name, squared, row in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
         rmse = np.sqrt(squared.mean(axis=1))
         result |= {
@@ -136,8 +134,7 @@ def _change(
         [rng.multinomial(size, np.full(size, 1.0 / size), draws) for size in sizes], axis=1
     ) / float(sum(sizes))
     drawn = (np.sqrt(weights @ srgan.T) - np.sqrt(weights @ pointnet.T)).mean(axis=1)
-    spread = each.std(ddof=1) / np.sqrt(len(each))
-    drawn += spread * rng.standard_t(len(each) - 1, draws)
+    drawn += (each.std(ddof=1) / np.sqrt(len(each))) * rng.standard_t(len(each) - 1, draws)
     low, high = scale * np.quantile(drawn, [_TAIL, 1.0 - _TAIL])
     return change, float(low), float(high)
 

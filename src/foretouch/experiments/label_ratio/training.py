@@ -34,8 +34,7 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch.learning.data import Dataset, Indices, TrainingSet
-from foretouch.learning.data.training_set import predict_set
+from foretouch.learning.data import Dataset, DataSplit, TrainingSet, predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
@@ -63,6 +62,8 @@ def _srgan(matching: float, contrast: float, penalty: float, rate: float = 3e-3,
     return {"learning_rate": rate, "weight_decay": decay, "loss": {"loss_variant": "srgan", **loss}}
 
 
+# Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`. Their learning
+# rate is 0.003 unless the name contains another one.
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {
         "rate 0.001": {"learning_rate": 1e-3},
@@ -81,44 +82,31 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
         "0.3/1/1, rate 0.001, decay 0.3": _srgan(0.3, 1.0, 1.0, rate=1e-3, decay=0.3),
     },
 }
-"""Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`.
-
-Their learning rate is 0.003 unless the name contains another one."""
 
 
+# P2's recipe, which is the defaults of `SrganConfig`, in the four readings of its losses. Its PointNet is trained by
+# `SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected.
 AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
     SRGAN: {
         f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
-        for variant in ("as_printed", "contrast", "srgan")
+        for variant in ("as_printed", "contrast", "batch_means", "srgan")
     },
 }
-"""P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
-`SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected."""
-
-
-@dataclass(frozen=True, eq=False)
-class _LabelSplit:
-    """Indices of the samples."""
-
-    train: Indices  # (T,) labelled training samples
-    unlabelled: Indices  # (U,) training samples without labels
-    test: Indices  # (J,) samples to predict: the test samples, or those held out for tuning
 
 
 def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
     """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
     data = load_simulated(settings, path)
-    found = data.scene.sha256()
-    if settings.scene_sha256 not in (None, found):
+    if settings.scene_sha256 not in (None, found := data.scene.sha256()):
         raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the frozen scene's")
     if unlabelled := [sample.id for sample in data.collection.samples if sample.touch is None]:
         raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
     return data
 
 
-def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> _LabelSplit:
-    """Split the samples at one of P2's ratios, such as 10 for T10.
+def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> DataSplit:
+    """Split the samples at one of P2's ratios, such as 10 for T10, into (T,) training and (J,) test samples.
 
     With a share `held_out`, this share of the labelled samples is tested on instead of the test samples.
 
@@ -128,12 +116,12 @@ def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) ->
     (part,) = data.parts(f"labels/T{ratio}")
     train, test, unlabelled = (data.index(ids) for ids in (part.train, part.test, part.unlabelled))
     if held_out == 0.0:
-        return _LabelSplit(train, unlabelled, test)
+        return DataSplit(train, unlabelled, np.empty(0, np.intp), test)
     count = round(held_out * len(train))
     if count == 0:
         raise DatasetError(f"held_out: {held_out} of {len(train)} samples is none")
     shuffled = np.random.default_rng(seed).permutation(train)
-    return _LabelSplit(np.sort(shuffled[count:]), unlabelled, np.sort(shuffled[:count]))
+    return DataSplit(np.sort(shuffled[count:]), unlabelled, np.empty(0, np.intp), np.sort(shuffled[:count]))
 
 
 def prepared(data: SimulatedGrasps, model: ModelConfig, count: int) -> PresampledSet:
@@ -195,7 +183,7 @@ def kind_of(modality: str) -> str:
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
-    """Configuration of one training.
+    """Configuration of one training; raises `ConfigError` if there is no such model or trial.
 
     Args:
         base: Configuration that both models and all trials share.
@@ -204,20 +192,16 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
         labelled: Number of labelled samples.
         updates: Number of updates, rounded to whole epochs, at least one; None for the epochs of `base`.
         seed: Seed of weights, order, points and noise.
-
-    Raises:
-        ConfigError: If there is no such model or trial.
     """
     known = {**TRIALS.get(model, {}), **AS_PRINTED.get(model, {})}
     if trial not in known:
         raise ConfigError(f"label_ratio: {model} {trial!r} is none of {', '.join(known or MODELS)}")
-    config = base.updated(known[trial], trial)
+    config = base.updated(known[trial], trial).replace(seed=seed)
     if model == POINTNET:
         config = config.updated({"loss": _SUPERVISED})
-    epochs = config.epochs
-    if updates is not None:
-        epochs = max(1, round(updates / max(1, labelled // config.batch_size)))
-    return config.replace(epochs=epochs, seed=seed)
+    if updates is None:
+        return config
+    return config.replace(epochs=max(1, round(updates / max(1, labelled // config.batch_size))))
 
 
 class PointnetTrainer(SrganTrainer):
@@ -230,8 +214,7 @@ class PointnetTrainer(SrganTrainer):
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         freeze(self.net)
         for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
-            scaled = self.net(self._clouds(batch), self._grasps(batch))
-            error = scaled - self.net.to_scaled(self._labels[batch])
+            error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
             self.require_finite({"labeled": loss}, number, batch, error)
             self.optimisers["net"].step(loss)
@@ -239,7 +222,7 @@ class PointnetTrainer(SrganTrainer):
 
 
 def train_and_predict(
-    data: TrainingSet, split: _LabelSplit, model: str, config: SrganConfig, *, as_printed: bool = False
+    data: TrainingSet, split: DataSplit, model: str, config: SrganConfig, *, as_printed: bool = False
 ) -> tuple[Float64, int]:
     """Train a network, with `as_printed` the PointNet as P2 describes it.
 
@@ -251,7 +234,7 @@ def train_and_predict(
     """
     trainer: SupervisedTrainer | SrganTrainer
     if model == POINTNET and as_printed:
-        shared = (
+        shared = [
             "epochs",
             "batch_size",
             "optimiser",
@@ -260,7 +243,7 @@ def train_and_predict(
             "schedule",
             "target_scaling",
             "seed",
-        )
+        ]
         own = TrainConfig(loss="rmse", **{name: getattr(config, name) for name in shared})
         trainer = SupervisedTrainer(data, split.train, own)
     else:
@@ -271,7 +254,7 @@ def train_and_predict(
     return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
 
 
-def error_row(data: TrainingSet, split: _LabelSplit, predicted: Float64, objects: Sequence[str]) -> Row:
+def error_row(data: TrainingSet, split: DataSplit, predicted: Float64, objects: Sequence[str]) -> Row:
     """Squared errors of (J, M) predictions and of the training mean, for each test sample of the (J,) objects.
 
     Returns:
@@ -280,9 +263,8 @@ def error_row(data: TrainingSet, split: _LabelSplit, predicted: Float64, objects
     index = columns(data.config.outputs)
     actual = data.labels[np.ix_(split.test, index)]
     mean = data.labels[np.ix_(split.train, index)].mean(axis=0)
-    squared, reference = (((guess - actual) ** 2).mean(axis=1) for guess in (predicted, mean))
     names = np.array(objects)
-    both = {"squared": squared, "reference": reference}
+    both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}
     found = {
         str(name): {what: values[names == name].round(3).tolist() for what, values in both.items()}
         for name in np.unique(names)

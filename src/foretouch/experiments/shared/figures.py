@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of experiments: panels for the modalities, lines over a column, and intervals one below the other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
-from foretouch.report.panels import Rows, new_figure, save_small
+from foretouch.report.panels import Axes, Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_LOWEST_SKILL: Final = -1.5
-"""Lower values are drawn as an arrow with their number at this edge of the figure."""
+_LOWEST_SKILL: Final = -1.5  # lower values are drawn as an arrow with their number at this edge of the figure
 
 
 class Line(NamedTuple):

@@ -22,11 +22,7 @@ def split_by_fold(
 def split_objects(
     samples: Sequence[GraspSample], train_objects: int, seed: int
 ) -> tuple[list[GraspSample], list[GraspSample]]:
-    """Samples of `train_objects` randomly drawn objects, and those of the others.
-
-    Raises:
-        DatasetError: If no object is left for testing.
-    """
+    """Samples of `train_objects` randomly drawn objects, and those of the others; `DatasetError` if none is left."""
     names = sorted({sample.object for sample in samples})
     if train_objects >= len(names):
         raise DatasetError(f"split: of {len(names)} objects, {train_objects} for training leave none to test on")
@@ -41,46 +37,26 @@ def by_object(samples: Sequence[GraspSample]) -> list[list[GraspSample]]:
 
 
 def some_grasps(samples: Sequence[GraspSample], count: int, seed: int) -> list[GraspSample]:
-    """Draw `count` grasps of each object; a smaller draw is part of a larger one.
-
-    Raises:
-        DatasetError: If an object has fewer.
-    """
-    chosen: list[GraspSample] = []
-    for own in by_object(samples):
-        if len(own) < count:
-            raise DatasetError(f"training grasps: {own[0].object} has {len(own)} grasps, fewer than {count}")
-        chosen += [own[k] for k in _shuffled(own[0].object, seed, len(own))[:count]]
-    return chosen
+    """Draw `count` grasps of each object; a smaller draw is part of a larger one. `DatasetError` if one has fewer."""
+    groups = by_object(samples)
+    if few := [own for own in groups if len(own) < count]:
+        raise DatasetError(f"training grasps: {few[0][0].object} has {len(few[0])} grasps, fewer than {count}")
+    return [own[k] for own in groups for k in _shuffled(own[0].object, seed, len(own))[:count]]
 
 
 def some_objects(samples: Sequence[GraspSample], count: int, seed: int) -> list[GraspSample]:
-    """Draw `count` objects and return all their grasps; a smaller draw is part of a larger one.
-
-    Raises:
-        DatasetError: If there are fewer.
-    """
+    """All grasps of `count` drawn objects; a smaller draw is part of a larger one. `DatasetError` if there are fewer."""
     groups = by_object(samples)
     if len(groups) < count:
         raise DatasetError(f"training objects: {len(groups)} objects are fewer than {count}")
-    order = np.random.default_rng(seed).permutation(len(groups))
-    return [sample for k in order[:count] for sample in groups[k]]
+    return [sample for k in np.random.default_rng(seed).permutation(len(groups))[:count] for sample in groups[k]]
 
 
 def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
     """For each draw, all grasps of an object in the order in which they would be touched.
 
-    The draws follow from the name and their number alone: they are the same for every predictor, and 3 touches are the
-    first of the 5.
-
-    Args:
-        name: Name of the object.
-        count: Number of its grasps.
-        most: Largest number of touches.
-        draws: Number of draws.
-
-    Raises:
-        DatasetError: If no grasp would be left to score.
+    The draws follow from the name, the number of grasps and their own number alone: they are the same for every
+    predictor, and 3 touches are the first of the 5. Raises `DatasetError` if no grasp would be left after `most`.
     """
     if count <= most:
         raise DatasetError(f"{name}: {count} grasps leave none to score after {most} touches")

@@ -17,14 +17,14 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet, labels_of
+from foretouch.learning.data import TrainingSet, labels_of, predict_set
 from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
+# The networks by name, with the recipe of `foretouch train` that each is trained by.
 RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}
-"""The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
 
 def network(name: str, training_fraction: float, changes: Mapping[str, Any] | None = None) -> baselines.Baseline:
@@ -42,7 +42,6 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
 
     def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
-        from foretouch.learning.data.training_set import predict_set
         from foretouch.learning.training.run_config import load_run_config
         from foretouch.learning.training.supervised import train_network
 
@@ -50,8 +49,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         model, how = recipe.model, recipe.train
         how = how.replace(epochs=max(1, round(training_fraction * how.epochs)), seed=seed)
         data = TrainingSet.build([*train, *test], model, unlabelled=True)
-        hidden = np.full((len(test), TOUCH_SIZE), np.nan)
-        data = replace(data, labels=np.concatenate([labels, hidden]))
+        data = replace(data, labels=np.concatenate([labels, np.full((len(test), TOUCH_SIZE), np.nan)]))
         train_index, test_index = np.arange(len(train)), np.arange(len(train), len(data))
         predicted = np.empty((len(test), TOUCH_SIZE))
         together = model.outputs == MODALITIES
@@ -73,8 +71,7 @@ def _with_fallback(
     return Fallback.fit(describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
 
 
-SHRINKAGE: Final = 2.0
-"""a of the offset correction, in touches."""
+SHRINKAGE: Final = 2.0  # a of the offset correction, in touches
 
 
 class Fitted(Protocol):
@@ -82,11 +79,9 @@ class Fitted(Protocol):
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
         """(S, 50) predictions [counts]; labels of the samples are not used."""
-        ...
 
     def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
         """(S, 50) predictions [counts] after touches of the same object that are not among the samples."""
-        ...
 
 
 class Fit(Protocol):
@@ -94,7 +89,6 @@ class Fit(Protocol):
 
     def __call__(self, train: Sequence[GraspSample], labels: Float64, seed: int, /) -> Fitted:
         """Fit the predictor."""
-        ...
 
 
 class _OffsetCorrected:
@@ -142,6 +136,7 @@ def _contact(training_fraction: float) -> Fit:
     return lambda train, labels, seed: ContactPredictor(train, labels, config.replace(seed=seed))
 
 
+# By name, from the share of trees or epochs: 1 for reported results, less for a smoke test.
 PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "training_mean": lambda _: with_offset_correction(baselines.training_mean),
     "object_mean": lambda _: with_offset_correction(baselines.object_mean),
@@ -154,18 +149,12 @@ PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "p2_pointnet": lambda training_fraction: with_offset_correction(network("p2_pointnet", training_fraction)),
     "touchnet_v1": lambda training_fraction: with_offset_correction(network("touchnet_v1", training_fraction)),
 }
-"""By name, from the share of trees or epochs: 1 for reported results, less for a smoke test."""
 
-NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")
-"""Predictors that take minutes to hours per fold."""
+NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")  # predictors that take minutes to hours per fold
 
 
 def find_predictor(name: str, training_fraction: float = 1.0) -> Fit:
-    """Find a predictor by name.
-
-    Raises:
-        ConfigError: If there is none.
-    """
+    """Find a predictor by name; a `ConfigError` if there is none."""
     if name not in PREDICTORS:
         raise ConfigError(f"predictors: {name!r} is none of {', '.join(PREDICTORS)}")
     return PREDICTORS[name](training_fraction)

@@ -16,9 +16,8 @@ from foretouch.tactile import MODALITIES
 from foretouch.types import Float64, GraspSample
 
 
-def load(settings: Settings, path: Path) -> Dataset:
+def load(_settings: Settings, path: Path) -> Dataset:
     """`load` of an experiment: the samples at a path (see `load_dataset`)."""
-    del settings
     return load_dataset(path)
 
 
@@ -109,10 +108,7 @@ def _predictor_rows(
 
 
 def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
-    parts = [row for seed in seeds for row in rows[seed]]
-    return ObjectErrors.total(
-        [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in parts]
-    )
+    return ObjectErrors.of_rows([row for seed in seeds for row in rows[seed]])
 
 
 def _rows(
@@ -124,9 +120,8 @@ def _rows(
     for modality in (*MODALITIES, MEAN):  # a mean of errors of different sensors has no meaning
         row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", own[modality])}
         for name, differences in versus.items():
-            difference = differences[modality] if differences else None
-            row |= interval_columns(f"vs_{name}", difference)
-            row[f"vs_{name}_verdict"] = difference.verdict if difference else None
+            one = differences[modality] if differences else None
+            row |= {**interval_columns(f"vs_{name}", one), f"vs_{name}_verdict": one.verdict if one else None}
         result.append(row)
     return result
 

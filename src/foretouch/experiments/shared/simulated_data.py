@@ -87,9 +87,8 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
     return path
 
 
-def load_simulated(settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
+def load_simulated(_settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
     """Read a store and its scene; a `DatasetError` if it contains no scene."""
-    del settings
     return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
 
 
@@ -160,12 +159,8 @@ def split_condition(
 ) -> tuple[list[GraspSample], list[GraspSample]]:
     """Training and test samples of a part of a condition.
 
-    Args:
-        settings: Settings of the experiment.
-        data: The samples.
-        split: Name of a split of the real grasps; "" for simulated objects.
-        part: Name of the fold, or seed of the split of the simulated objects.
-        seed: Seed of the folds.
+    A condition is a split of the real grasps, whose parts are folds of a seed; or "", the simulated objects, whose
+    parts are the seeds of splits of the objects.
     """
     if not split:
         return split_objects(labelled(data.simulated), settings.train_objects, int(part))

@@ -9,16 +9,13 @@ from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.learning.evaluation.metrics import MEAN
 from foretouch.tactile import MODALITIES
 
-ALL_OBJECTS: Final = "all"
-"""Value of the column `object` for all objects together."""
+ALL_OBJECTS: Final = "all"  # value of the column `object` for all objects together
 
 R = TypeVar("R", bound=Mapping[str, Any])
 
-MODEL: Final = "contact"
-"""The default model, which is shown by object if it was run."""
+MODEL: Final = "contact"  # the default model, which is shown by object if it was run
 
-SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}
-"""By verdict of a comparison."""
+SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}  # by verdict of a comparison
 
 SKILL_COLUMNS: Final = ("skill", *MODALITIES, MEAN)
 

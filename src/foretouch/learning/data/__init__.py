@@ -16,7 +16,7 @@ from foretouch.learning.data.folds import (
     time_folds,
 )
 from foretouch.learning.data.splits import SplitPart
-from foretouch.learning.data.training_set import TrainingSet, duplicate_labels, labels_of
+from foretouch.learning.data.training_set import TrainingSet, duplicate_labels, labels_of, predict_set
 
 __all__ = [
     "SPLITS",
@@ -35,6 +35,7 @@ __all__ = [
     "make_folds",
     "object_folds",
     "predict_folds",
+    "predict_set",
     "random_folds",
     "time_folds",
 ]

@@ -142,11 +142,8 @@ def load_dataset(path: str | Path) -> Dataset:
     samples = tuple(only_finite(record.sample) for record in opened.records())
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
-    if (path / SPLITS_FILE).is_file():
-        splits = read_splits(path)
-    else:
-        facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-        splits = parse_splits(make_splits(facts))
+    facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
+    splits = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts))
     public = opened.kind == "vision2tactile"
     return Dataset(
         path.name,

@@ -61,17 +61,9 @@ class DatasetSplits:
 def _label_ratios(
     groups: Sequence[str], rng: np.random.Generator
 ) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
-    """P2's label ratios.
+    """The test samples, and for each of P2's T10...T90 the training samples with and without their labels.
 
-    Args:
-        groups: (S,) object of each labelled sample.
-        rng: Makes the choices; a sample without its label at one ratio has none at higher ratios.
-
-    Returns:
-        The test samples, and for each of T10...T90 the training samples with and without their labels.
-
-    Raises:
-        DatasetError: If an object has fewer than two samples, or fewer than two remain to train on.
+    A sample without its label at one ratio has none at higher ratios. With too few samples it raises `DatasetError`.
     """
     names = np.asarray(groups, dtype=str)
     test: list[int] = []
@@ -84,10 +76,8 @@ def _label_ratios(
     rest = rng.permutation(np.setdiff1d(np.arange(len(names)), test))
     if len(rest) < 2:
         raise DatasetError(f"labels: {len(rest)} samples remain to train on")
-    parts = {}
-    for ratio in RATIOS:
-        cut = round(len(rest) * ratio / 100)
-        parts[f"T{ratio}"] = (np.sort(rest[cut:]), np.sort(rest[:cut]))
+    cuts = {f"T{ratio}": round(len(rest) * ratio / 100) for ratio in RATIOS}
+    parts = {name: (np.sort(rest[cut:]), np.sort(rest[:cut])) for name, cut in cuts.items()}
     return np.sort(np.asarray(test, np.intp)), parts
 
 
@@ -105,11 +95,9 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
     omitted: dict[str, str] = {}
     for number, (kind, make) in enumerate(_MAKERS.items()):
         try:
-            parts = list(make(samples, np.random.default_rng([seed, number])))
+            splits[kind] = [_plain(part) for part in make(samples, np.random.default_rng([seed, number]))]
         except DatasetError as err:
             omitted[kind] = str(err)
-            continue
-        splits[kind] = [_plain(part) for part in parts]
     content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
@@ -181,8 +169,7 @@ def _labelled(samples: Sequence[SampleFacts]) -> list[SampleFacts]:
 
 
 def _named(samples: Sequence[SampleFacts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
-    for fold in folds:
-        yield SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test))
+    return (SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test)) for fold in folds)
 
 
 def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
@@ -190,8 +177,8 @@ def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
 
 
 def _plain(part: SplitPart) -> dict[str, Any]:
-    sides = {"train": list(part.train), "test": list(part.test)}
-    return {"name": part.name, **sides, **({"unlabelled": list(part.unlabelled)} if part.unlabelled else {})}
+    unlabelled = {"unlabelled": list(part.unlabelled)} if part.unlabelled else {}
+    return {"name": part.name, "train": list(part.train), "test": list(part.test), **unlabelled}
 
 
 def _part(entry: Any) -> SplitPart:

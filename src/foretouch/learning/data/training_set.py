@@ -55,19 +55,11 @@ class TrainingSet:
         """
         if not samples:
             raise DatasetError("training set: no sample")
-        clouds, grasps, labels, lengths = [], [], [], []
-        for sample in samples:
-            missing = unlabelled and sample.touch is None
-            labels.append(np.full(TOUCH_SIZE, np.nan) if missing else _label(sample))
-            try:
-                points, grasp, spans = _prepared(sample, config)
-            except (CloudError, ModelError) as err:
-                raise DatasetError(f"{sample.id}: {err}") from err
-            clouds.append(points)
-            grasps.append(grasp)
-            lengths.append(spans)
+        missing = np.full(TOUCH_SIZE, np.nan)
+        labels = [missing if unlabelled and sample.touch is None else _label(sample) for sample in samples]
+        clouds, grasps, lengths = zip(*(_prepared(sample, config) for sample in samples), strict=True)
         ids = tuple(sample.id for sample in samples)
-        return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config, ids)
+        return cls(clouds, np.array(grasps), np.array(labels), np.array(lengths), config, ids)
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -80,11 +72,7 @@ class TrainingSet:
 
 
 def labels_of(samples: Sequence[GraspSample]) -> Float64:
-    """(S, 50) float64 labels [counts].
-
-    Raises:
-        DatasetError: If a label is missing or is not a reading of a working sensor; names the sample.
-    """
+    """(S, 50) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
     return np.array([_label(sample) for sample in samples])
 
 
@@ -102,12 +90,15 @@ def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
 
 def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
     """All points, the grasp and the lengths of one sample."""
-    usable = finite_points(sample.cloud, config)
-    frame = UnitSphereFrame.fit(usable.xyz)
-    points = sample_channels(usable, np.arange(usable.size), frame, config)
-    # On the points that prediction will choose: the gap to the nearest point depends on their number.
-    lengths = grasp_lengths(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
-    return points, prepare_grasps([sample.grasp], frame, config)[0], lengths
+    try:
+        usable = finite_points(sample.cloud, config)
+        frame = UnitSphereFrame.fit(usable.xyz)
+        points = sample_channels(usable, np.arange(usable.size), frame, config)
+        # On the points that prediction will choose: the gap to the nearest point depends on their number.
+        lengths = grasp_lengths(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
+        return points, prepare_grasps([sample.grasp], frame, config)[0], lengths
+    except (CloudError, ModelError) as err:
+        raise DatasetError(f"{sample.id}: {err}") from err
 
 
 def _label(sample: GraspSample) -> Float64:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.types import Float64, GraspSample
 
@@ -72,8 +71,6 @@ def _spreads(centred: Float64) -> Float64:
     return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
 
 
-Features = npt.NDArray[np.float64]
-
 TREES: Final = 300
 """Trees of a forest."""
 
@@ -90,12 +87,10 @@ class Baseline(Protocol):
         self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
     ) -> Float64:
         """(T, 50) predictions of the test samples [counts]."""
-        ...
 
 
-def training_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+def training_mean(_train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:
     """The mean of all labels for every sample: skill 0 by definition."""
-    del train, seed
     return np.tile(labels.mean(axis=0), (len(test), 1))
 
 
@@ -104,8 +99,7 @@ def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[Gr
     predicted = training_mean(train, labels, test, seed)
     known = np.array([sample.object for sample in train])
     for name in np.unique(known):
-        here = [i for i, sample in enumerate(test) if sample.object == name]
-        predicted[here] = labels[known == name].mean(axis=0)
+        predicted[[i for i, sample in enumerate(test) if sample.object == name]] = labels[known == name].mean(axis=0)
     return predicted
 
 
@@ -131,7 +125,7 @@ def geometry_trees(
 
 
 def clock(
-    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, *, past_only: bool = False
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int, *, past_only: bool = False
 ) -> Float64:
     """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
 
@@ -141,7 +135,6 @@ def clock(
     With `past_only`, each sample is predicted from the recordings that were made before it, as a robot has to;
     otherwise from those before and after it.
     """
-    del seed
     known, wanted = (np.array([sample.stamp_ns for sample in side]) / _DAY_NS for side in (train, test))
     objects = np.array([sample.object for sample in train])
     predicted = np.tile(labels.mean(axis=0), (len(test), 1))
@@ -169,17 +162,13 @@ BASELINES: Final[dict[str, Baseline]] = {
 }
 
 
-def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Features:
+def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Float64:
     """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
-    table = np.zeros((len(samples), 1 + len(names)))
-    for row, sample in zip(table, samples, strict=True):
-        row[0] = sample.stamp_ns / _DAY_NS
-        if sample.object in names:
-            row[1 + names.index(sample.object)] = 1.0
-    return table
+    days = [sample.stamp_ns / _DAY_NS for sample in samples]
+    return np.column_stack([days, [[float(sample.object == name) for name in names] for sample in samples]])
 
 
-def _forest(train: Features, labels: Float64, test: Features, seed: int, trees: int) -> Float64:
+def _forest(train: Float64, labels: Float64, test: Float64, seed: int, trees: int) -> Float64:
     from sklearn.ensemble import ExtraTreesRegressor
 
     forest = ExtraTreesRegressor(

@@ -53,21 +53,18 @@ def cross_validate(
     Returns:
         Scores of `MODEL` and of each baseline, by modality; (S, 50) held-out predictions of the model [counts].
     """
-    predictors: dict[str, datasets.HoldOut] = {MODEL: model}
-    for name, baseline in baselines.items():
-        predictors[name] = partial(_baseline, samples, labels, baseline, seed)
+    others = {name: partial(_baseline, samples, labels, baseline, seed) for name, baseline in baselines.items()}
+    predictors: dict[str, datasets.HoldOut] = {MODEL: model, **others}
     with datasets.fold_workers(workers) as run:
         predicted = {name: datasets.predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
     reference = datasets.predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
-    scores = {name: score(values, labels, reference, ranges) for name, values in predicted.items()}
-    return scores, predicted[MODEL]
+    return {name: score(values, labels, reference, ranges) for name, values in predicted.items()}, predicted[MODEL]
 
 
 def _baseline(
     samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: datasets.Fold
 ) -> Float64:
-    train = [samples[i] for i in fold.train]
-    return baseline(train, labels[fold.train], [samples[i] for i in fold.test], seed)
+    return baseline([samples[i] for i in fold.train], labels[fold.train], [samples[i] for i in fold.test], seed)
 
 
 def evaluate_model(
@@ -100,7 +97,10 @@ def evaluate_model(
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
     tested = [data.samples[k] for k in chosen]
-    found = _predict(find_card(model), tested)
+    path = find_card(model)
+    card = read_card(path)
+    plain_network = card["kind"] == "network" and card.get("calibration") is None
+    found = (_by_network if plain_network else _by_model)(path, tested)
     labels = datasets.labels_of(tested)
     reference = _fitted(data, parts, training_mean, seed)
     # The columns that the model does not predict are not scored, but must be finite.
@@ -130,13 +130,6 @@ class _Predictions:
     trained_on: frozenset[str]  # hashes of its training data
 
 
-def _predict(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
-    card = read_card(card_path)
-    if card["kind"] == "network" and card.get("calibration") is None:
-        return _by_network(card_path, samples)
-    return _by_model(card_path, samples)
-
-
 def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     """Predict as everywhere else, each sample on its own, with its tare where it has one."""
     model = load_model(card_path)
@@ -158,16 +151,14 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
 
 def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     """Predict by a network that may cover only some of the modalities, all samples at once."""
-    from foretouch.learning.data.training_set import predict_set
     from foretouch.models.network.checkpoint import load_network
 
     net, card = load_network(card_path)
     counts = np.full((len(samples), TOUCH_SIZE), np.nan)
     prepared = datasets.TrainingSet.build(samples, net.config)
-    counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
+    counts[:, columns(net.config.outputs)] = datasets.predict_set(net, prepared, np.arange(len(samples)))
     modalities = [name for name in MODALITIES if name in net.config.outputs]
-    trained_on = frozenset([str(card["data"].get("sha256"))])
-    return _Predictions(counts, None, 0, modalities, net.config.ranges, trained_on)
+    return _Predictions(counts, None, 0, modalities, net.config.ranges, frozenset([str(card["data"].get("sha256"))]))
 
 
 def _fitted(data: datasets.Dataset, parts: Sequence[datasets.SplitPart], baseline: Baseline, seed: int) -> Float64:

@@ -32,9 +32,9 @@ different days, guarantee nothing about another hand, camera or kind of object.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 
@@ -123,6 +123,9 @@ class BootstrapConfig(Settings):
     level: float = setting(0.95, "Nominal coverage of the intervals", minimum=0.5, maximum=0.999)
 
 
+_DEFAULT: Final = BootstrapConfig()
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectErrors:
     """Squared errors of one predictor, summed over the test grasps of each object.
@@ -158,6 +161,13 @@ class ObjectErrors:
             reference[row[name]] += mean
         return cls(names, counts, squared, reference)
 
+    @classmethod
+    def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> Self:
+        """`total` of rows of the results of an experiment, whose columns have these names."""
+        return cls.total(
+            [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in rows]
+        )
+
     def only(self, name: str) -> ObjectErrors:
         """The errors of one object."""
         k = [self.objects.index(name)]
@@ -187,20 +197,18 @@ class Estimate:
         return "worse" if self.high < 0.0 else "tie"
 
 
-def skills(errors: ObjectErrors, config: BootstrapConfig | None = None) -> dict[str, Estimate]:
+def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, Estimate]:
     """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
-    config = config or BootstrapConfig()
     size = len(errors.objects)
     return _estimates(_skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), size, config)
 
 
-def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig | None = None) -> dict[str, Estimate]:
+def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, Estimate]:
     """Skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
 
     Raises:
         DatasetError: If they were not tested on the same grasps against the same training means.
     """
-    config = config or BootstrapConfig()
     same = one.objects == other.objects and np.array_equal(one.counts, other.counts)
     if not same or not np.allclose(one.reference, other.reference, rtol=1e-9):
         raise DatasetError("comparison: the two predictors were not tested on the same grasps")
@@ -210,9 +218,8 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig | No
     return _estimates(value, _skill(one, weights) - _skill(other, weights), len(one.objects), config)
 
 
-def mean_over_objects(values: Float64, config: BootstrapConfig | None = None) -> Estimate:
+def mean_over_objects(values: Float64, config: BootstrapConfig = _DEFAULT) -> Estimate:
     """Mean of (O,) numbers, one per object, with an interval from the same kind of draws."""
-    config = config or BootstrapConfig()
     weights = _weights(len(values), config)
     if not len(weights):
         return Estimate(float(values.mean()), None, None)

@@ -173,7 +173,8 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
         raise DatasetError("calibration: a residual is not finite")
     if np.abs(residuals).max() > _MOST_COUNTS:
         raise DatasetError(f"calibration: a residual of {np.abs(residuals).max():g} counts exceeds {_MOST_COUNTS:g}")
-    shrinkage = _shrinkage(held_out.objects)
+    objects = len(np.unique(held_out.objects))
+    shrinkage = objects / (objects + _PRIOR_OBJECTS)
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
@@ -218,12 +219,6 @@ def _slopes(predicted: Float64, actual: Float64) -> Float64:
         power = float((x * x).sum())
         slopes[column] = np.clip((x * y).sum() / power, 0.0, 1.0) if power > 1e-12 else 1.0
     return slopes
-
-
-def _shrinkage(names: Names) -> float:
-    """G / (G + 30) of G objects."""
-    objects = len(np.unique(names))
-    return objects / (objects + _PRIOR_OBJECTS)
 
 
 def _shrunk(moments: Float64, within: Float64, shrinkage: float) -> Float64:
@@ -277,16 +272,16 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         of the calibration, by modality and by object.
     """
     regimes = {name: fit_group(one, new=name == "new") for name, one in held_out.items()}
-    facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}
-    for name, one in held_out.items():
-        objects = len(np.unique(one.objects))
-        facts["regimes"][name] = {
-            "objects": objects,
+    facts = {
+        name: {
+            "objects": len(np.unique(one.objects)),
             "samples": len(one.labels),
-            "cut": round(conformal_level(objects), 4),
+            "cut": round(conformal_level(len(np.unique(one.objects))), 4),
             "coverage": coverage_by_object(one),
         }
-    return Calibration(rest, regimes), facts
+        for name, one in held_out.items()
+    }
+    return Calibration(rest, regimes), {"level": COVERAGE, "regimes": facts}
 
 
 def guarantee(calibration: Mapping[str, Any]) -> str:
@@ -310,8 +305,7 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
-        half = fit_group(held_out.take(held_out.objects != name)).half_width
-        inside = np.abs(mine.labels - mine.predicted) <= half
+        inside = np.abs(mine.labels - mine.predicted) <= fit_group(held_out.take(held_out.objects != name)).half_width
         for modality in MODALITIES:
             found[modality][str(name)] = round(float(inside[:, columns([modality])].mean()), 3)
     return {

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the contact model: forests by scikit-learn, and a kernel whose ridge and gain are chosen on objects left out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -48,11 +48,7 @@ class ContactConfig(Settings):
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
-    """(S, F) float64 features of each sample's grasp.
-
-    Raises:
-        DatasetError: If a cloud cannot be used.
-    """
+    """(S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
     return np.concatenate(
         [_of(sample, lambda one: HandFrameFeatures(one.cloud.xyz).describe([one.grasp])) for sample in samples]
     )
@@ -128,13 +124,8 @@ def fit_forests(
     if thinned is not None:
         grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
     forest_config = config.replace(leaf=leaf)
-    return {name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()}
-
-
-def _targets() -> Iterator[tuple[str, npt.NDArray[np.intp]]]:
-    yield TOGETHER, np.arange(TOUCH_SIZE)
-    for name in MODALITIES:
-        yield name, columns([name])
+    forests = {TOGETHER: np.arange(TOUCH_SIZE), **{name: columns([name]) for name in MODALITIES}}
+    return {name: _forest(grown, targets[:, column], forest_config) for name, column in forests.items()}
 
 
 def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
@@ -232,11 +223,7 @@ class ContactPredictor:
 
     @cached_property
     def calibration(self) -> tuple[Calibration, dict[str, Any]]:
-        """The calibration, from time-blocked and object folds of the training samples, and its facts for a card.
-
-        Raises:
-            DatasetError: If all training samples are of one object.
-        """
+        """The calibration, from folds of the training samples, of several objects, and its facts for a card."""
         return calibrate_on_folds(self._train, self._labels, self._without, self._config.seed)
 
     def _without(self, fold: Fold) -> Float64:

@@ -31,15 +31,10 @@ _Rows = TypeVar("_Rows", Tensor, Any)
 
 @dataclass(frozen=True)
 class DistributedContext:
-    """The processes that share each batch.
+    """The processes that share each batch; of several, `torch.distributed` must be initialised."""
 
-    Attributes:
-        world_size: Their number. With 1 nothing is communicated; with more, `torch.distributed` must be initialised.
-        rank: Number of this process; 0 alone writes files.
-    """
-
-    world_size: int = 1
-    rank: int = 0
+    world_size: int = 1  # their number; with 1 nothing is communicated
+    rank: int = 0  # number of this process; 0 alone writes files
 
     @classmethod
     def of_process_group(cls) -> DistributedContext:
@@ -73,8 +68,6 @@ class DistributedContext:
 
     def shard(self, rows: _Rows) -> _Rows:
         """This process's rows of a batch, whose number is a multiple of the number of processes."""
-        if self.world_size == 1:
-            return rows
         count = len(rows) // self.world_size
         return rows[self.rank * count : (self.rank + 1) * count]
 
@@ -129,11 +122,7 @@ class DeviceConfig(Settings):
 
     @property
     def resolved_device(self) -> str:
-        """`cpu` or `cuda`.
-
-        Raises:
-            ConfigError: If a GPU is configured and there is none.
-        """
+        """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and there is none."""
         found = torch.cuda.is_available()
         if self.device == "cuda" and not found:
             raise ConfigError(f"{type(self).__name__}.device: cuda: torch finds no GPU; choose auto or cpu")

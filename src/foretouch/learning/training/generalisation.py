@@ -87,6 +87,5 @@ def shrunken_slope(products: Float64, powers: Float64) -> float:
     if len(products) < 2 or left.min() <= 1e-12 or total <= 0.0:
         return 0.0
     slope = total / power
-    without = (total - products) / left
-    variance = (len(products) - 1) * without.var()  # of the jackknife
+    variance = (len(products) - 1) * ((total - products) / left).var()  # of the jackknife
     return float(np.clip(slope * max(0.0, 1.0 - variance / slope**2), 0.0, 1.0))

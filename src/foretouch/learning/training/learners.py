@@ -15,8 +15,7 @@ import numpy as np
 from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, TrainingSet, labels_of
-from foretouch.learning.data.training_set import predict_set
+from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, TrainingSet, labels_of, predict_set
 from foretouch.learning.training.calibration import calibrate_on_folds
 from foretouch.learning.training.contact import ContactPredictor, describe_objects
 from foretouch.learning.training.device import DistributedContext
@@ -173,11 +172,10 @@ class NetworkLearner(Learner):
     def predict(self, index: Indices) -> Float64:
         """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""
         predicted = np.full((len(index), TOUCH_SIZE), np.nan)
-        counts = predict_set(self._net, self._prepared, self.split.train[index])
-        predicted[:, columns(self.config.outputs)] = counts
-        if not self.config.calibrates:
-            return predicted
-        return self._fallback().fade(predicted, self._objects[index])[0]
+        predicted[:, columns(self.config.model.outputs)] = predict_set(
+            self._net, self._prepared, self.split.train[index]
+        )
+        return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
 
     def save(
         self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
@@ -227,7 +225,7 @@ class NetworkLearner(Learner):
     def _validate(self, trainer: Trainer) -> float:
         """Root mean square of the scaled validation errors; keeps the weights if it is the least so far."""
         net, held = trainer.net.eval(), self.split.validation
-        labels = self._prepared.labels[np.ix_(held, columns(self.config.outputs))]
+        labels = self._prepared.labels[np.ix_(held, columns(self.config.model.outputs))]
         error = (predict_set(net, self._prepared, held) - labels) / net.target_scale.cpu().numpy()
         value = float(np.sqrt(np.mean(error**2)))
         if value < self._best.error:

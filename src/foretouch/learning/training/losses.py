@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Losses of the supervised networks and of the SR-GAN: P2's equations 1 to 5 in three variants.
+"""Losses of the supervised networks and of the SR-GAN: P2's equations 1 to 5 in four variants.
 
 P2 prints for the discriminator (x_L labelled, x_U unlabelled, x_F fake, f features before the grasp joins)::
 
@@ -15,8 +15,13 @@ as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the origina
     as_printed  eqs. 3, 4, 5 to the letter: fake clouds enter no loss of the discriminator
     contrast    eqs. 3 and 5; L_fake pushes f(x_U) and f(x_F) apart by -mean sqrt(|Δ| + 1) of their differences Δ. The
                 negative of eq. 3's square is unbounded below, and diverged to 65 million within 60 steps
+    batch_means as `contrast`, but eqs. 3 and 5 compare the means of the batches, as the original SR-GAN does: the squared
+                difference of the mean features, averaged over the features
     srgan       Olmschenk et al. 2019, with Δ the difference of the batches' mean features: matching and generator
                 loss mean|Δ|, the same contrast. Its labelled loss is replaced by eq. 2, as in P2
+
+Eq. 3 to the letter compares unrelated pairs of clouds. Its expectation is 2 tr Cov(f), so with w_U = 10 over 1024 features it
+penalises the variance of the features themselves, and all clouds become one (`docs/papers.md`).
 
 Shapes: B samples, F features, M outputs.
 """
@@ -33,6 +38,7 @@ from foretouch.errors import DatasetError
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext
 
 _LEAST_ROOT: Final = 1e-6
+_OF_MEANS: Final = ("batch_means", "srgan")  # variants that compare the mean features of two batches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +46,9 @@ class SrganLossConfig(Settings):
     """Variant of the losses, and P2's weights."""
 
     loss_variant: str = setting(
-        "contrast", "Variant of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "srgan")
+        "contrast",
+        "Variant of P2's equations 3 to 5; see the module",
+        choices=("as_printed", "contrast", "batch_means", "srgan"),
     )
     weight_labeled: float = setting(1.0, "w_L", minimum=0.0, maximum=1e6)
     weight_unlabeled: float = setting(10.0, "w_U", minimum=0.0, maximum=1e6)
@@ -143,6 +151,8 @@ def matching_loss(
     delta = _difference(a, b, config, context)
     if config.loss_variant == "srgan":
         return delta.abs().mean()
+    if config.loss_variant == "batch_means":
+        return delta.square().mean()
     return delta.square().sum(dim=1).mean()
 
 
@@ -186,7 +196,7 @@ def _contrast(features: Features, config: SrganLossConfig, context: DistributedC
 def _difference(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """(B, F) in pairs, or (1, F) of the batches' means."""
     a, b = _wide(a), _wide(b)
-    if config.loss_variant != "srgan":
+    if config.loss_variant not in _OF_MEANS:
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b

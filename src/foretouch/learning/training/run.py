@@ -108,12 +108,11 @@ def compare_splits(
     results, predicted = {}, {}
     for split in splits:
         start = time.monotonic()
-        folds = _folds(learner, split)
         scores, predicted[split] = cross_validate(
             learner.samples,
             learner.labels,
             learner.predict_fold,
-            folds,
+            _folds(learner, split),
             learner.config.ranges,
             seed=seed,
             workers=workers,
@@ -145,7 +144,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     config, count = learner.config, len(learner.samples)
     duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
     return {
-        "summary": f"{', '.join(config.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
+        "summary": f"{', '.join(config.model.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates
         },
@@ -173,7 +172,7 @@ def _release_facts(
     objects = [sample.object for sample in learner.samples]
     base = _facts(learner, data)
     return {
-        "summary": f"{', '.join(learner.config.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
+        "summary": f"{', '.join(learner.config.model.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
         "data": {
             **base["data"],
             **origin,

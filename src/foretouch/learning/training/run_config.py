@@ -87,10 +87,10 @@ class RunConfig(Settings):
             )
         if self.release and (self.split is not None or self.validation > 0.0):
             raise ConfigError("RunConfig.release: trains on all samples; leave split empty and validation at 0")
-        if self.calibrates and self.outputs != MODALITIES:
+        if self.calibrates and self.model.outputs != MODALITIES:
             field = "release" if self.release else "calibrate"
             raise ConfigError(
-                f"RunConfig.{field}: model.outputs: {list(self.outputs)} are not all modalities, {', '.join(MODALITIES)}"
+                f"RunConfig.{field}: model.outputs: {list(self.model.outputs)} are not all modalities, {', '.join(MODALITIES)}"
             )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -117,11 +117,6 @@ class RunConfig(Settings):
         """`cpu` or `cuda`."""
         own = self._own
         return "cpu" if isinstance(own, ContactConfig) else own.resolved_device
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Modalities that the model predicts."""
-        return self.model.outputs  # a contact model's group has its defaults, all of them
 
     @property
     def ranges(self) -> TactileRanges:

@@ -24,7 +24,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from foretouch.checked_files import open_regular, parse_json
-from foretouch.config import load_yaml
+from foretouch.config import flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.card import write_text
@@ -117,7 +117,11 @@ class RunFolder:
         if any(self.path.glob("*.safetensors")):
             if not resume:
                 raise FileError(self.path, "holds a run already; --resume continues it")
-            _require_same(_leaves(load_yaml(file)), _leaves(resolved), file)
+            before = flattened(load_yaml(file))
+            for key, value in flattened(resolved).items():
+                if before.get(key) != value:
+                    text = f"{key}: {before.get(key)!r} is not {value!r}; a run resumes as it began"
+                    raise ConfigError(f"{file}: {text}")
             return (self.path / STATE_FILE).exists()
         write_text(file, yaml.safe_dump(dict(resolved), sort_keys=False))
         return False
@@ -162,17 +166,3 @@ class RunFolder:
             return best, dict(plain["best"])
         except (ModelError, KeyError) as err:
             raise FileError(file, f"is not the state of this training: {err}") from err
-
-
-def _require_same(before: Mapping[str, Any], now: Mapping[str, Any], file: Path) -> None:
-    for key in now:
-        if before.get(key) != now[key]:
-            raise ConfigError(f"{file}: {key}: {before.get(key)!r} is not {now[key]!r}; a run resumes as it began")
-
-
-def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by their dotted names."""
-    leaves: dict[str, Any] = {}
-    for key, value in mapping.items():
-        leaves |= _leaves(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return leaves

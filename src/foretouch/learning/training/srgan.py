@@ -157,9 +157,7 @@ class SrganTrainer(Trainer):
 
         Where fake clouds enter no loss (`as_printed`), their features are not computed.
         """
-        used = [labelled, unlabelled]
-        if self.config.loss.loss_variant != "as_printed":
-            used.append(fake)
+        used = [labelled, unlabelled, *([fake] if self.config.loss.loss_variant != "as_printed" else [])]
         features = self.net.features
         if self.config.batch_norm == "frozen" and all(one.shape[1:] == labelled.shape[1:] for one in used):
             return loss_terms.Features(*features(torch.cat(used)).chunk(len(used)))

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
 
 from foretouch.config import setting
 from foretouch.errors import DatasetError, ModelError
@@ -66,11 +67,11 @@ class _ScheduledOptimiser:
         self._weights = list(module.parameters())
         self._context = context
         self._optimiser = _OPTIMISERS[config.optimiser](self._weights, **options)
-        self._schedule: torch.optim.lr_scheduler.LRScheduler
-        if config.schedule == "cosine":
-            self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, T_max=steps)
-        else:
-            self._schedule = torch.optim.lr_scheduler.ConstantLR(self._optimiser, factor=1.0)
+        self._schedule: LRScheduler = (
+            CosineAnnealingLR(self._optimiser, T_max=steps)
+            if config.schedule == "cosine"
+            else ConstantLR(self._optimiser, factor=1.0)
+        )
 
     def step(self, loss: Tensor) -> None:
         """Differentiate a scalar loss and take one step."""
@@ -84,10 +85,11 @@ class _ScheduledOptimiser:
         """Tensors by name and the rest as plain data, together all that `restore` requires."""
         state = self._optimiser.state_dict()
         tensors = {
-            f"{number}.{name}": value for number, values in state["state"].items() for name, value in values.items()
+            f"{number}.{name}": value
+            for number, values in state["state"].items()
+            for name, value in values.items()
+            if isinstance(value, Tensor)  # SGD keeps None where it has no momentum, as an absent tensor is in `restore`
         }
-        # SGD keeps None where it has no momentum; an absent tensor is None again after `restore`.
-        tensors = {name: value for name, value in tensors.items() if isinstance(value, Tensor)}
         return tensors, {"groups": state["param_groups"], "schedule": self._schedule.state_dict()}
 
     def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cheaper forms of a fitted contact model, which need no training: fewer trees, or a part of the features alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -48,14 +47,13 @@ class GlobalFeaturesOnly(ContactEstimator):
     """
 
     @classmethod
-    def of(cls, estimator: ContactEstimator) -> GlobalFeaturesOnly:
+    def of(cls, estimator: ContactEstimator) -> Self:
         """From a fitted model."""
         return cls(**{name: getattr(estimator, name) for name in estimator.__dataclass_fields__})
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        scene = _GlobalFeatures(cloud.xyz)
-        return Estimate(*self.predict_rows(scene.describe(grasps)))
+        return Estimate(*self.predict_rows(_GlobalFeatures(cloud.xyz).describe(grasps)))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
         """As `ContactEstimator.predict_rows`."""

@@ -12,13 +12,11 @@ multiplied by the generalisation gain λ, the share of it that held on them (`le
 Its weights hold forests, kernel and novelty detector.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -75,8 +73,7 @@ class ContactEstimator:
         scores = self.novelty.scores(rows)
         weight = scores[:, None]
         inputs = rows[:, len(CONDITIONS) :]
-        unknown = self.kernel.predict(inputs) * self._gain
-        scaled = weight * self._trees(inputs) + (1.0 - weight) * unknown
+        scaled = weight * self._trees(inputs) + (1.0 - weight) * (self.kernel.predict(inputs) * self._gain)
         return scaled * self.deviation + self.mean, scores >= IN_DISTRIBUTION
 
     def _trees(self, inputs: Float64) -> Float64:
@@ -93,13 +90,13 @@ class ContactEstimator:
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""
-        parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty}
-        parts |= {f"forest_{name}": forest for name, forest in self.forests.items()}
+        forests = {f"forest_{name}": forest for name, forest in self.forests.items()}
+        parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty, **forests}
         tensors = {f"{part}/{key}": value for part, one in parts.items() for key, value in one.to_tensors().items()}
         return tensors | {name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]], ranges: TactileRanges) -> ContactEstimator:
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]], ranges: TactileRanges) -> Self:
         """From `to_tensors`.
 
         Raises:

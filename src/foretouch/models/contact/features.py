@@ -27,10 +27,9 @@ from foretouch.kernels import Kernel
 from foretouch.models.object_shape import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, stacked
 
-_GRID = (np.float64, np.int64, np.int32)
 _sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
 _describe_contacts = Kernel(
-    "describe_contacts", np.float64, int, *_GRID, np.float64, np.float64, np.float64, int, np.float64
+    "describe_contacts", np.float64, int, np.float64, np.int64, np.int32, *[np.float64] * 3, int, np.float64
 )
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
@@ -40,7 +39,6 @@ _LOW_HIGH: Final = (0.02, 0.98)
 _QUARTERS: Final = (0.25, 0.5, 0.75, 0.98)
 _SQUARES: Final = np.array([_PAD, *_RADII_M]) ** 2
 _CELL: Final = 0.01  # edge of the cells in which points around a contact are searched [m]
-_MOST_CELLS: Final = 64  # along one axis
 _UPPER: Final = np.array([0, 1, 2, 4, 5, 8])  # of a flat (3, 3)
 _SYMMETRIC: Final = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a flat (3, 3) from its upper triangle
 _STEP: Final = 0.002  # about the distance of points: no object is thinner [m]
@@ -102,10 +100,9 @@ class HandFrameFeatures:
         self._covariance = centred.T @ centred / len(centred)
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
-        along = [quantiles(column, _LOW_HIGH) for column in (centred @ axes).T.copy()]
+        extents = [end - start for start, end in (quantiles(one, _LOW_HIGH) for one in (centred @ axes).T.copy())]
         low, high = quantiles(self._points[:, 2], _LOW_HIGH)
         self._top = low  # nearest to the camera
-        extents = [end - start for start, end in along]
         self.object_features: Float64 = np.concatenate(
             [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
         )
@@ -127,7 +124,7 @@ class HandFrameFeatures:
     def _grid(self) -> tuple[Float64, Float64, npt.NDArray[np.int64], npt.NDArray[np.int32]]:
         """The points as (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts of the cells."""
         low, high = self._columns.min(axis=1), self._columns.max(axis=1)
-        edge = max(_CELL, float((high - low).max()) / _MOST_CELLS)
+        edge = max(_CELL, float((high - low).max()) / 64)  # at most 64 along one axis
         grid, cells = np.append(low, 1.0 / edge), ((high - low) / edge).astype(np.int64) + 1
         starts, columns = np.empty(cells.prod() + 1, np.int32), np.empty_like(self._columns)
         _sort_into_cells(

@@ -6,8 +6,6 @@ between clouds of one object: its pose, and what is seen of it. Conditions under
 are unfamiliar too: another distance of the camera, too few points, another width or direction of the hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Self
@@ -23,7 +21,6 @@ from foretouch.types import Float64
 
 _USUAL: Final = (0.93, 0.98)  # quantiles of the distances within training between which the score falls from 1 to 0
 _LEAST: Final = 0.05  # variance within objects that a size has at least, over that between all clouds
-_ALMOST_ALL: Final = (0.01, 0.99)  # quantiles of a condition in training
 _BEYOND: Final = {"distance": 2.0, "spacing": 2.5, "width": 1.5}  # factors beyond them
 _TURN: Final = 0.05  # what is added to the directions of the hand, which are cosines
 _SIZES: Final = [CHECKED.index(name) for name in OBJECT_FEATURES]
@@ -57,13 +54,13 @@ class NoveltyDetector(TensorRecord):
         values, axes = np.linalg.eigh(within.T @ within / len(within) + _LEAST * np.eye(len(centre)))
         turn = axes / np.sqrt(values) / scale[:, None]
         known = (sizes - centre) @ turn
-        nearest = np.sort(cdist(known, known), axis=1)[:, 1]
-        start, end = np.quantile(nearest, _USUAL)
-        low, high = np.quantile(rows[:, _LIMITED_COLUMNS], _ALMOST_ALL, axis=0)
+        start, end = np.quantile(np.sort(cdist(known, known), axis=1)[:, 1], _USUAL)
+        low, high = np.quantile(rows[:, _LIMITED_COLUMNS], (0.01, 0.99), axis=0)
         for k, name in enumerate(_LIMITED):
             factor = _BEYOND.get(name)
-            ends = (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
-            low[k], high[k] = ends
+            low[k], high[k] = (
+                (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
+            )
         low[_LIMITED.index("spacing")] = 0.0  # points cannot be too many
         return cls(centre, turn, known, np.array([start, max(end, start + 1e-9)]), low, high)
 

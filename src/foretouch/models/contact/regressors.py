@@ -9,12 +9,10 @@ Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) over standardised co
 2.25], whose samples are as rough as tactile readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -66,18 +64,17 @@ class Forest(TensorRecord):
     value: npt.NDArray[np.float16]
 
     @classmethod
-    def from_trees(cls, trees: Sequence[Any]) -> Forest:
+    def from_trees(cls, trees: Sequence[Any]) -> Self:
         """From the `tree_` of fitted scikit-learn regressors with targets of (S, M)."""
         roots, features, thresholds, children, leaves, values = [], [], [], [], [], []
         nodes = rows = 0
         for tree in trees:
-            is_leaf = tree.children_left < 0
-            index = np.arange(tree.node_count)
+            is_leaf, index = tree.children_left < 0, np.arange(tree.node_count)[:, None]
             pair = np.stack([tree.children_left, tree.children_right], axis=1)
             roots.append(nodes)
             features.append(np.where(is_leaf, -1, tree.feature))
             thresholds.append(np.where(is_leaf, 0.0, tree.threshold))
-            children.append(np.where(is_leaf[:, None], index[:, None], pair) + nodes)
+            children.append(np.where(is_leaf[:, None], index, pair) + nodes)
             leaves.append(np.where(is_leaf, np.cumsum(is_leaf) - 1 + rows, 0))
             values.append(tree.value[is_leaf, :, 0])
             nodes += tree.node_count
@@ -95,7 +92,7 @@ class Forest(TensorRecord):
         return self._compiled.predict(rows)
 
     @cached_property
-    def _compiled(self) -> CompiledForests:
+    def _compiled(self) -> "CompiledForests":
         return CompiledForests([self])
 
     def _check(self) -> None:

@@ -94,8 +94,7 @@ def _moments(x: Tensor, total: Total | None) -> tuple[Tensor, Tensor, float]:
     if total is None:
         return mean, spread, count
     size = len(mean)
-    ones = torch.ones(1, dtype=torch.float64, device=x.device)
-    packed = total(torch.cat([ones, mean, (spread + torch.outer(mean, mean)).flatten()]) * count)
+    packed = total(torch.cat([mean.new_ones(1), mean, (spread + torch.outer(mean, mean)).flatten()]) * count)
     count = float(packed[0])
     mean = packed[1 : size + 1] / count
     return mean, packed[size + 1 :].view(size, size) / count - torch.outer(mean, mean), count
@@ -144,8 +143,7 @@ class _BatchAffine(torch.autograd.Function):
                 g_covariance, g_mean = both[:-1], both[-1]
             turn = g_covariance * (2.0 / ctx.count)
             row = g_mean / ctx.count - mean @ turn
-            rows = torch.addmm(row.to(x.dtype), x.flatten(0, 1), turn.to(x.dtype))
-            g_x = rows.view_as(x)
+            g_x = torch.addmm(row.to(x.dtype), x.flatten(0, 1), turn.to(x.dtype)).view_as(x)
         to = weight.dtype
         return g_x, own.to(to), torch.zeros_like(scale, dtype=to), (g_scale / root).to(to), g_b.to(to), None, None
 

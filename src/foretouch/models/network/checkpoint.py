@@ -5,12 +5,10 @@ cloud ─ sample, unit sphere ─ features (once) ─┐
 K grasps ─ unit sphere ────────────────────────┴─ head, in blocks ─► K x 50 counts ─► fallback on novel objects
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +20,7 @@ from foretouch.models.card import read_card
 from foretouch.models.files import file_beside, read_tensors
 from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import fold
+from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
@@ -31,9 +29,6 @@ from foretouch.models.object_shape import object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Grasp
-
-if TYPE_CHECKING:
-    from foretouch.models.network.folding import FoldedNetwork
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +96,9 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     net, card = load_network(card_path)
     try:
         lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])
-        estimator = NetworkEstimator(net.config, fold(net), lengths, fallback)
+        return TouchModel(NetworkEstimator(net.config, fold(net), lengths, fallback), card, calibration)
     except ModelError as err:
         raise ModelError(f"{card_path}: {err}") from err
-    return TouchModel(estimator, card, calibration)
 
 
 def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:

@@ -11,9 +11,6 @@ from foretouch.tactile import MODALITIES, TactileRanges, modality_size
 GRASP_SIZE: Final = 15
 """g1, g2 (3 + 3) and R (9), as in P2."""
 
-METRIC_SIZE: Final = 2
-"""Radius of the cloud and width of the grasp [dm], which are lost in the unit sphere."""
-
 _CHANNELS: Final = {"xyz": 3, "xyz+rgb": 6, "xyz+normals": 6}
 
 
@@ -81,7 +78,7 @@ class ModelConfig(Settings):
     @property
     def grasp_size(self) -> int:
         """Grasp inputs of the head: 0, 15 or 17."""
-        return (GRASP_SIZE if self.use_grasp else 0) + (METRIC_SIZE if self.metric_inputs else 0)
+        return (GRASP_SIZE if self.use_grasp else 0) + (2 if self.metric_inputs else 0)
 
     @property
     def head_size(self) -> int:

@@ -102,8 +102,7 @@ def fold(net: TouchNet, precision: str | None = None) -> FoldedNetwork:
     config = net.config
     dtype = getattr(torch, config.precision if precision is None else precision)
     transform = net.features.transform
-    head = [*_fold_layers(net.head), _fold_output(net)]
-    first, rest = head[0], head[1:]
+    first, *rest = *_fold_layers(net.head), _fold_output(net)
     return FoldedNetwork(
         transform=None if transform is None else _fold_transform(transform, dtype),
         trunk=_shared(_fold_layers(net.features.layers), dtype),
@@ -162,5 +161,5 @@ def _fold_layer(layer: Layer) -> _Affine:
 
 def _fold_output(net: TouchNet) -> _Affine:
     scale, mean = net.target_scale.double(), net.target_mean.double()
-    weight = net.output.weight.detach().double() * scale[:, None]
-    return _Affine(weight.float().contiguous(), (net.output.bias.detach().double() * scale + mean).float())
+    weight, bias = net.output.weight.detach().double(), net.output.bias.detach().double()
+    return _Affine((weight * scale[:, None]).float().contiguous(), (bias * scale + mean).float())

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Five lengths of a cloud and a grasp, and whether they are within their ranges in training."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -32,12 +30,12 @@ class LengthRangeCheck:
     high: Float64  # (5,) float64 [m], in the order of `LENGTHS`
 
     @classmethod
-    def fit(cls, lengths: Float64) -> LengthRangeCheck:
+    def fit(cls, lengths: Float64) -> Self:
         """From (S, 5) lengths of the training samples."""
         return cls(lengths.min(axis=0), lengths.max(axis=0))
 
     @classmethod
-    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> LengthRangeCheck:
+    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> Self:
         """From `to_card`.
 
         Raises:
@@ -77,9 +75,7 @@ def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
 
 def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
     """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
-    frame = prepared.frame
-    moved = frame.apply_points(targets).astype(np.float32)
-    points = prepared.points[:, :3]
+    moved, points = prepared.frame.apply_points(targets).astype(np.float32), prepared.points[:, :3]
     squared = np.empty(len(moved), np.float32)
     _nearest_squares(moved, len(moved), points.T.copy(), len(points), squared)
-    return np.asarray(np.sqrt(squared) * frame.scale, np.float64)
+    return np.asarray(np.sqrt(squared) * prepared.frame.scale, np.float64)

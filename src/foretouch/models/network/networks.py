@@ -57,15 +57,7 @@ class TouchNet(nn.Module):
         self.register_buffer("target_scale", torch.ones(config.output_size))
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """Scaled predictions.
-
-        Args:
-            points: (B, N, C) float32, in the unit sphere.
-            grasp: (B, G) float32, in the frame of the points; None without grasp inputs.
-
-        Returns:
-            (B, M) float32, scaled.
-        """
+        """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
         return self.regress(self.features(points), grasp)
 
     def regress(self, features: Tensor, grasp: Tensor | None = None) -> Tensor:
@@ -121,8 +113,7 @@ class CloudGenerator(nn.Module):
         self.config = config
         self._used = model.channel_count
         widths = [_CHANNELS, *config.widths, _CHANNELS]
-        layers = [nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths)]
-        self.layers = nn.ModuleList(layers)
+        self.layers = nn.ModuleList(nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths))
 
     def forward(self, noise: Tensor) -> Tensor:
         """(B, 6, L) noise to (B, N, 6) fake clouds in [-1, 1].

@@ -214,9 +214,8 @@ class Layer(nn.Module):
         """
         if self.norm is None or not self.norm.training:
             return self.folded() if self.training or torch.is_grad_enabled() else None
-        if self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear):
-            return batch_affine(x, self.linear, self.norm, self.total)
-        return None
+        worth = self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear)
+        return batch_affine(x, self.linear, self.norm, self.total) if worth else None
 
     def forward(self, x: Tensor) -> Tensor:
         """Apply the layer."""
@@ -236,9 +235,8 @@ class Layer(nn.Module):
 
 
 def _worth_moments(rows: int, linear: nn.Linear) -> bool:
-    if linear.in_features > linear.out_features:
-        return False
-    return rows * linear.out_features >= _ENOUGH_VALUES and rows >= _ENOUGH_ROWS * linear.in_features
+    inputs, outputs = linear.in_features, linear.out_features
+    return inputs <= outputs and rows * outputs >= _ENOUGH_VALUES and rows >= _ENOUGH_ROWS * inputs
 
 
 def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:

@@ -118,5 +118,4 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
 
 def _normals(xyz: Float32, index: npt.NDArray[np.integer]) -> Float64:
     """(n, 3) unit normals towards the camera; zero where fewer than three points are near."""
-    normals, _ = normals_and_curvature(xyz, index)
-    return np.nan_to_num(normals, nan=0.0)
+    return np.nan_to_num(normals_and_curvature(xyz, index)[0], nan=0.0)

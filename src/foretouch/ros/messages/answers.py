@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -23,9 +23,6 @@ from foretouch.types import TOUCH_SIZE, Evidence, Float64, Touch, TouchPredictio
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
-
-_LITTLE_ENDIAN: Final = b"\0\1\0\0"
-_DOUBLES: Final = 8  # bytes of which they begin at multiples
 
 
 class Refusal(NamedTuple):
@@ -68,9 +65,11 @@ class TouchAnswer:
     @property
     def message(self) -> TouchPredictionArray:
         """The message of all."""
-        predictions = [self.prediction(k) for k in range(len(self.outcomes))]
-        status, reason = self.summary
-        return TouchPredictionArray(header=self.header, predictions=predictions, status=status, reason=reason)
+        return TouchPredictionArray(
+            header=self.header,
+            predictions=[self.prediction(k) for k in range(len(self.outcomes))],
+            **self.summary._asdict(),
+        )
 
     def encoded(self) -> bytes:
         """The message of all as the middleware sends it."""
@@ -79,15 +78,14 @@ class TouchAnswer:
         tails: dict[Any, bytes] = {}
         for outcome, names, numbers in zip(self.outcomes, *self._fixed, strict=True):
             key = outcome if isinstance(outcome, Refusal) else (outcome.flags, outcome.reference, outcome.evidence)
-            tail = tails.get(key)
-            if tail is None:
+            if (tail := tails.get(key)) is None:
                 tail = tails[key] = self._tail(outcome)
-            gap = -(at + len(names)) % _DOUBLES
+            gap = -(at + len(names)) % 8  # doubles begin at multiples of their size
             parts += (names, bytes(gap), numbers, tail)
             at += len(names) + gap + len(numbers) + len(tail)
         status, reason = self.summary
         end = _text(reason)[: 4 + len(reason.encode()) + 1]  # nothing follows
-        return b"".join((_LITTLE_ENDIAN, *parts, struct.pack("<B3x", status), end))
+        return b"".join((b"\0\1\0\0", *parts, struct.pack("<B3x", status), end))  # the header: little-endian
 
     @cached_property
     def _begin(self) -> bytes:
@@ -100,10 +98,11 @@ class TouchAnswer:
         names = [self._begin + _text(one.id) + _text(one.object_id) for one in self.grasps]
         doubles = _rows(grasp_numbers(self.grasps).astype("<f8"))
         scores = _rows(np.array([one.score for one in self.grasps], "<f4")[:, None])
-        values = _rows(_intervals(self.outcomes))
         numbers = [
             b"".join((pose, score, struct.pack("<B3x", one.status), _text(one.reason), counts))
-            for one, pose, score, counts in zip(self.grasps, doubles, scores, values, strict=True)
+            for one, pose, score, counts in zip(
+                self.grasps, doubles, scores, _rows(_intervals(self.outcomes)), strict=True
+            )
         ]
         return names, numbers
 
@@ -134,8 +133,13 @@ def middleware_reads_cdr() -> bool:
     """Whether the middleware of this process reads what `TouchAnswer.encoded` writes; tried once."""
     touch = Touch.from_vector(np.arange(float(TOUCH_SIZE)))
     grasps = [GraspMsg(id="x" * k, score=0.5, reason="y") for k in range(3)]
-    evidence = Evidence(1, 2.5, 3, 4.5)
-    known = TouchPrediction(None, touch, touch, touch, "touches", ("a",), evidence=evidence)  # type: ignore[arg-type]
+    known = TouchPrediction(
+        None,  # type: ignore[arg-type]
+        *(touch, touch, touch),
+        reference="touches",
+        flags=("a",),
+        evidence=Evidence(1, 2.5, 3, 4.5),
+    )
     answer = TouchAnswer(Header(frame_id="cam"), grasps, [known] * len(grasps), ("late",), Duration(sec=5), "m", "s")
     try:
         return bool(deserialize_message(answer.encoded(), TouchPredictionArray) == answer.message)

@@ -61,9 +61,8 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
         row_step=points.nbytes,
         is_dense=True,
     )
-    data = array.array("B")
-    data.frombytes(points.view(np.uint8).data)
-    message.data = data  # an array.array is stored as it is; a NumPy array would be checked byte by byte
+    # An array.array is stored as it is; a NumPy array would be checked byte by byte.
+    message.data = array.array("B", points.tobytes())
     return message
 
 
@@ -82,8 +81,6 @@ class TargetCloud:
 
 def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
-    indices = array.array("I")
-    indices.frombytes(segment.pixels.astype(np.uint32).view(np.uint8).data)
     low, high = segment.bounds
     return Object(
         id=str(segment.id),
@@ -92,14 +89,16 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
         minimum=point_to_msg(low),
         maximum=point_to_msg(high),
         target=target,
-        indices=indices,
+        indices=array.array("I", segment.pixels.astype(np.uint32).tobytes()),
     )
 
 
 def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
-    found = message.targets if isinstance(message, TargetCloud) else decode_objects(message)
-    return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in found)
+    return tuple(
+        FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape)
+        for one in (message.targets if isinstance(message, TargetCloud) else decode_objects(message))
+    )
 
 
 def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:
@@ -123,9 +122,8 @@ def _records(target: FoundObject, *, coloured: bool) -> npt.NDArray[Any]:
 
 def _fields(record: np.dtype[Any]) -> list[PointField]:
     codes = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32, "<u2": PointField.UINT16}
-    fields = []
-    for name, (kind, offset, *_) in (record.fields or {}).items():
-        # PCL and RViz expect packed colours to be declared as floats.
-        datatype = PointField.FLOAT32 if name == "rgb" else codes[kind.str]
-        fields.append(PointField(name=name, offset=offset, datatype=datatype, count=1))
-    return fields
+    floats = {"rgb": PointField.FLOAT32}  # PCL and RViz expect packed colours to be declared as such
+    return [
+        PointField(name=name, offset=offset, datatype=floats.get(name, codes[kind.str]), count=1)
+        for name, (kind, offset, *_) in (record.fields or {}).items()
+    ]

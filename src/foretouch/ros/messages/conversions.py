@@ -29,7 +29,6 @@ REFERENCE_CODES: dict[Reference, int] = {
 """Numbers of references in messages."""
 
 _REFERENCE_NAMES = {code: name for name, code in REFERENCE_CODES.items()}
-_NO_AGE_S = -1.0
 _MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
 _MAX_COEFFICIENT = 1e100  # of a plane
 
@@ -77,9 +76,10 @@ def plane_from_msg(message: PlaneMsg) -> Plane | None:
     if np.isfinite(exact).all() and scale > _MAX_COEFFICIENT:  # its square may overflow
         raise CloudError(f"plane: {exact.tolist()} has a number beyond {_MAX_COEFFICIENT:g}")
     plane = Plane.from_coefficients(message.coef)
-    # A unit normal must stay as it is: dividing it by its length again may change its last bit.
-    unit = abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12
-    return Plane(exact[:3], float(exact[3])) if unit else plane
+    if abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12:
+        # A unit normal must stay as it is: dividing it by its length again may change its last bit.
+        return Plane(exact[:3], float(exact[3]))
+    return plane
 
 
 def rotation_to_msg(rotation: Float64) -> Quaternion:
@@ -145,8 +145,7 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     """
     rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
-    reference = _REFERENCE_NAMES.get(message.reference)
-    if reference is None:
+    if (reference := _REFERENCE_NAMES.get(message.reference)) is None:
         raise ModelError(f"reference: {message.reference} is none of {', '.join(REFERENCE_CODES)}")
     refused = bool(np.isnan(value).any())
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
@@ -165,13 +164,11 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
 
 def evidence_fields(evidence: Evidence) -> dict[str, Any]:
     """The fields of a prediction that hold its evidence."""
-    ages = (evidence.touch_age_s, evidence.reading_age_s)
-    touch_age, reading_age = (duration_to_msg(_NO_AGE_S if age is None else age) for age in ages)
+    ages = {"touch_age": evidence.touch_age_s, "reading_age": evidence.reading_age_s}
     return {
         "touches": evidence.touches,
-        "touch_age": touch_age,
         "readings": evidence.readings,
-        "reading_age": reading_age,
+        **{name: duration_to_msg(-1.0 if age is None else age) for name, age in ages.items()},  # -1 for none
     }
 
 
@@ -198,8 +195,7 @@ def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) ->
 
 def _modalities(value: Touch | None, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
     """The fields pdc_th, pdc_mf, e_th and e_mf of a message; what is unknown becomes NaN."""
-    unknown = np.full(TOUCH_SIZE, math.nan)
-    columns = [unknown if touch is None else touch.vector() for touch in (value, lower, upper)]
+    columns = [touch.vector() if touch else np.full(TOUCH_SIZE, math.nan) for touch in (value, lower, upper)]
     intervals = _intervals(np.stack(columns, axis=1).tolist())
     return {
         "pdc_th": intervals[0],

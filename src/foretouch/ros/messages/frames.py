@@ -72,13 +72,15 @@ class FrameTransform:
         """A pose; an orientation of four zeros, which stands for none, stays."""
         q = pose.orientation
         (a, b, c, d), (x, y, z, w) = self._quaternion, (q.x, q.y, q.z, q.w)
-        turned = Quaternion(  # the Hamilton product
-            x=d * x + a * w + b * z - c * y,
-            y=d * y + b * w + c * x - a * z,
-            z=d * z + c * w + a * y - b * x,
-            w=d * w - a * x - b * y - c * z,
+        return Pose(
+            position=self.point(pose.position),
+            orientation=Quaternion(  # the Hamilton product
+                x=d * x + a * w + b * z - c * y,
+                y=d * y + b * w + c * x - a * z,
+                z=d * z + c * w + a * y - b * x,
+                w=d * w - a * x - b * y - c * z,
+            ),
         )
-        return Pose(position=self.point(pose.position), orientation=turned)
 
     def grasp(self, grasp: Grasp) -> Grasp:
         """A grasp: its contacts, its pose and its matrix; a matrix of nine zeros, which stands for none, stays."""
@@ -123,8 +125,9 @@ class FrameTransform:
 
     def answer(self, answer: TouchAnswer, grasps: Sequence[Grasp] | None = None) -> TouchAnswer:
         """Predictions, with the `grasps` in the frame of the target where they are known."""
-        moved = [self.grasp(one) for one in answer.grasps] if grasps is None else grasps
-        return replace(answer, header=self.header(answer.header), grasps=moved)
+        return replace(
+            answer, header=self.header(answer.header), grasps=grasps or [self.grasp(one) for one in answer.grasps]
+        )
 
     def _prediction(self, prediction: TouchPrediction) -> TouchPrediction:
         """A prediction with its grasp."""

@@ -18,15 +18,15 @@ from foretouch.grasp.pose import fingertip_rotation
 from foretouch.ros.messages.conversions import point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp
-from foretouch_msgs.msg import Interval, Object, ObjectArray, Status, TouchPrediction
+from foretouch_msgs.msg import Interval, ObjectArray, Status, TouchPrediction
 
-_LIFETIME = Duration(sec=1)
 _CONTACT_M = 0.012  # diameter of a contact's sphere
 _AXIS_M = 0.06  # length of the hand's axes
 _ELECTRODE_M = 0.003
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
-_FLAGGED = ColorRGBA(r=1.0, g=0.8, b=0.1, a=1.0)
 _OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
+_WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
+_YELLOW = ColorRGBA(r=1.0, g=0.8, b=0.1, a=1.0)
 _CONTACTS = (ColorRGBA(r=1.0, g=0.4, b=0.1, a=1.0), ColorRGBA(r=0.1, g=0.5, b=1.0, a=1.0))
 _AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.0))
 
@@ -38,18 +38,20 @@ def object_markers(message: ObjectArray) -> MarkerArray:
         box = _marker(message.header, "objects", number, Marker.CUBE, _TARGET if one.target else _OTHER)
         low, high = (np.array([p.x, p.y, p.z]) for p in (one.minimum, one.maximum))
         box.pose.position = point_to_msg((low + high) / 2.0)
-        box.scale = _vector(np.maximum(high - low, 1e-3))
-        markers += [box, _label(message.header, number, one)]
+        box.scale = Vector3(**dict(zip("xyz", np.maximum(high - low, 1e-3).tolist(), strict=True)))
+        above = Point(x=one.centroid.x, y=one.minimum.y - 0.02, z=one.centroid.z)  # y points down
+        text = f"{one.id}: {one.n_points} points"
+        markers += [box, _label(message.header, "object_ids", number, above, 0.03, text)]
     return MarkerArray(markers=markers)
 
 
 def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True) -> MarkerArray:
     """Draw contacts, hand frame and the 48 electrodes of one prediction, with its pressures and what it is based on.
 
-    Args:
-        prediction: A refused one gives no marker.
-        ranges: An electrode at the upper end of its range is green, at the lower end red: compression lowers the count.
-        thumb_takes_g1: Which finger touches g1.
+    The text is yellow if there is a flag.
+
+    A refused prediction gives no marker. An electrode at the upper end of its range is green, at the lower end red:
+    compression lowers the count.
     """
     if prediction.status != Status.OK:
         return MarkerArray()
@@ -68,9 +70,14 @@ def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_t
         arrow.scale = Vector3(x=0.004, y=0.008, z=0.0)
         markers.append(arrow)
     thumb, finger = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
-    markers.append(_electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")))
-    markers.append(_electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")))
-    markers.append(_text(prediction, grasp))
+    above = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
+    pressures = f"PDC {_interval_text(prediction.pdc_th)} | {_interval_text(prediction.pdc_mf)}"
+    text = "\n".join([f"{pressures} ({reference_text(prediction)})", *prediction.flags])
+    markers += [
+        _electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")),
+        _electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")),
+        _label(header, "prediction", 0, above, 0.02, text, _YELLOW if prediction.flags else _WHITE),
+    ]
     return MarkerArray(markers=markers)
 
 
@@ -84,21 +91,9 @@ def _electrodes(
     positions = positions - [positions[:, 0].mean(), 0.0, positions[:, 2].min()]
     placed = positions @ fingertip_rotation(grasp, contact).T + contact
     counts = np.array([interval.value for interval in values], np.float64)
-    low, high = limits
     marker.points = [point_to_msg(point) for point in placed]
-    marker.colors = [_heat(drop) for drop in np.clip((high - counts) / (high - low), 0.0, 1.0)]
+    marker.colors = [_heat(drop) for drop in np.clip((limits[1] - counts) / (limits[1] - limits[0]), 0.0, 1.0)]
     return marker
-
-
-def _text(prediction: TouchPrediction, grasp: Grasp) -> Marker:
-    """Write pressures with half widths, reference and flags above the hand, in yellow if there is a flag."""
-    colour = _FLAGGED if prediction.flags else ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
-    label = _marker(prediction.header, "prediction", 0, Marker.TEXT_VIEW_FACING, colour)
-    label.pose.position = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
-    label.scale.z = 0.02
-    pressures = f"PDC {_interval_text(prediction.pdc_th)} | {_interval_text(prediction.pdc_mf)}"
-    label.text = "\n".join([f"{pressures} ({reference_text(prediction)})", *prediction.flags])
-    return label
 
 
 def _interval_text(interval: Interval) -> str:
@@ -113,11 +108,11 @@ def _heat(drop: float) -> ColorRGBA:
     return ColorRGBA(r=float(min(1.0, 2.0 * drop)), g=float(min(1.0, 2.0 - 2.0 * drop)), b=0.1, a=1.0)
 
 
-def _label(header: Header, number: int, one: Object) -> Marker:
-    label = _marker(header, "object_ids", number, Marker.TEXT_VIEW_FACING, ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0))
-    label.pose.position = Point(x=one.centroid.x, y=one.minimum.y - 0.02, z=one.centroid.z)  # y points down
-    label.scale.z = 0.03
-    label.text = f"{one.id}: {one.n_points} points"
+def _label(
+    header: Header, namespace: str, number: int, position: Point, size_m: float, text: str, colour: ColorRGBA = _WHITE
+) -> Marker:
+    label = _marker(header, namespace, number, Marker.TEXT_VIEW_FACING, colour)
+    label.pose.position, label.scale.z, label.text = position, size_m, text
     return label
 
 
@@ -130,10 +125,5 @@ def _marker(header: Header, namespace: str, number: int, kind: int, colour: Colo
         action=Marker.ADD,
         pose=Pose(orientation=Quaternion(w=1.0)),
         color=colour,
-        lifetime=_LIFETIME,
+        lifetime=Duration(sec=1),
     )
-
-
-def _vector(values: Float64) -> Vector3:
-    x, y, z = map(float, values)
-    return Vector3(x=x, y=y, z=z)

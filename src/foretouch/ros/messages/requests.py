@@ -104,11 +104,7 @@ def read_plane(message: PlaneMsg) -> Plane:
 
 
 def read_table(message: TablePlane, header: Header) -> Plane:
-    """Convert the table of the cloud with a header.
-
-    Raises:
-        RefusalError: The status and reason of a table that was not found, BAD_PLANE, or UNKNOWN_FRAME.
-    """
+    """Convert the table of the cloud with a header; refused as the sender has, with BAD_PLANE, or UNKNOWN_FRAME."""
     if message.status != Status.OK:
         raise passed_on("table", message.status, message.reason)
     check_frames("table", message.header, header)
@@ -140,21 +136,13 @@ def plan_targets(
 ) -> GraspArray:
     """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
 
-    Args:
-        pipeline: Its grasp settings are used.
-        targets: At least one.
-        header: Of the cloud.
-        note: How the targets were selected, for the reason.
-        held: Best grasps of the previous cloud, to be kept and updated.
-        margin: Score by which another grasp must be better than the held one.
-
-    Returns:
-        Status OK if any target has a grasp, else that of the first target; the reasons of all that have none.
+    There is at least one target; `note` says how they were selected, for the reason. `held`, the best grasps of the
+    previous cloud, are kept and updated: another grasp must be better by a score of `margin`. The status is OK if any
+    target has a grasp, else that of the first target; the reasons are of all that have none.
     """
     plans = []
     for target in targets:
-        before = None if held is None else held.find(target.cloud)
-        plan = pipeline.plan(target, held=before, hold=margin)
+        plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=margin)
         plans.append((target, plan))
         if held is not None and plan.grasps and plan.axis is not None:
             held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))

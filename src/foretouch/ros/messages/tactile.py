@@ -62,6 +62,7 @@ def tactile_class(type_name: str) -> type:
     try:
         message: type = getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as err:
-        text = f"{type_name}: {package} is not installed; source the workspace that holds it"
-        raise MissingDependencyError(text) from err
+        raise MissingDependencyError(
+            f"{type_name}: {package} is not installed; source the workspace that holds it"
+        ) from err
     return message

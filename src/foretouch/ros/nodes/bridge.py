@@ -25,10 +25,8 @@ from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, Se
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
-_TICK_S: Final = 0.2  # between two looks at what the clients ask for
 _DEPTH: Final = 100
 _CLOUD_DEPTH: Final = 10
-_SLOW_S: Final = 30.0  # a report of the SDK holds so long
 _SLOW: Final = "a client reads too slowly: its oldest messages are dropped"
 
 
@@ -122,7 +120,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             raise ConfigError(f"{config.address}:{config.port}: {err}") from err
         host = f"[{config.address}]" if ":" in config.address else config.address
         self.url = f"ws://{host}:{self._server.port}"
-        self._timer = self.create_timer(_TICK_S, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
+        self._timer = self.create_timer(0.2, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"serving at {self.url}")
 
     def _stop(self) -> None:
@@ -145,13 +143,16 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         """What clients ask for, and how often the SDK reported that one is slow, for /diagnostics."""
         with self._lock:
             asked = {name: one.input for name, one in self._served.items() if one.input is not None}
-        lost = sum(one.losses.count for one in asked.values())
-        counts = {"lost_on_the_way": str(lost), "slow_clients": str(self._reports.count)}
-        return {"url": self.url, "topics": " ".join(sorted(asked)), **counts}
+        return {
+            "url": self.url,
+            "topics": " ".join(sorted(asked)),
+            "lost_on_the_way": str(sum(one.losses.count for one in asked.values())),
+            "slow_clients": str(self._reports.count),
+        }
 
     def warnings(self) -> tuple[str, ...]:
-        """Whether a client is slow now."""
-        return (_SLOW,) if time.monotonic() - self._reports.last_s <= _SLOW_S else ()
+        """Whether a client is slow now: a report of the SDK holds for 30 s."""
+        return (_SLOW,) if time.monotonic() - self._reports.last_s <= 30.0 else ()
 
     def _follow_clients(self) -> None:
         """Subscribe to what clients ask for, and to nothing else."""
@@ -164,13 +165,17 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
                     one.input.adapt()
                 else:
                     offered = {end.qos_profile.reliability for end in self.get_publishers_info_by_topic(name)}
-                    reliable = ReliabilityPolicy.BEST_EFFORT not in offered
-                    one.input = SerializedInput(self, one.topic, self._forward, self._mismatch, reliable=reliable)
+                    one.input = SerializedInput(
+                        self,
+                        one.topic,
+                        self._forward,
+                        self._mismatch,
+                        reliable=ReliabilityPolicy.BEST_EFFORT not in offered,
+                    )
 
     def _forward(self, message: SerializedMessage) -> None:
         arrived = self.statistics.receive()
-        one = self._served.get(message.topic)
-        if one is None or self._server is None:
+        if (one := self._served.get(message.topic)) is None or self._server is None:
             self.statistics.drop("stopped")
             return
         one.channel.log(message.data, log_time=message.received_ns)

@@ -23,10 +23,6 @@ from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene_camera import scene_camera, swinging_frames
 from foretouch.simulation.schedule import ScheduleConfig
 
-_READ_S = 0.1  # longest wait before the thread checks whether it should end
-_PERIOD_S = 1.0  # of the motion in the synthetic scene
-_MAX_FRAMES = 30  # of that motion, kept in memory
-
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticConfig(Settings):
@@ -118,31 +114,26 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         """Apply new filters, timeouts and message faults while it streams."""
         if self._faults is not None:
             self._faults.config = config.faults
-        camera = self._camera
-        if camera is not None:
+        if (camera := self._camera) is not None:
             camera.reconfigure(config.camera.replace(**self._size))
 
     def has_ended(self) -> bool:
         """Whether a recording was played to its end."""
-        camera = self._camera
-        return camera is not None and camera.status.state == "ended"
+        return (camera := self._camera) is not None and camera.status.state == "ended"
 
     def errors(self) -> tuple[str, ...]:
         """State and reason of a camera that is absent, stalled or being reopened."""
         if self._failure:
             return (self._failure,)
-        camera = self._camera
-        if camera is None or camera.status.is_ok:
+        if (camera := self._camera) is None or camera.status.is_ok:
             return ()
         return (f"{camera.status.state}: {camera.status.reason}",)
 
     def notes(self) -> dict[str, str]:
         """The camera's state and counts."""
-        camera = self._camera
-        if camera is None:
+        if (camera := self._camera) is None:
             return {"source": self.config.source, "camera": "closed"}
         status = camera.status
-        age = "" if status.since_frame_s is None else f"{status.since_frame_s:.2f}"
         return {
             "source": self.config.source,
             "camera": status.state,
@@ -150,7 +141,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             "device": status.device,
             "opened": str(status.opened),
             "failures": str(status.failures),
-            "since_frame_s": age,
+            "since_frame_s": "" if status.since_frame_s is None else f"{status.since_frame_s:.2f}",
         }
 
     # The thread.
@@ -159,7 +150,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         counted: Counter[str] = Counter()
         while not self._stopping.is_set() and camera.status.state != "ended":
             try:
-                cloud = camera.read(_READ_S)
+                cloud = camera.read(0.1)  # then the thread checks whether it should end
             except ForetouchError as err:  # the device does not offer what the settings ask for: do not try again
                 self._fail(str(err))
                 return
@@ -186,7 +177,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
 
 def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
+    """A scene that swings once a second; at most 30 frames of that are kept in memory."""
     camera, rng = config.camera, np.random.default_rng(config.synthetic.seed)
     scene = random_scene(rng, camera.width, camera.height)
-    count = min(_MAX_FRAMES, max(1, round(_PERIOD_S * camera.fps)))
-    return SyntheticCamera(swinging_frames(scene, count, rng=rng), camera.fps)
+    return SyntheticCamera(swinging_frames(scene, min(30, camera.fps), rng=rng), camera.fps)

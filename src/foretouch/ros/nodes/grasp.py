@@ -44,8 +44,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     _frame: OutputFrame | None = None
 
     def __init__(self, **options: Any) -> None:
-        inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]
-        super().__init__("grasp", GraspNodeConfig, inputs, **options)
+        super().__init__("grasp", GraspNodeConfig, [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")], **options)
         self._config_changed(self.config)
 
     def _setup(self) -> None:

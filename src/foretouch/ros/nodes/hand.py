@@ -36,11 +36,7 @@ from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
-_TACTILE_FRAME = "rh_tactile"
-_BEHIND_S = 0.25  # the difference of stamps and reception that grasps are rejected for by default
-_LATE_NS = 1_000_000_000  # messages that are later than this are left out
 _DEPTH = 100
-_POLL_S = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +66,9 @@ def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> E
     }
     achieved = Pose(position=point_to_msg(trajectory.midpoint), orientation=rotation_to_msg(trajectory.rotation))
     header = header_to_msg(planned.header.frame_id, first_ns + len(trajectory.counts) * period_ns)
-    grasp_id = planned.grasps[0].id
-    return ExecutedGrasp(header=header, grasp_id=grasp_id, achieved=achieved, success=trajectory.success, **times)
+    return ExecutedGrasp(
+        header=header, grasp_id=planned.grasps[0].id, achieved=achieved, success=trajectory.success, **times
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +159,7 @@ class HandNode(ForetouchNode[HandConfig]):
     def warnings(self) -> tuple[str, ...]:
         """Whether this computer keeps up: the stamps of late readings are older than the readings."""
         behind_s, self._behind_s = self._behind_s, 0.0
-        if behind_s <= _BEHIND_S:
+        if behind_s <= 0.25:  # the difference of stamps and reception that grasps are rejected for by default
             return ()
         return (f"readings were {behind_s:.1f} s late: the computer is overloaded",)
 
@@ -244,7 +241,7 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _run(self) -> None:
         while self.state_name != "active":  # a lifecycle publisher is silent until then
-            if self._stopping.wait(_POLL_S):
+            if self._stopping.wait(0.01):
                 return
         period_ns = round(1e9 / self.config.course.rate_hz)
         start_ns, start, number = self.get_clock().now().nanoseconds, time.monotonic(), 0
@@ -255,7 +252,7 @@ class HandNode(ForetouchNode[HandConfig]):
             behind_s = time.monotonic() - due
             self._behind_s = max(self._behind_s, behind_s)
             missed = int(behind_s / (period_ns * 1e-9))
-            if missed * period_ns > _LATE_NS:  # the machine was suspended
+            if missed * period_ns > 1_000_000_000:  # the machine was suspended: messages a second late are left out
                 self._late += missed
                 number += missed
             try:
@@ -269,9 +266,8 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _send(self, number: int, start_ns: int, period_ns: int) -> None:
         counts = self._fingers(number)
-        stamp = self._faults.stamp(start_ns + number * period_ns)
-        if stamp is not None:
-            self._tactile.publish(biotac_all_to_msg(counts, _TACTILE_FRAME, stamp))
+        if (stamp := self._faults.stamp(start_ns + number * period_ns)) is not None:
+            self._tactile.publish(biotac_all_to_msg(counts, "rh_tactile", stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.trajectory.counts) - 1:
             self._finish(current, start_ns + current.first * period_ns, period_ns)

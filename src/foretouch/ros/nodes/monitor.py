@@ -30,9 +30,6 @@ from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOP
 from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
-_KEPT_CLOUDS = 8  # enough to find the cloud of an answer again
-_KEPT_WHILE_GRASPING = 32  # enough to find it when the grasp has been executed
-
 
 @dataclass(frozen=True)
 class NodeView:
@@ -72,7 +69,7 @@ class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics, and on request to the clouds and to the hand.
 
     Args:
-        namespace: Namespace of the graph.
+        namespace: Of the graph.
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
         with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
         on_touch: Called with each `touch` message, in the executor's thread; must not call the monitor.
@@ -94,7 +91,7 @@ class MonitorNode(GuardedCallbacks, Node):
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._kept = _KEPT_WHILE_GRASPING if with_hand else _KEPT_CLOUDS
+        self._kept = 32 if with_hand else 8  # clouds: enough to find that of an answer again, or of an executed grasp
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
         self._executed: dict[bool, Drawable] = {}  # by whether the model does not know the object
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
@@ -134,10 +131,8 @@ class MonitorNode(GuardedCallbacks, Node):
             answers = [] if found else list(self._drawable)
         for answer in reversed(answers):
             one = answer.predictions[0]
-            if _is_unfamiliar(one) not in found:
-                drawn = self._drawn(one)
-                if drawn is not None:
-                    found[_is_unfamiliar(one)] = drawn
+            if _is_unfamiliar(one) not in found and (drawn := self._drawn(one)) is not None:
+                found[_is_unfamiliar(one)] = drawn
         return [found[key] for key in sorted(found)]
 
     def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
@@ -152,8 +147,8 @@ class MonitorNode(GuardedCallbacks, Node):
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
-        wanted = prediction.grasp.object_id
-        return next((Drawable(scene, one, prediction, readings) for one in found if one.id == wanted), None)
+        drawables = (Drawable(scene, one, prediction, readings) for one in found)
+        return next((one for one in drawables if one.target.id == prediction.grasp.object_id), None)
 
     def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
@@ -166,8 +161,11 @@ class MonitorNode(GuardedCallbacks, Node):
             if message.predictions:
                 self._drawable.append(message)
                 if self._with_hand:
-                    header, grasps = message.header, [one.grasp for one in message.predictions]
-                    self._assembler.matcher.add_plan(stamp_ns(header.stamp), header.frame_id, grasps)
+                    self._assembler.matcher.add_plan(
+                        stamp_ns(message.header.stamp),
+                        message.header.frame_id,
+                        [one.grasp for one in message.predictions],
+                    )
             if self._on_touch is not None:
                 self._on_touch(message)
 
@@ -196,9 +194,10 @@ class MonitorNode(GuardedCallbacks, Node):
     def _receive_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:
             for status in message.status:
-                values = {pair.key: pair.value for pair in status.values}
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self._view.nodes[status.name] = NodeView(level, status.message, values)
+                self._view.nodes[status.name] = NodeView(
+                    level, status.message, {pair.key: pair.value for pair in status.values}
+                )
 
     def _keep(self, kept: OrderedDict[int, PointCloud2], message: PointCloud2) -> None:
         with self._lock:

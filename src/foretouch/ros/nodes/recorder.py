@@ -30,11 +30,6 @@ from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
-_MB = 1_000_000
-_TICK_S = 0.5
-_DEPTH = 1000  # messages that the middleware keeps while this process does not get to run
-_CLOUD_DEPTH = 100
-_RAW_DEPTH = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +74,10 @@ def _dataset_identity(config: RecorderConfig) -> Identity:
     """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
     identity, (thumb, middle) = config.identity, config.tactile.fingers
     hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.type}
-    camera = {"model": identity.camera, "serial": identity.camera_serial}
-    return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
+    return Identity(
+        hand={**hand, "thumb": thumb, "middle_finger": middle},
+        camera={"model": identity.camera, "serial": identity.camera_serial},
+    )
 
 
 def _decode_label(request: Any) -> Label:
@@ -114,21 +111,20 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.path = ""
         self.reason = ""
         self._input_topics: RecorderSubscriptions | None = None
-        self._reader: TactileReader | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
         self._duration_s = 0.0
         super().__init__(name, RecorderConfig, **options)
 
     def _setup(self) -> None:
-        self._reader = make_reader(self.config.tactile)
+        self._reader: TactileReader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
-        raw_depth = _RAW_DEPTH if self.config.points else 0
-        topics = sample_topics(self.config, depth=_DEPTH, cloud_depth=_CLOUD_DEPTH, points_depth=raw_depth)
+        # The middleware keeps so many messages while this process does not get to run.
+        topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
         self._input_topics = RecorderSubscriptions(self, topics, self._mismatch)
         self._closing.callback(self._input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
-        self._closing.callback(self.destroy_timer, self.create_timer(_TICK_S, self._tick, callback_group=group))
+        self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
         self.serve(StartRecording, "start_recording", self._start_recording, group)
         self.serve(StopRecording, "stop_recording", self._stop_recording, group)
         self.serve(LabelGrasp, "label_grasp", self._label_grasp, group)
@@ -141,7 +137,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.end()
 
     def _teardown(self) -> None:
-        self._input_topics = self._reader = None
+        self._input_topics = None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
@@ -150,7 +146,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def notes(self) -> dict[str, str]:
         """The counts, for /diagnostics."""
         status = self.status()
-        counts = dict(zip(status.outcomes, status.outcome_counts, strict=True))
         return {
             "phase": "recording" if status.recording else "idle",
             "received": str(status.received),
@@ -160,7 +155,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             "rate_hz": f"{sum(topic.rate for topic in status.topics):.2f}",
             "samples": str(status.samples),
             "unlabelled": str(status.unlabelled),
-            **{f"executed.{result}": str(count) for result, count in counts.items()},
+            **{f"executed.{r}": str(n) for r, n in zip(status.outcomes, status.outcome_counts, strict=True)},
             **{f"tactile.{name}": str(count) for name, count in self.session_status().anomalies.items()},
             **{f"sensor.{name}": s for name, s in zip(status.sensors, status.sensor_states, strict=True)},
         }
@@ -180,10 +175,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session and return the dataset's path; an existing dataset is extended.
 
-        Args:
-            path: Path of the dataset; "" for a name made of the time.
-            label: Label of the object on the table.
-            note: Note for every sample.
+        A `path` of "" stands for a name made of the time. The object's `label` and the `note` are for every sample.
 
         Raises:
             ConfigError: If a session is running.
@@ -197,7 +189,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             check_name(label, "object")
         topics, config = self._input_topics, self.config
         assert topics is not None  # noqa: S101  made by setup
-        assert self._reader is not None  # noqa: S101
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(
             target, _dataset_identity(config), config.writing, fallback_folder=config.fallback_folder or None
@@ -213,7 +204,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             assume_grasps=config.assume_grasps,
             watch_sensors=True,
         )
-        queue = MessageQueue(config.queue_mb * _MB)
+        queue = MessageQueue(config.queue_mb * 1_000_000)
         topics.open(queue)
         roles: dict[str, Role] = {
             config.tactile_topic: "tactile",
@@ -226,9 +217,13 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             for name, one in topics.inputs.items()
             if one.topic.name in roles
         }
-        assembler = SampleAssembler(assembling, self._reader)
         self._session = RecordingSession(
-            writer, queue, assembler, inputs, topics.lost, lambda text: self.get_logger().warning(text)
+            writer,
+            queue,
+            SampleAssembler(assembling, self._reader),
+            inputs,
+            topics.lost,
+            lambda text: self.get_logger().warning(text),
         )
         self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")

@@ -40,14 +40,8 @@ from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
-_ACKNOWLEDGED_S = 2.0
 _POLL_S = 0.02
-_LOGGED_S = 1.0  # a longer wait is logged
 _ANSWER_S = 5.0  # longest wait for an answer in lockstep
-_SETTLE_S = 0.3  # after the subscribers were found, until they have discovered this node too
-_TYPE = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
-_LIVE_ONLY = frozenset({"/diagnostics", "/parameter_events", "/rosout"})
-_INPUTS = frozenset({EXECUTED_TOPIC})  # in the graph's namespace, but published by the robot
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
@@ -60,9 +54,9 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
     prefix = namespace.rstrip("/") + "/"
     for topic in topics:
         found = None
-        if topic.name in _LIVE_ONLY:
+        if topic.name in {"/diagnostics", "/parameter_events", "/rosout"}:
             reason = "reports on running nodes"
-        elif topic.name.startswith(prefix) and topic.name.removeprefix(prefix) not in _INPUTS:
+        elif topic.name.startswith(prefix) and topic.name != prefix + EXECUTED_TOPIC:  # which the robot publishes
             reason = f"this graph publishes under {namespace} itself"
         else:
             found, reason = _message_class(topic)
@@ -75,8 +69,7 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
 
 def _message_class(topic: Topic) -> tuple[type | None, str]:
     """The class of a topic's messages if this machine has it with the same fields; else None and the reason."""
-    match = _TYPE.fullmatch(topic.type)
-    if match is None:
+    if (match := re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)) is None:
         return None, f"type {topic.type or 'mixed'} is not a message type"
     package, name = match.groups()
     # A recording may name any module: only what is installed as ROS interfaces is imported.
@@ -87,8 +80,7 @@ def _message_class(topic: Topic) -> tuple[type | None, str]:
         fields = tuple(found.get_fields_and_field_types())
     except (ImportError, AttributeError):
         return None, f"type {topic.type} is not installed"
-    recorded = tuple(field.lower() for field in topic.fields)  # some names of ROS 1 had capitals
-    if recorded != fields:
+    if tuple(field.lower() for field in topic.fields) != fields:  # some names of ROS 1 had capitals
         return None, f"type {topic.type} had other fields when it was recorded"
     return found, ""
 
@@ -177,12 +169,12 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._stopping = threading.Event()
         self._answered = threading.Condition()
         self._last_answer_ns = -1
-        self._matching: Matching | None = None
         super().__init__(name, ReplayConfig, **options)
-        latched = QoSProfile(
-            depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+        self._status = self.create_publisher(
+            DiagnosticStatus,
+            "replay_status",
+            QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
-        self._status = self.create_publisher(DiagnosticStatus, "replay_status", latched)
 
     @property
     def unreadable(self) -> int:
@@ -213,8 +205,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
         self._matching = Matching(self, config.discovery_s, config.wait_for)
-        reports = self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH)
-        self._closing.callback(self.destroy_subscription, reports)
+        self._closing.callback(
+            self.destroy_subscription,
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH),
+        )
 
     def _start(self) -> None:
         self._stopping.clear()
@@ -257,8 +251,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def matched_ends(self) -> dict[str, int]:
         """Those of the other topics of a recording too."""
-        others = [one for topic, one in self._topic_publishers.items() if topic != CLOUDS]
-        return {**super().matched_ends(), **matched_ends(others, ())}
+        others = (one for topic, one in self._topic_publishers.items() if topic != CLOUDS)
+        return super().matched_ends() | matched_ends(others, ())
 
     # The thread.
 
@@ -290,11 +284,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
                 return False
         if not config.subscribers and not config.wait_for:
             return True
-        return not self._stopping.wait(_SETTLE_S) and self._wait_for_matches()
+        # The subscribers must have discovered this node too.
+        return not self._stopping.wait(0.3) and self._wait_for_matches()
 
     def _wait_for_matches(self) -> bool:
         """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""
-        assert self._matching is not None  # noqa: S101  setup made it
         began, limit_s, logged = time.monotonic(), self.config.wait_limit_s, False
         while True:
             self._matching.report(self.get_fully_qualified_name(), self.uptime_s(), self.matched_ends())
@@ -304,7 +298,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
                 if missing:
                     self.get_logger().warning(f"plays after {limit_s:g} s, still without {'; '.join(missing)}")
                 return True
-            if missing and waited_s >= _LOGGED_S and not logged:
+            if missing and waited_s >= 1.0 and not logged:
                 logged = True
                 self.get_logger().info(f"waits at most {limit_s:g} s for {'; '.join(missing)}")
             if self._stopping.wait(_POLL_S):
@@ -323,7 +317,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             shift_ns += pace.length_ns
             began += pace.length_s
         for publisher in self._topic_publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+            publisher.wait_for_all_acked(Duration(seconds=2.0))
 
     def _play_entry(self, entry: Entry, due: float, shift_ns: int) -> bool:
         """Publish one message when it is due; False if the replay must stop."""
@@ -353,8 +347,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         stamp_ns, frame_id = read_header(data)
         if self._table is not None:
             plane = plane_to_msg(Plane.from_coefficients(self.config.table))
-            stamped = header_to_msg(frame_id, stamp_ns)
-            self._table.publish(TablePlane(header=stamped, plane=plane, status=Status.OK))
+            self._table.publish(TablePlane(header=header_to_msg(frame_id, stamp_ns), plane=plane, status=Status.OK))
         self._topic_publishers[CLOUDS].publish(data)
         self.played[self.clouds_topic] += 1
         if self.config.lockstep:
@@ -380,13 +373,14 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _report_outcome(self, outcome: str, reason: str = "") -> None:
         self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
-        values = {**self.notes(), "unreadable": str(self.unreadable)}
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if self.has_failed else DiagnosticStatus.OK,
-            name=self.get_fully_qualified_name(),
-            message=f"{outcome}: {reason}" if reason else outcome,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        values = self.notes() | {"unreadable": str(self.unreadable)}
+        self._status.publish(
+            DiagnosticStatus(
+                level=DiagnosticStatus.ERROR if self.has_failed else DiagnosticStatus.OK,
+                name=self.get_fully_qualified_name(),
+                message=f"{outcome}: {reason}" if reason else outcome,
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
         )
-        self._status.publish(status)
         if reason:
             self.get_logger().error(reason)

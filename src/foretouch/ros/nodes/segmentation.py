@@ -73,9 +73,9 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._object_cloud.publish(TargetCloud(header, ()))
 
     def _publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
-        plane = plane_to_msg(scene.segmentation.plane)
-        # First what the grasp node waits for.
-        self._table.publish(TablePlane(header=header, plane=plane, status=status, reason=scene.reason))
+        self._table.publish(  # first what the grasp node waits for
+            TablePlane(header=header, plane=plane_to_msg(scene.segmentation.plane), status=status, reason=scene.reason)
+        )
         self._object_cloud.publish(TargetCloud(header, scene.targets))
         if not (self._objects.wanted or self._markers.wanted):
             return
@@ -90,5 +90,4 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         )
         self._objects.publish(objects)
         if self._markers.wanted:  # the answer is published: an error must not refuse the cloud
-            draw = self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects)))
-            draw()
+            self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects)))()

@@ -72,10 +72,6 @@ if TYPE_CHECKING:
     from foretouch.models.budget import Answer
 
 _T = TypeVar("_T")
-_PARALLEL_REQUESTS = 2  # more would only share the processor
-_TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
-_TACTILE_DEPTH = 200  # two seconds of a hand's messages
-_EXECUTED_DEPTH = 10
 
 
 class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
@@ -84,8 +80,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     exclusive_topics = ("touch",)
 
     def __init__(self, **options: Any) -> None:
-        inputs = [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)]
-        super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
+        super().__init__(
+            "touch_predictor", TouchPredictorConfig, [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)], **options
+        )
         self._predictor: Predictor | None = None
         self._adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
@@ -112,30 +109,37 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = self.advertise(MarkerArray, "markers")
-        self._threads = ThreadPool(self, _PARALLEL_REQUESTS)
+        self._threads = ThreadPool(self, 2)  # more would only share the processor
         closing.callback(self._threads.close)
         group = ReentrantCallbackGroup()
         self.serve(PredictTouch, "predict_touch", self._predict_touch, group)
         self.serve(Trigger, "forget_touches", partial(self._forget, OnlineAdapter.forget, "touches"), group)
         self.serve(Trigger, "forget_history", partial(self._forget, OnlineAdapter.forget_history, "readings"), group)
-        self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, refused_goal)
+        self._offer(
+            SampleGrasps,
+            "sample_grasps",
+            lambda goal: self._sample(goal, goal.request, goal.publish_feedback),
+            refused_goal,
+        )
         if self._planner_action is not None:
-            refused = partial(planner_result, self._planner_action)
-            self._offer(self._planner_action, PLANNER_ACTION, self._sample_poses, refused)
+            self._offer(
+                self._planner_action, PLANNER_ACTION, self._sample_poses, partial(planner_result, self._planner_action)
+            )
         self.subscribe(TablePlane, "table", self._remember_table)
         super()._setup()
 
     def _offer(self, kind: Any, name: str, work: Callable[[Any], Any], failure: Callable[[RefusalError], Any]) -> None:
         """Make the server of an action, whose goals are worked on in a thread; one with an internal error is aborted."""
-        action = ActionServer(
-            self,
-            kind,
-            name,
-            self.internal_errors.guarded(name, partial(self._execute, work, failure), partial(_aborted, failure)),
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
+        self._closing.callback(
+            ActionServer(
+                self,
+                kind,
+                name,
+                self.internal_errors.guarded(name, partial(self._execute, work, failure), partial(_aborted, failure)),
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=ReentrantCallbackGroup(),
+            ).destroy
         )
-        self._closing.callback(action.destroy)
 
     def _teardown(self) -> None:
         self._frame = self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
@@ -152,8 +156,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             found |= {"model": predictor.model.name, "model_sha256": predictor.model.sha256}
             if self._adapter is None:
                 found["regime"] = "none: the model's card holds no calibration"
-        parts = (predictor.budget if predictor else None, self._adapter, self._keeper, self._frame)
-        for part in parts:
+        for part in (predictor.budget if predictor else None, self._adapter, self._keeper, self._frame):
             found |= part.notes() if part is not None else {}
         return found | ({PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {})
 
@@ -179,9 +182,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, planned)
-        published = message
-        if transform is not None:
-            published = transform.answer(message, None if planned is grasps.grasps else grasps.grasps)
+        in_output_frame = None if planned is grasps.grasps else grasps.grasps
+        published = message if transform is None else transform.answer(message, in_output_frame)
         self._touch.publish(_configured(self._predictor).end(published, answer, encoded=True))
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
@@ -190,8 +192,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
         """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
-        config = self.config
-        markers = touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1)
+        markers = touch_markers(prediction, self.config.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
@@ -220,13 +221,12 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _remember_table(self, message: TablePlane) -> None:
         with self._latest_lock:
             self._tables[stamp_ns(message.header.stamp)] = message
-            while len(self._tables) > _TABLES_KEPT:
+            while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
                 del self._tables[next(iter(self._tables))]
 
     def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
         with self._latest_lock:
-            table = self._tables.get(stamp_ns(message.header.stamp))
-            if table is not None:
+            if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
                 self._latest = Latest(message, table)
 
     # Online adaptation.
@@ -242,13 +242,16 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             model, config.hand, config.history_folder, info=self.get_logger().info, warn=self.get_logger().warning
         )
         self._closing.callback(self._keeper.close)
-        now_ns: Callable[[], int] = lambda: int(self.get_clock().now().nanoseconds)  # noqa: E731
-        self._adapter = OnlineAdapter(
-            model, reader, self._keeper, lambda: self.config, now_ns, self.get_logger().warning
+        self._adapter = predictor.adapter = OnlineAdapter(
+            model,
+            reader,
+            self._keeper,
+            lambda: self.config,
+            lambda: int(self.get_clock().now().nanoseconds),
+            self.get_logger().warning,
         )
-        predictor.adapter = self._adapter
-        self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
-        self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
+        self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=200)  # two seconds of a hand
+        self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=10)
 
     def _add_requested(self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[Grasp]) -> None:
         """Keep grasps of a request, which may be executed."""
@@ -263,8 +266,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The service.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        work = partial(self._answer_or_refuse_request, request, time.monotonic())
-        response.touch = await _configured(self._threads).run(work)
+        response.touch = await _configured(self._threads).run(
+            partial(self._answer_or_refuse_request, request, time.monotonic())
+        )
         return response
 
     def _answer_or_refuse_request(self, request: Any, arrived: float) -> TouchPredictionArray:
@@ -279,32 +283,31 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
         config = self.config
         if len(request.grasps) > config.max_grasps:
-            text = f"grasps: {len(request.grasps)} is above max_grasps, {config.max_grasps}"
-            raise RefusalError(Status.BAD_REQUEST, text)
-        frame = _configured(self._frame)
-        asked = in_cloud_frame(frame, request.cloud, request.table, request.grasps, self._latest)
+            raise RefusalError(
+                Status.BAD_REQUEST, f"grasps: {len(request.grasps)} is above max_grasps, {config.max_grasps}"
+            )
+        asked = in_cloud_frame(_configured(self._frame), request.cloud, request.table, request.grasps, self._latest)
         table = read_plane(asked.table[0]) if asked.table else None
         targets = read_targets(asked.cloud, table or ASSUMED_TABLE, config.limits)
         if not asked.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
-        posing = config.grasp if table else None
-        message, answer = self._predict(targets, asked.grasps, asked.cloud.header, posing, arrived)
+        message, answer = self._predict(
+            targets, asked.grasps, asked.cloud.header, config.grasp if table else None, arrived
+        )
         self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
-            moved = asked.grasps is not request.grasps
-            message = asked.transform.answer(message, request.grasps if moved else None)
+            message = asked.transform.answer(message, None if asked.grasps is request.grasps else request.grasps)
         made: TouchPredictionArray = _configured(self._predictor).end(message, answer)
         return made
 
     # The actions.
 
-    def _sample_grasps(self, goal_handle: Any) -> Any:
-        return self._sample(goal_handle, goal_handle.request, goal_handle.publish_feedback)
-
     def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
-        count = min(self.config.planner_action_count, self.config.max_grasps)
-        goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
+        goal = SampleGrasps.Goal(
+            action_name=goal_handle.request.action_name,
+            count=min(self.config.planner_action_count, self.config.max_grasps),
+        )
         sampled = self._sample(goal_handle, goal, lambda _: None)
         goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
         return planner_result(self._planner_action)

@@ -23,9 +23,6 @@ from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
-_POLL_S = 0.1
-_RATE_WINDOW_S = 10.0
-_KEPT_ERRORS = 1000
 _AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
 
 
@@ -79,7 +76,7 @@ class RecordingSession:
         self._warn = warn
         self._unreadable: Counter[str] = Counter()
         self._last_sample = ""
-        self._errors_ns: deque[int] = deque(maxlen=_KEPT_ERRORS)
+        self._errors_ns: deque[int] = deque(maxlen=1000)
         self._sizes: deque[tuple[float, int]] = deque()
         writer.before_end = self._account_for_rest
         self._error = ""
@@ -101,7 +98,7 @@ class RecordingSession:
     def _run(self) -> None:
         try:
             while not self._queue.closed and not self.writer.output.removed:
-                self._process(*self._queue.take(_POLL_S))
+                self._process(*self._queue.take(0.1))
             self._queue.close()
             if self.writer.output.removed:  # it is still open: what waits is written too, and `close` then copies it
                 self._error = f"{self.writer.file}: was removed during the recording"
@@ -141,9 +138,13 @@ class RecordingSession:
         for one in messages:  # counted before anything can fail
             self.writer.receive(one.topic)
         for one in messages:
-            sequence = None if one.sequence is None else one.sequence % 2**32
-            sent_ns = max(0, one.sent_ns)
-            self.writer.write(one.topic, one.data, one.received_ns, publish_time_ns=sent_ns, sequence=sequence)
+            self.writer.write(
+                one.topic,
+                one.data,
+                one.received_ns,
+                publish_time_ns=max(0, one.sent_ns),
+                sequence=None if one.sequence is None else one.sequence % 2**32,
+            )
             self._assemble(one)
         if not messages:
             self.writer.flush()  # it checks its own timer only when something is written
@@ -180,28 +181,25 @@ class RecordingSession:
     def _update_status(self) -> None:
         now, size = time.monotonic(), self.writer.output.size
         self._sizes.append((now, size))
-        while self._sizes[0][0] < now - _RATE_WINDOW_S:
+        while self._sizes[0][0] < now - 10.0:
             self._sizes.popleft()
         since_s, before = self._sizes[0]
-        accounts = self.writer.counts.topics
+        accounts, assembler = self.writer.counts.topics, self._assembler
         with self._assembler_lock:
-            results = +self._assembler.results
-            anomalies = self._assembler.readings.anomalies + self._assembler.rejected_clouds + self._unreadable
-            sensors = self._assembler.sensor_states(now)
-        self.status = SessionStatus(
-            accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
-            samples=self.writer.labelled,
-            unlabelled=self.writer.samples - self.writer.labelled,
-            results=results,
-            anomalies=anomalies,
-            last_sample=self._last_sample,
-            pairing_errors_ns=tuple(self._errors_ns),
-            sensors=sensors,
-            bytes_written=size,
-            bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
-            free_bytes=0 if self._error else self.writer.free_bytes,
-            error=self._error,
-        )
+            self.status = SessionStatus(
+                accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
+                samples=self.writer.labelled,
+                unlabelled=self.writer.samples - self.writer.labelled,
+                results=+assembler.results,
+                anomalies=assembler.readings.anomalies + assembler.rejected_clouds + self._unreadable,
+                last_sample=self._last_sample,
+                pairing_errors_ns=tuple(self._errors_ns),
+                sensors=assembler.sensor_states(now),
+                bytes_written=size,
+                bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
+                free_bytes=0 if self._error else self.writer.free_bytes,
+                error=self._error,
+            )
 
 
 def status_to_msg(

@@ -26,9 +26,7 @@ from foretouch.ros.runtime.diagnostics import Losses
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
-_RATE_TICKS = 11
 _ADAPTED = QoSPolicyKind.RELIABILITY
-_OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
 
 
 @dataclass(frozen=True)
@@ -83,8 +81,7 @@ class SerializedInput:
         self.reliable = reliable
         self.losses = Losses()
         self._node = node
-        self._forward = receive
-        self._mismatch = mismatch
+        self._forward, self._mismatch = receive, mismatch
         override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
         self._overridden = override in getattr(node, "_parameter_overrides", {})
         self._group = MutuallyExclusiveCallbackGroup()
@@ -110,13 +107,14 @@ class SerializedInput:
     def _subscribe(self) -> Any:
         reliability = ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
         profile = QoSProfile(depth=self.topic.depth, reliability=reliability)
+        overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, *[_ADAPTED] * self._overridden]
         subscription = self._node.create_subscription(
             self.topic.message,
             self.topic.name,
             self._receive,
             profile,
             callback_group=self._group,
-            qos_overriding_options=QoSOverridingOptions((*_OVERRIDDEN, *[_ADAPTED] * self._overridden)),
+            qos_overriding_options=QoSOverridingOptions(overridden),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=self._report_mismatch,
                 message_lost=lambda event: self.losses.reported(event.total_count_change),
@@ -139,15 +137,15 @@ class SerializedInput:
 
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
     """The topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
-    topics = [
+    return [
         InputTopic(config.tactile_topic, tactile_class(config.tactile.type), depth),
         InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
         InputTopic("table", TablePlane, depth),
         InputTopic(GRASPS_TOPIC, GraspArray, depth),
         InputTopic("touch", TouchPredictionArray, depth),
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
+        *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]
-    return topics + [InputTopic("points", PointCloud2, points_depth)] * bool(points_depth)
 
 
 class MessageQueue(BoundedQueue[SerializedMessage]):
@@ -204,7 +202,7 @@ class RecorderSubscriptions:
         self._queue: MessageQueue | None = None
         self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
-        self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=_RATE_TICKS)
+        self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
         try:
             for topic in topics:
                 one = SerializedInput(node, topic, self._receive, mismatch)
@@ -241,18 +239,21 @@ class RecorderSubscriptions:
 
     def statistics(self) -> dict[str, TopicStatistics]:
         """Current statistics of each topic."""
-        queue, found = self._queue, {}
+        queue = self._queue
         waiting: Counter[str] = Counter() if queue is None else queue.waiting()
         late = self._late if queue is None else queue.late()
         (first_s, first), (last_s, last) = (
             (self._ticks[0], self._ticks[-1]) if self._ticks else ((0.0, late), (0.0, late))
         )
-        for name, one in self.inputs.items():
-            rate_hz = (last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0
-            found[name] = TopicStatistics(
-                waiting=waiting[name], late=late[name], reliable=one.reliable, rate_hz=rate_hz
+        return {
+            name: TopicStatistics(
+                waiting=waiting[name],
+                late=late[name],
+                reliable=one.reliable,
+                rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
             )
-        return found
+            for name, one in self.inputs.items()
+        }
 
     def destroy(self) -> None:
         """End all subscriptions."""
@@ -261,6 +262,5 @@ class RecorderSubscriptions:
 
     def _receive(self, message: SerializedMessage) -> None:
         self._arrived[message.topic] += 1
-        queue = self._queue
-        if queue is not None:
+        if (queue := self._queue) is not None:
             queue.put(message)

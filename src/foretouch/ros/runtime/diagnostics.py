@@ -135,8 +135,7 @@ class Losses:
             self.count = self._gaps = self._events = 0
 
     def _update(self) -> None:
-        more = max(self._gaps, self._events) - self.count
-        if more:
+        if more := max(self._gaps, self._events) - self.count:
             self.count += more
             self._report(more)
 
@@ -166,8 +165,13 @@ def diagnostic_status(
     else:
         level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
     pairs = {"state": state, **_numbers(now), **(notes or {})}
-    values = [KeyValue(key=key, value=value) for key, value in pairs.items()]
-    return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=values)
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=message,
+        hardware_id="none",
+        values=[KeyValue(key=key, value=value) for key, value in pairs.items()],
+    )
 
 
 def _silence(now: InputSummary, limit_s: float | None) -> list[str]:
@@ -179,8 +183,7 @@ def _silence(now: InputSummary, limit_s: float | None) -> list[str]:
 
 
 def _drops(now: InputSummary, before: InputSummary | None) -> list[str]:
-    old = before.dropped if before else {}
-    recent = {reason: count - old.get(reason, 0) for reason, count in now.dropped.items()}
+    recent = Counter(now.dropped) - Counter(before.dropped if before else {})
     recent["lost in transport"] = now.lost - (before.lost if before else 0)
     texts = [f"{count} {reason}" for reason, count in recent.items() if count]
     return [f"dropped: {', '.join(texts)}"] if texts else []

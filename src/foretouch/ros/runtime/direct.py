@@ -36,7 +36,6 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
     Attributes:
         receivers: Called with each message; empty without hand-over.
         id: Of the publisher, as subscribers see it; empty if the middleware has none.
-        name: Of the topic, in full.
         keeps: Whether a late subscriber gets the last messages.
     """
 
@@ -44,7 +43,6 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
         super().__init__(*arguments, **options)
         self.receivers: tuple[Callable[[Any], None], ...] = ()
         self.id = b""
-        self.name = self.topic_name
         self.keeps = self.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
     @property
@@ -84,9 +82,11 @@ class DirectInput:
 
 def _matches(publisher: DirectPublisher, one: "Subscription[Any]") -> bool:
     """Whether the middleware would deliver the messages."""
-    if not publisher.id or publisher.name != one.topic_name or publisher.msg_type is not one.msg_type:
-        return False
-    return qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
+    return (
+        bool(publisher.id)
+        and (publisher.topic_name, publisher.msg_type) == (one.topic_name, one.msg_type)
+        and qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
+    )
 
 
 class _DirectTopics:

@@ -24,7 +24,6 @@ from foretouch.errors import ConfigError
 UPTIME: Final = "uptime_s"
 _SUBSCRIBERS, _PUBLISHERS = "matched_subscribers.", "matched_publishers."
 _GRAPH: Final = frozenset({"segmentation", "grasp", "touch_predictor", "replay", "monitor"})  # see `Matching`
-_UNNAMED: Final = "_NODE_NAME_UNKNOWN_"  # an end of a topic whose node is not discovered yet
 
 
 def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
@@ -39,7 +38,8 @@ def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
     found = [f"{count} nodes are named {own}"] if count > 1 else []
     for topic in map(node.resolve_topic_name, topics):
         ends = node.get_publishers_info_by_topic(topic)
-        names = sorted(_node_of(end) for end in ends if end.node_name != _UNNAMED)
+        # An end whose node is not discovered yet has no name.
+        names = sorted(_node_of(end) for end in ends if end.node_name != "_NODE_NAME_UNKNOWN_")
         if len(names) > 1 and set(names) != {own}:
             found.append(f"{topic} has {len(names)} publishers: {', '.join(names)}")
     return tuple(found)
@@ -87,8 +87,8 @@ class Matching:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             if status.name in own and UPTIME in values and values.get("state") != "unconfigured":
-                ends = {k: int(v) for k, v in values.items() if k.startswith((_SUBSCRIBERS, _PUBLISHERS))}
-                self.report(status.name, float(values[UPTIME]), ends)
+                ends = ((k, int(v)) for k, v in values.items() if k.startswith((_SUBSCRIBERS, _PUBLISHERS)))
+                self.report(status.name, float(values[UPTIME]), dict(ends))
 
     def report(self, name: str, uptime_s: float, ends: Mapping[str, int]) -> None:
         """Keep what is known of a node, by its full name."""
@@ -124,8 +124,7 @@ class Matching:
         """How many ends a node's end of a topic must match, as far as discovery shows."""
         ends = self._node.get_publishers_info_by_topic(topic), self._node.get_subscriptions_info_by_topic(topic)
         mine, others = ends if is_publisher else ends[::-1]
-        one = next((end for end in mine if _node_of(end) == name), None)
-        if one is None:
+        if (one := next((end for end in mine if _node_of(end) == name), None)) is None:
             return 0
         pairs = ((one, end) if is_publisher else (end, one) for end in others if end.topic_type == one.topic_type)
         checks = (qos_check_compatible(sent.qos_profile, heard.qos_profile)[0] for sent, heard in pairs)

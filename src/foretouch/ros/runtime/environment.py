@@ -19,10 +19,7 @@ from foretouch.processes import ONE_THREAD
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 """Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # parameters of glibc's `mallopt`
-_KEPT_MB = {_M_MMAP_THRESHOLD: 32, _M_TRIM_THRESHOLD: 128}  # the former at its maximum
 _PROFILE_VARIABLES = {"fastdds": "FASTDDS_DEFAULT_PROFILES_FILE", "fastrtps": "FASTRTPS_DEFAULT_PROFILES_FILE"}
-_PARAMETER_FILE = "NODE: {ros__parameters: {NAME: VALUE}}"
 
 
 def prepare_environment() -> None:
@@ -31,8 +28,7 @@ def prepare_environment() -> None:
     The matrices here are small: with a pool of threads, a plane fit waits for the other threads longer than
     it computes (8 ms against 0.6 ms on a loaded two-core machine).
     """
-    if "AMENT_PREFIX_PATH" not in os.environ:  # wheels of PyPI install into the Python prefix
-        os.environ["AMENT_PREFIX_PATH"] = sys.prefix
+    os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)  # wheels of PyPI install into the Python prefix
     if not any(name in os.environ for name in _PROFILE_VARIABLES.values()):
         os.environ[profile_variable()] = str(SHARED_MEMORY_PROFILE)
     for name, value in ONE_THREAD.items():
@@ -43,8 +39,9 @@ def prepare_environment() -> None:
 def profile_variable() -> str:
     """The environment variable that names the profile: Fast DDS 2 (Jazzy) ignores that of 3, and 3 warns of that of 2."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix).split(os.pathsep)
-    is_old = any(Path(prefix, "share", "fastrtps").is_dir() for prefix in prefixes)
-    return _PROFILE_VARIABLES["fastrtps" if is_old else "fastdds"]
+    return _PROFILE_VARIABLES[
+        "fastrtps" if any(Path(one, "share", "fastrtps").is_dir() for one in prefixes) else "fastdds"
+    ]
 
 
 def start_rclpy(arguments: Sequence[str]) -> None:
@@ -77,14 +74,17 @@ def _check_parameter_file(path: str) -> None:
 
     for name, value in load_yaml(path).items():
         if not isinstance(value, Mapping) or not _holds_parameters(value):
-            raise ConfigError(f"{path}: {name}: holds no ros__parameters; a parameter file is {_PARAMETER_FILE}")
+            raise ConfigError(
+                f"{path}: {name}: holds no ros__parameters; a parameter file is "
+                "NODE: {ros__parameters: {NAME: VALUE}}"
+            )
 
 
 def _holds_parameters(node: Mapping[str, Any]) -> bool:
     """Whether the parameters of a node, or of nodes in a namespace, follow."""
-    parameters = node.get("ros__parameters")
-    below = [value for value in node.values() if isinstance(value, Mapping)]
-    return isinstance(parameters, Mapping) if "ros__parameters" in node else any(map(_holds_parameters, below))
+    if "ros__parameters" in node:
+        return isinstance(node["ros__parameters"], Mapping)
+    return any(isinstance(value, Mapping) and _holds_parameters(value) for value in node.values())
 
 
 def _keep_large_blocks() -> None:
@@ -92,5 +92,5 @@ def _keep_large_blocks() -> None:
     set_limit = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if set_limit is None or any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
         return
-    for parameter, megabytes in _KEPT_MB.items():
+    for parameter, megabytes in ((-3, 32), (-1, 128)):  # M_MMAP_THRESHOLD, at its maximum, and M_TRIM_THRESHOLD
         set_limit(parameter, megabytes << 20)

@@ -9,26 +9,22 @@ What a message gives a worker to do is done right here, without waking another t
 than that. If it takes longer than `_RELIEF_S`, a third thread takes the inputs until it is done.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from foretouch.ros.runtime.internal_errors import InternalErrors
 from foretouch.ros.runtime.workers import WorkerThread, helping
-
-if TYPE_CHECKING:
-    from rclpy.context import Context
-    from rclpy.node import Node
-    from rclpy.subscription import Subscription
 
 _RELIEF_S: Final = 0.05  # after which another thread takes the inputs of a thread that works
 _POLL_S: Final = 1.0  # between looks at the events of inputs, and checks whether the executor is shut down
@@ -166,7 +162,7 @@ class _Inputs:
                 self._errors.report("executor", err)
                 time.sleep(0.01)
 
-    def _call_back(self, subscriptions: list[Subscription[Any]], events: list[Any]) -> None:
+    def _call_back(self, subscriptions: "list[Subscription[Any]]", events: list[Any]) -> None:
         for event in events:
             with suppress(StopIteration):
                 event.execute(event.take_data()).send(None)  # its callback waits for nothing
@@ -184,11 +180,10 @@ class _Inputs:
         if nodes is not None:
             self._subscriptions = [one for node in nodes for one in node.subscriptions if _is_input(one)]
             self._events = [one for node in nodes for one in node.waitables if _is_input(one)]
-            sizes = len(self._subscriptions), 1, 0, 0, 0, len(self._events)
             context: Any = self._context.handle
-            self._wait_set = _rclpy.WaitSet(*sizes, context)
+            self._wait_set = _rclpy.WaitSet(len(self._subscriptions), 1, 0, 0, 0, len(self._events), context)
 
-    def _wait(self, timeout_s: float) -> tuple[list[Subscription[Any]], list[Any]]:
+    def _wait(self, timeout_s: float) -> "tuple[list[Subscription[Any]], list[Any]]":
         """The inputs that have a message, and events that have happened."""
         guard, wait_set = self._guard, self._wait_set
         if guard is None:

@@ -22,10 +22,6 @@ from rclpy.executors import Executor, ExternalShutdownException
 from foretouch.errors import shown
 from foretouch_msgs.msg import Status
 
-_LOG_EVERY_S = 5.0  # for each callback
-_MAX_TEXT = 300  # characters of a reason
-_PAUSE_S = 0.01  # after an error in the executor itself
-
 
 class InternalErrors:
     """Counts and logs the internal errors of one node. Thread-safe.
@@ -47,12 +43,12 @@ class InternalErrors:
 
     def report(self, name: str, err: Exception) -> str:
         """Count and log an error of a callback; its type and text in one line, the reason for an answer with FAILED."""
-        reason = f"{type(err).__name__}: {' '.join(str(err).split())}"[:_MAX_TEXT]
+        reason = f"{type(err).__name__}: {' '.join(str(err).split())}"[:300]
         now = time.monotonic()
         with self._lock:
             self._counts[name] += 1
             count = self._counts[name]
-            due = now - self._logged_s.get(name, float("-inf")) >= _LOG_EVERY_S
+            due = now - self._logged_s.get(name, float("-inf")) >= 5.0
             if due:
                 self._logged_s[name] = now
         if due:
@@ -108,38 +104,43 @@ class GuardedCallbacks:
         # Before rclpy's own constructor, which makes services.
         self.internal_errors = InternalErrors(lambda text: self.get_logger().error(text))  # type: ignore[attr-defined]
         super().__init__(*arguments, **options)
-        services = self.services  # type: ignore[attr-defined]
-        for service in services:  # those of the lifecycle are not made by `create_service`
+        # Those of the lifecycle are not made by `create_service`.
+        for service in self.services:  # type: ignore[attr-defined]
             if not hasattr(service.callback, "__wrapped__"):
                 service.callback = self.internal_errors.guarded(service.srv_name, service.callback, _failed_service)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
         """See rclpy's `Node`."""
-        guarded = self.internal_errors.guarded(topic, callback)
-        return super().create_subscription(msg_type, topic, guarded, *arguments, **options)  # type: ignore[misc]
+        return super().create_subscription(  # type: ignore[misc]
+            msg_type, topic, self.internal_errors.guarded(topic, callback), *arguments, **options
+        )
 
     def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
         """See rclpy's `Node`."""
         name = getattr(callback, "__name__", "timer").strip("_")
-        guarded = self.internal_errors.guarded(name, callback)
-        return super().create_timer(timer_period_sec, guarded, *arguments, **options)  # type: ignore[misc]
+        return super().create_timer(  # type: ignore[misc]
+            timer_period_sec, self.internal_errors.guarded(name, callback), *arguments, **options
+        )
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
         """See rclpy's `Node`."""
         if srv_type in (SetParameters, SetParametersAtomically):
             callback = functools.partial(_with_known_types, callback)
-        guarded = self.internal_errors.guarded(srv_name, callback, _failed_service)
-        return super().create_service(srv_type, srv_name, guarded, **options)  # type: ignore[misc]
+        return super().create_service(  # type: ignore[misc]
+            srv_type, srv_name, self.internal_errors.guarded(srv_name, callback, _failed_service), **options
+        )
 
     def add_on_set_parameters_callback(self, callback: Any) -> None:
         """See rclpy's `Node`."""
-        guarded = self.internal_errors.guarded("set_parameters", callback, lambda _, reason: _refused(reason))
-        super().add_on_set_parameters_callback(guarded)  # type: ignore[misc]
+        super().add_on_set_parameters_callback(  # type: ignore[misc]
+            self.internal_errors.guarded("set_parameters", callback, lambda _, reason: _refused(reason))
+        )
 
     def add_post_set_parameters_callback(self, callback: Any) -> None:
         """See rclpy's `Node`."""
-        guarded = self.internal_errors.guarded("set_parameters", callback)
-        super().add_post_set_parameters_callback(guarded)  # type: ignore[misc]
+        super().add_post_set_parameters_callback(  # type: ignore[misc]
+            self.internal_errors.guarded("set_parameters", callback)
+        )
 
 
 def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
@@ -159,15 +160,16 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
             if not executor.context.ok():
                 raise ExternalShutdownException from err
             errors.report("executor", err)
-            time.sleep(_PAUSE_S)
+            time.sleep(0.01)
 
 
 def _with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
     """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for."""
     for one in request.parameters:
         if one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
-            reason = f"{shown(one.name)}: type {one.value.type} is none of rcl_interfaces/ParameterType"
-            return _failed_service((request, response), reason)
+            return _failed_service(
+                (request, response), f"{shown(one.name)}: type {one.value.type} is none of rcl_interfaces/ParameterType"
+            )
     return callback(request, response)
 
 

@@ -36,10 +36,6 @@ from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.topics import NAMESPACE
 
-_OUTPUT_DEPTH = 10  # also what a late subscriber of answers gets
-_OUTPUT_POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
-_GRAPH_PERIOD_S = 1.0  # between two looks for a second graph
-_INPUT_DEPTH = 5  # with best effort, this is the sensor-data profile
 _C = TypeVar("_C", bound="NodeConfig")
 
 
@@ -110,7 +106,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_now)
         )
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
-        self.create_timer(_GRAPH_PERIOD_S, self.look_for_second_graph, callback_group=own_group)
+        self.create_timer(1.0, self.look_for_second_graph, callback_group=own_group)
 
     @property
     def config(self) -> _C:
@@ -153,7 +149,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     # What a node uses.
 
     def advertise(
-        self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True, keep: bool = False
+        self, message: type, topic: str, *, depth: int = 10, direct: bool = True, keep: bool = False
     ) -> DirectPublisher:
         """Make a reliable publisher, which publishes only while the node is active.
 
@@ -166,12 +162,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             keep: Whether a late subscriber that asks for it (transient local) gets the last `depth` messages.
         """
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
+        overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]
         known = self._ids_of_publishers(topic)
         publisher = self.create_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
-            qos_overriding_options=QoSOverridingOptions((*_OUTPUT_POLICIES, *[QoSPolicyKind.DURABILITY] * keep)),
+            qos_overriding_options=QoSOverridingOptions([*overridden, *[QoSPolicyKind.DURABILITY] * keep]),
             event_callbacks=PublisherEventCallbacks(
                 matched=self._report_now if keep else None,
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
@@ -188,9 +185,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             self.direct_topics.add(publisher)
         return publisher
 
-    def subscribe(
-        self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
-    ) -> None:
+    def subscribe(self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = 5) -> None:
         """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
         losses = self._losses[topic] = Losses(self.statistics.lose)
 
@@ -240,8 +235,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.conflicts = found
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
         if fresh:
-            space = self.get_namespace()
-            self.get_logger().warning(f"a second graph or source runs in {space}: {'; '.join(fresh)}")
+            self.get_logger().warning(f"a second graph or source runs in {self.get_namespace()}: {'; '.join(fresh)}")
 
     def uptime_s(self) -> float:
         """Time since the node was made [s]."""
@@ -259,10 +253,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def autostart(self) -> bool:
         """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
-        if not self.config.autostart:
-            return True
-        success = TransitionCallbackReturn.SUCCESS
-        return bool(self.trigger_configure() == success and self.trigger_activate() == success)
+        steps = (self.trigger_configure, self.trigger_activate) if self.config.autostart else ()
+        return all(step() == TransitionCallbackReturn.SUCCESS for step in steps)
 
     def stop(self) -> None:
         """End the work, whatever the state."""
@@ -340,14 +332,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             self.destroy_lifecycle_publisher(publisher)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self._direct_inputs.clear()
-        self._outputs.clear()
-        self._inputs.clear()
+        for ends in (self._direct_inputs, self._outputs, self._inputs):
+            ends.clear()
 
     def _mismatch(self, topic: str, other: str, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        text = f"{topic}: a {other} has incompatible QoS ({policy}): no message passes"
-        self._mismatches[f"{topic} {other}"] = text
+        text = self._mismatches[f"{topic} {other}"] = (
+            f"{topic}: a {other} has incompatible QoS ({policy}): no message passes"
+        )
         self.get_logger().warning(text)
 
     def _report(self, _event: Any = None) -> None:

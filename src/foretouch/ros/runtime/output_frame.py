@@ -52,8 +52,9 @@ class HandEye(Settings):
 
     def transform(self) -> FrameTransform:
         """From the camera's frame to the robot's."""
-        pose = np.array(self.translation), np.array(self.rotation)
-        return FrameTransform.from_quaternion(self.frame_id, self.child_frame_id, *pose)
+        return FrameTransform.from_quaternion(
+            self.frame_id, self.child_frame_id, np.array(self.translation), np.array(self.rotation)
+        )
 
 
 def read_hand_eye(path: str) -> FrameTransform:
@@ -127,10 +128,6 @@ class _FramedRequest(NamedTuple):
 class OutputFrame:
     """Finds the transform of each cloud. Thread-safe.
 
-    Args:
-        node: Its executor receives the transforms of tf2.
-        config: Settings.
-
     Attributes:
         name: The frame; "" for that of the cloud.
 
@@ -145,8 +142,9 @@ class OutputFrame:
         self._calibration = read_hand_eye(config.hand_eye) if config.hand_eye else None
         self._tf2: Any = None
         if self._calibration is not None and self._calibration.target not in {"", self.name}:
-            frame = self._calibration.target
-            raise ConfigError(f"{config.hand_eye}: frame_id: {frame!r} is not output_frame, {self.name!r}")
+            raise ConfigError(
+                f"{config.hand_eye}: frame_id: {self._calibration.target!r} is not output_frame, {self.name!r}"
+            )
         if self.name and self._calibration is None:
             try:
                 self._tf2 = importlib.import_module("tf2_ros")
@@ -165,8 +163,7 @@ class OutputFrame:
 
     def notes(self) -> dict[str, str]:
         """The frame and the source of its transform, for /diagnostics; nothing for the frame of the cloud."""
-        source = "tf2" if self._calibration is None else "hand_eye"
-        return {"output_frame": f"{self.name} ({source})"} if self.name else {}
+        return {"output_frame": f"{self.name} ({'hand_eye' if self._calibration else 'tf2'})"} if self.name else {}
 
     def camera_frame(self, latest: str) -> str:
         """The frame of the clouds: that of the latest, else of the calibration; else a `RefusalError`."""
@@ -192,9 +189,10 @@ class OutputFrame:
         return replace(self._calibration, target=self.name, source=cloud.frame_id)
 
     def _looked_up(self, cloud: Header) -> FrameTransform:
-        stamp = Time.from_msg(cloud.stamp)
         try:
-            found = self._buffer.lookup_transform(self.name, cloud.frame_id, stamp, timeout=self._timeout).transform
+            found = self._buffer.lookup_transform(
+                self.name, cloud.frame_id, Time.from_msg(cloud.stamp), timeout=self._timeout
+            ).transform
             t, q = found.translation, found.rotation
             pose = np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
             return FrameTransform.from_quaternion(self.name, cloud.frame_id, *pose)

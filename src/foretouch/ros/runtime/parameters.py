@@ -50,8 +50,7 @@ class NodeSettings(Generic[_S]):
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence["Parameter[Any]"]) -> None:
-        changed = self._changed(parameters)
-        if changed is not None:
+        if (changed := self._changed(parameters)) is not None:
             self.value = changed
             self._on_change(changed)
 
@@ -77,13 +76,12 @@ def _declare(node: Node, info: SettingInfo) -> Any:
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    default = list(info.default) if isinstance(info.default, tuple) else info.default
     try:
-        return _plain(node.declare_parameter(info.name, default, descriptor).value)
+        return _plain(node.declare_parameter(info.name, _plain(info.default), descriptor).value)
     except ParameterException as err:
         raise ConfigError(f"{info.name}: {' '.join(str(err).split())}") from err
 
 
 def _plain(value: Any) -> Any:
-    """Convert arrays of rclpy to lists."""
+    """Convert tuples and arrays of rclpy to lists."""
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

@@ -30,8 +30,6 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Float32
 from foretouch_msgs.msg import Status
 
-_INCOMPLETE_SETS = 64  # more than all queues upstream hold together
-_WARN_EVERY_S = 5.0  # of refused clouds
 _P = TypeVar("_P", bound="ProcessingConfig")
 
 
@@ -91,19 +89,16 @@ class ProcessingConfig(NodeConfig):
 class ProcessingNode(ForetouchNode[_P], ABC):
     """Matches its inputs by stamp and answers each set, one at a time.
 
-    Args:
-        name: Of the node.
-        config_class: Class of its settings.
-        inputs: Message type and name of each topic of a set; the answer gets the header of the first.
-        options: For rclpy's `Node`.
+    `inputs` are message type and name of each topic of a set; the answer gets the header of the first.
     """
 
     def __init__(self, name: str, config_class: type[_P], inputs: Sequence[tuple[type, str]], **options: Any) -> None:
         super().__init__(name, config_class, **options)
         self._topics = tuple(inputs)
         self._lock = threading.Lock()
-        names = frozenset(topic for _, topic in inputs)
-        self._synchronizer = StampSynchronizer(names, _INCOMPLETE_SETS, self.statistics.receive, self.statistics.drop)
+        self._synchronizer = StampSynchronizer(  # 64 are more than all queues upstream hold together
+            frozenset(topic for _, topic in inputs), 64, self.statistics.receive, self.statistics.drop
+        )
         self._worker: Worker[_StampedSet] = Worker(
             name,
             self.config.queue_depth,
@@ -143,8 +138,10 @@ class ProcessingNode(ForetouchNode[_P], ABC):
 
     def notes(self) -> dict[str, str]:
         """Numbers of answers by status, and why the last was empty."""
-        outcomes = {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
-        return {**outcomes, "last_reason": self._last_reason}
+        return {
+            **{f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())},
+            "last_reason": self._last_reason,
+        }
 
     def _receive(self, topic: str, message: Any) -> None:
         with self._lock:
@@ -165,7 +162,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._outcomes[status_name(status)] += 1
         self._last_reason = reason
         if status not in (Status.OK, Status.INITIAL_POINTS) and time.monotonic() >= self._silent_until:
-            self._silent_until = time.monotonic() + _WARN_EVERY_S  # rclpy's own check takes 0.5 ms each time
+            self._silent_until = time.monotonic() + 5.0  # rclpy's own check takes 0.5 ms each time
             self.get_logger().warning(f"{status_name(status)}: {reason}")
 
     def _answer_or_refuse(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:

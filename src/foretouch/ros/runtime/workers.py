@@ -168,8 +168,7 @@ class Worker(Generic[_T]):
 
     def work_on_next(self) -> None:
         """Work on the oldest item, if it was not dropped; called by the thread."""
-        item = self._queue.get(0.0)
-        if item is not None:
+        if (item := self._queue.get(0.0)) is not None:
             self._work(item)
 
 

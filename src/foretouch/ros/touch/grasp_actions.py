@@ -53,7 +53,7 @@ def sample_grasps(
     Args:
         goal: `SampleGrasps.Goal`.
         latest: The latest cloud of the graph, for a goal without a cloud.
-        config: Settings.
+        config: The defaults and limits.
         predict: Gives the predictions for grasps on one target, in order.
         feedback: Called with a `SampleGrasps.Feedback` after each object, and after every 100 grasps.
         cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that
@@ -90,12 +90,15 @@ def sample_grasps(
     if cost != SCORE and candidates and all(math.isinf(c.cost) for c in candidates):
         raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
     if not candidates:
-        cancel = (Status.NO_GRASP, "cancelled before the first prediction")
-        raise RefusalError(*cancel if cancelled() else (plan.status, plan.reason))
+        if cancelled():
+            raise RefusalError(Status.NO_GRASP, "cancelled before the first prediction")
+        raise RefusalError(plan.status, plan.reason)
     candidates.sort(key=lambda c: c.cost)
-    predictions = [c.prediction for c in candidates]
     return SampleGrasps.Result(
-        grasp_state="success", status=Status.OK, predictions=predictions, **_fields(candidates, header)
+        grasp_state="success",
+        status=Status.OK,
+        predictions=[c.prediction for c in candidates],
+        **_fields(candidates, header),
     )
 
 
@@ -122,8 +125,7 @@ def _fields(candidates: Sequence[_Candidate], header: Header) -> dict[str, Any]:
 
 def refused_goal(refusal: RefusalError) -> Any:
     """The result of a goal that was refused."""
-    state = f"{requests.status_name(refusal.status)}: {refusal}"
-    return SampleGrasps.Result(grasp_state=state, status=refusal.status)
+    return SampleGrasps.Result(grasp_state=f"{requests.status_name(refusal.status)}: {refusal}", status=refusal.status)
 
 
 def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> float:
@@ -136,9 +138,8 @@ def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> fl
     if rule == SCORE:
         cost = -prediction.grasp.score
     elif prediction.status == Status.OK:
-        values = {"PDC_TH": prediction.pdc_th.value, "PDC_MF": prediction.pdc_mf.value}
-        limits = [ranges.of(name) for name in values]
-        shares = [(value - low) / (high - low) for value, (low, high) in zip(values.values(), limits, strict=True)]
+        pressures = ((prediction.pdc_th, ranges.of("PDC_TH")), (prediction.pdc_mf, ranges.of("PDC_MF")))
+        shares = [(pressure.value - low) / (high - low) for pressure, (low, high) in pressures]
         cost = max(shares) if rule == HARDER_FINGER else float(np.mean(shares))
     return cost if math.isfinite(cost) else math.inf
 

@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps the readings of a named hand in its file: read at the start, written aside by a thread. No node."""
 
-from __future__ import annotations
-
 import os
 import re
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 from foretouch.errors import ConfigError, FileError
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
-
-_PERIOD_S: Final = 0.5  # between two writes; a crash loses at most a second
-_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
 class HistoryKeeper:
@@ -66,8 +60,8 @@ class HistoryKeeper:
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
         found = {"history.readings": str(read.readings), "history.age_s": age}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
-        path = "" if self._file is None else str(self._file.path)
-        return found | {name: text for name, text in (("history.file", path), ("history.fault", self.fault)) if text}
+        found |= {"history.file": str(self._file.path)} if self._file else {}
+        return found | ({"history.fault": self.fault} if self.fault else {})
 
     def close(self) -> None:
         """Write what is not written yet, and let other processes use the file."""
@@ -99,7 +93,7 @@ class HistoryKeeper:
             self._changed.wait()
             self._changed.clear()
             written = self._write(file, written)
-            self._closed.wait(_PERIOD_S)
+            self._closed.wait(0.5)  # a crash loses at most a second
         self._write(file, written)
 
     def _write(self, file: HistoryFile, written: tuple[int, int]) -> tuple[int, int]:
@@ -124,7 +118,7 @@ class HistoryKeeper:
 
 def _path(folder: str, hand: str) -> Path:
     """The file of a hand."""
-    if not _NAME.fullmatch(hand):
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", hand):
         raise ConfigError(
             f"hand: {hand!r} must be 1 to 64 letters, digits, '_', '-' or '.', and begin with a letter or digit"
         )

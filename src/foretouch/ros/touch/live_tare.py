@@ -6,8 +6,6 @@ detected a moment after it has begun. The tare is the median over the last `wind
 from before is kept, and ages.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np
@@ -17,17 +15,10 @@ from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
 
 _SECOND_NS = 1_000_000_000
-_MIN_READINGS = 5
-_RENEW_EVERY = 10  # readings: the tare hardly changes, and a median takes time
-_MAX_READINGS = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory
-_MIN_SPAN = 0.8  # of the window
 
 
 class LiveTare:
     """The tare of a stream of readings. Not thread-safe.
-
-    Args:
-        config: Settings of the contact detector; its `window_s` and `lag_s` are used for the tare too.
 
     Attributes:
         fault: Why the last rest gives no tare, such as a dead sensor; "" without a fault or without a rest.
@@ -38,7 +29,8 @@ class LiveTare:
         self._detector = ContactDetector(config)
         self._lag_ns = round(config.lag_s * _SECOND_NS)
         self._window_ns = round(config.window_s * _SECOND_NS)
-        self._recent: deque[tuple[int, Float32]] = deque(maxlen=_MAX_READINGS)
+        # More than the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory.
+        self._recent: deque[tuple[int, Float32]] = deque(maxlen=20_000)
         self._rest: list[Float32] = []
         self._rest_ns = 0
         self._rest_s = 0.0
@@ -46,12 +38,9 @@ class LiveTare:
         self._since_renewal = 0
 
     def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
-        """Add a reading that the `TouchBuffer` has accepted: its stamp is not checked again.
+        """Add a reading (50,), as `Touch.vector()`, whose stamp [ns] the `TouchBuffer` has accepted.
 
-        Args:
-            stamp_ns: Stamp of the reading [ns].
-            counts: (50,) as `Touch.vector()`.
-            now_s: Time of a clock that never goes back [s].
+        `now_s` is that of a clock that never goes back [s].
         """
         self._detector.update(stamp_ns, counts)
         touching = [finger.touching for finger in self._detector.fingers.values()]
@@ -59,11 +48,10 @@ class LiveTare:
             self._recent.clear()  # its end may belong to the contact; the rest before it is kept
             return
         self._recent.append((stamp_ns, counts))
-        oldest = stamp_ns - self._lag_ns - self._window_ns
-        while self._recent[0][0] < oldest:
+        while self._recent[0][0] < stamp_ns - self._lag_ns - self._window_ns:
             self._recent.popleft()
         self._since_renewal += 1
-        if self._since_renewal >= _RENEW_EVERY and None not in touching:
+        if self._since_renewal >= 10 and None not in touching:  # the tare hardly changes, and a median takes time
             self._renew(stamp_ns, now_s)
 
     def tare(self, now_s: float, max_age_s: float) -> Touch | None:
@@ -94,7 +82,6 @@ class LiveTare:
     def _renew(self, stamp_ns: int, now_s: float) -> None:
         newest = stamp_ns - self._lag_ns
         rest = [counts for stamp, counts in self._recent if stamp <= newest]
-        spans = newest - self._recent[0][0] >= _MIN_SPAN * self._window_ns
-        if len(rest) >= _MIN_READINGS and spans:
+        if len(rest) >= 5 and newest - self._recent[0][0] >= 0.8 * self._window_ns:
             self._rest, self._rest_ns, self._rest_s = rest, newest, now_s - self._lag_ns / _SECOND_NS
             self._tare, self.fault, self._since_renewal = None, "", 0

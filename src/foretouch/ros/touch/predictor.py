@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
-from __future__ import annotations
-
 import statistics
 import sys
 import time
@@ -33,16 +31,10 @@ if TYPE_CHECKING:  # loaded only for a budget
     from foretouch.models.budget import Answer, LatencyBudget
 
 _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
-_TIMINGS: Final = 5  # of each
-_SWITCH_S: Final = 5e-4  # after which a thread gives way to another; Python's 5 ms may be the whole budget
 
 
 class Predictor:
-    """A model that may be absent: every answer then gives the reason.
-
-    Args:
-        model: Name or path.
-        fallback: Name or path of the model to use if `model` cannot be loaded; "" for none.
+    """A model that may be absent: every answer then gives the reason. `fallback` is used if it cannot be loaded.
 
     Attributes:
         model: None if neither could be loaded.
@@ -80,7 +72,8 @@ class Predictor:
         if self.model is None:
             return
         self._switch_s = sys.getswitchinterval()
-        sys.setswitchinterval(min(self._switch_s, _SWITCH_S))
+        # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
+        sys.setswitchinterval(min(self._switch_s, 5e-4))
         levels = levels_of(self.model)
         profile = load_profile(levels, say=say)
         cloud, grasps = profile_scene(1)
@@ -90,7 +83,7 @@ class Predictor:
         self.budget = LatencyBudget(budget_ms / 1e3, levels, profile, around)
         for count in around:
             best = self.budget.affordable(count)
-            name = f"none; the fastest is used, {levels[-1].name}" if best is None else best.name
+            name = best.name if best else f"none; the fastest is used, {levels[-1].name}"
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
     def close(self) -> None:
@@ -108,7 +101,7 @@ class Predictor:
         target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
             beyond = []
-            for _ in range(_TIMINGS):
+            for _ in range(5):
                 time.sleep(PAUSE_S)
                 start = time.thread_time()
                 model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
@@ -119,7 +112,7 @@ class Predictor:
             around[count] = max(0.0, statistics.median(beyond))
         return around
 
-    def end(self, message: TouchAnswer, answer: Answer | None, *, encoded: bool = False) -> Any:
+    def end(self, message: TouchAnswer, answer: "Answer | None", *, encoded: bool = False) -> Any:
         """The message to be published right after this call, or its bytes if it may be `encoded`.
 
         Its predictions are flagged if they miss their budget, of which `answer` is what `LatencyBudget.begin` returned.
@@ -178,8 +171,7 @@ class Predictor:
 
         Beyond an age of `late_after_s`, 0 for never, it is `late`; `reduced` is that of a cheaper form of the model.
         """
-        late = (LATE,) if 0.0 < late_after_s < age_s else ()
-        message.flags = (*message.flags, *self.flags, *(REDUCED,) * reduced, *late)
+        message.flags += (*self.flags, *(REDUCED,) * reduced, *(LATE,) * (0.0 < late_after_s < age_s))
         message.age = duration_to_msg(age_s)
         if self.model is not None:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
@@ -198,8 +190,7 @@ class Predictor:
             else:
                 found = model.predict(cloud, usable, **options)
         except (CloudError, ModelError) as err:
-            refusal = _refusal_of(err)
-            return [one if isinstance(one, Refusal) else refusal for one in posed]
+            return [one if isinstance(one, Refusal) else _refusal_of(err) for one in posed]
         predicted = iter(found)
         return [one if isinstance(one, Refusal) else _outcome(next(predicted)) for one in posed]
 
@@ -248,14 +239,10 @@ def _outcome(prediction: Prediction) -> Prediction | Refusal:
 
 def _refusal_of(err: ForetouchError) -> Refusal:
     """What an error keeps from being predicted."""
-    status = Status.REFUSED
     if isinstance(err, RefusalError):
-        status = err.status
-    elif isinstance(err, CloudError):
-        status = Status.BAD_CLOUD if isinstance(err, LimitError) else Status.TOO_FEW_POINTS
-    elif isinstance(err, GraspError):
-        status = Status.BAD_GRASP
-    return Refusal(status, str(err))
+        return Refusal(err.status, err.reason)
+    statuses = {LimitError: Status.BAD_CLOUD, CloudError: Status.TOO_FEW_POINTS, GraspError: Status.BAD_GRASP}
+    return Refusal(next((code for kind, code in statuses.items() if isinstance(err, kind)), Status.REFUSED), str(err))
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:

@@ -36,8 +36,7 @@ _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]]
 }
 LEVELS: Final = tuple(_SOLVERS)
 
-Grip = tuple[ContactSolution, ContactSolution]
-"""Contacts of the finger at g1 and of the one at g2."""
+Grip = tuple[ContactSolution, ContactSolution]  # contacts of the finger at g1 and of the one at g2
 
 
 def choose_level(layers: Sequence[Layer]) -> tuple[str, str]:
@@ -93,8 +92,7 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldW
     across = weight_n - (weight_n @ axis) * axis
     # a x D = -M_t / (L/2) has the solution D = -(M_t x a) / (L/2) across a, as (M x a) crossed by a gives M_t back.
     couple = -np.cross(moment, axis) / (length / 2.0)
-    tangential = np.stack([(-across - couple) / 2.0, (-across + couple) / 2.0])
-    return HeldWeight(float(weight_n @ axis), tangential)
+    return HeldWeight(float(weight_n @ axis), np.stack([(-across - couple) / 2.0, (-across + couple) / 2.0]))
 
 
 _BALANCE_TOLERANCE = 1e-3  # largest difference of two forces over the larger one that counts as balanced

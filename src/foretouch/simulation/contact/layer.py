@@ -54,7 +54,6 @@ Complex128 = npt.NDArray[np.complex128]
 _FAR = 12.0  # r/h beyond which the layer's own answer is below 1e-8: only the half-space's tail is to be removed
 _TABLE = 2401
 _WAVES = 30.0  # t beyond which M - 1 is below 1e-20
-_GAUSS = 3  # points a side that average the smooth part over a cell
 _CACHED = 64  # spectra kept, 130 kB each at N = 64
 
 _layer_descent = Kernel("layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2)
@@ -67,8 +66,7 @@ def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
     a = 3.0 - 4.0 * poisson
     constant = 5.0 - 12.0 * poisson + 8.0 * poisson**2
     numerator = a * (1.0 - decay**2) - 4.0 * t * decay
-    denominator = a * (1.0 + decay**2) + 2.0 * decay * (2.0 * t**2 + constant)
-    return np.asarray(numerator / denominator, np.float64)
+    return np.asarray(numerator / (a * (1.0 + decay**2) + 2.0 * decay * (2.0 * t**2 + constant)), np.float64)
 
 
 def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: float) -> Float64:
@@ -91,7 +89,7 @@ def _layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
         raise ContactError(  # the smooth part cannot be averaged over a cell
             f"thickness_m: {layer.thickness_m:g} is less than half a cell, {step_m / 2.0:g} m: use the Winkler level"
         )
-    nodes, weights = np.polynomial.legendre.leggauss(_GAUSS)
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # a side, to average the smooth part over a cell
     smooth = np.zeros((n, n))
     for dx, wx in zip(nodes * step_m / 2.0, weights / 2.0, strict=True):
         for dy, wy in zip(nodes * step_m / 2.0, weights / 2.0, strict=True):
@@ -123,8 +121,7 @@ def _convolve(pressure: Float64, spectrum: Complex128) -> Float64:
     """
     n = pressure.shape[0]
     waves = np.fft.fft(np.fft.rfft(pressure, 2 * n, axis=1), 2 * n, axis=0) * spectrum
-    columns = np.fft.ifft(waves, axis=-2)[..., :n, :]
-    return np.asarray(np.fft.irfft(columns, 2 * n, axis=-1)[..., :n])
+    return np.asarray(np.fft.irfft(np.fft.ifft(waves, axis=-2)[..., :n, :], 2 * n, axis=-1)[..., :n])
 
 
 def _corner(x: Float64, y: Float64) -> Float64:
@@ -134,8 +131,7 @@ def _corner(x: Float64, y: Float64) -> Float64:
 def _smooth_part(rho: Float64, poisson: float) -> Float64:
     """∫ (M(t) - 1) J0(t ρ) dt; beyond the table M's own part is nil and -1/ρ remains."""
     grid, values = _smooth_table(poisson)
-    near = np.interp(rho, grid, values)
-    return np.where(rho > _FAR, -1.0 / np.maximum(rho, _FAR), near)
+    return np.where(rho > _FAR, -1.0 / np.maximum(rho, _FAR), np.interp(rho, grid, values))
 
 
 @lru_cache(maxsize=16)
@@ -229,8 +225,7 @@ def _expected_pressure(problem: ContactProblem, command: Command) -> Float64:
         k = max(int(np.searchsorted(gaps, depth)) - 1, 0)
     beds = stiffness[k] - 1.0 / sum(radius[k] / (_HERTZ * layer.plane_modulus_pa) for layer in problem.layers)
     bed_share = min(max(float(beds / stiffness[k]), 0.0), 1.0)
-    reach = depth * (1.0 + bed_share) / 2.0
-    overlap = np.maximum(1.0 - problem.gap / reach, 0.0)
+    overlap = np.maximum(1.0 - problem.gap / (depth * (1.0 + bed_share) / 2.0), 0.0)
     shape: Float64 = overlap ** ((1.0 + bed_share) / 2.0)
     mean = float(stiffness[k]) * (depth - float(gaps[: k + 1].mean())) * (k + 1)
     return np.asarray(shape * (mean / float(shape.sum())))

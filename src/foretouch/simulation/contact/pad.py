@@ -143,9 +143,8 @@ def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) ->
     half_b = o @ n
     c = np.einsum("...i,...i->...", o, o) - 1.0  # at least 0: the tangent plane is outside
     discriminant = half_b**2 - nn * c
-    root = np.sqrt(np.maximum(discriminant, 0.0))
     # (b - root) / nn, written without the difference of near-equal numbers at the origin.
-    depth = np.maximum(c, 0.0) / (half_b + root)
+    depth = np.maximum(c, 0.0) / (half_b + np.sqrt(np.maximum(discriminant, 0.0)))
     return np.asarray(np.where(discriminant >= 0.0, depth, np.inf))
 
 

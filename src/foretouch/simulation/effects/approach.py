@@ -17,8 +17,7 @@ from foretouch.simulation.contact import (
     pad_window,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ObjectConfig, SceneConfig, SurfaceConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import ObjectConfig, SceneConfig, SurfaceConfig, draw
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 
@@ -28,7 +27,6 @@ _SEARCH_CELLS = 21
 _NEAR_M = 2e-4  # cells whose gap is within this of the least give the surface's mean normal
 _WAVES = 12  # that make up a fine relief
 _WAVELENGTH_M = 3e-3  # between its crests
-_FINGERS = ("thumb", "middle finger")
 
 
 def _posture(job: Job, state: SampleState) -> None:
@@ -50,7 +48,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
     """
     pad_config, item = pad_of(job.scene, job.item), job.item
     met = []
-    for finger, (aimed, tip), name in zip(state.fingers, state.postures, _FINGERS, strict=True):
+    for finger, (aimed, tip), name in zip(state.fingers, state.postures, ("thumb", "middle finger"), strict=True):
         found = _meet(pad_config, state.bodies[0], finger, aimed)
         if found is None:
             raise SimulationError(f"{item.name}: the {name} closes beside the object", "misses")
@@ -84,8 +82,7 @@ def _meet(config: PadConfig, body: Body, finger: ContactFrame, aimed: ContactFra
     least = int(np.argmin(gap))
     if not np.isfinite(gap[least]):
         return None
-    near = gap < gap[least] + _NEAR_M
-    normal = body.world_normals(hits.normal[near]).mean(axis=0)
+    normal = body.world_normals(hits.normal[gap < gap[least] + _NEAR_M]).mean(axis=0)
     return starts[least] + hits.t[least] * finger.normal, normal / np.linalg.norm(normal)
 
 
@@ -97,8 +94,7 @@ def pad_of(scene: SceneConfig, item: ObjectConfig) -> PadConfig:
 def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
     """(N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
     starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
-    t = body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t
-    return t.reshape(window.x.shape) - _BACK_M
+    return body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t.reshape(window.x.shape) - _BACK_M
 
 
 def _relief(_job: Job, state: SampleState) -> None:

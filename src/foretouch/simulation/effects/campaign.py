@@ -15,8 +15,8 @@ from foretouch.simulation.disturbances import (
     warming,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import CampaignConfig, ObjectConfig, SceneConfig
-from foretouch.simulation.scene.campaign import DriftTermConfig, ExchangeConfig, FluidLossConfig, ThermistorConfig
+from foretouch.simulation.scene import CampaignConfig, DriftTermConfig, ExchangeConfig, ObjectConfig, SceneConfig
+from foretouch.simulation.scene.campaign import FluidLossConfig, ThermistorConfig
 from foretouch.types import ELECTRODES
 
 _CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
@@ -120,51 +120,61 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     return None if kept == "grasp" else f"campaign.tares: {kept}"
 
 
-_TIME = "campaign_time"
 _NO_DRIFT = "no campaign.drift, campaign.warm_up or campaign.fluid_loss"
-
-_LEVEL = "level"
 
 _DRIFT = Effect(
     "level_drift",
     _drift,
     "campaign.drift",
-    reads=(_TIME, "times", "load", _LEVEL),
-    writes=(_LEVEL,),
+    reads=("campaign_time", "times", "load", "level"),
+    writes=("level",),
     detail=_drift_detail,
 )
 _WARM_UP = Effect(
     "warm_up",
     _warm_up,
     _warms_up,
-    reads=(_TIME, "times", _LEVEL),
-    writes=(_LEVEL,),
+    reads=("campaign_time", "times", "level"),
+    writes=("level",),
     off="no campaign.warm_up, or finger_temperature holds it",
 )
 FINGER_TEMPERATURE = Effect(
     "finger_temperature",
     _finger_temperature,
     "campaign.warm_up.tdc",
-    reads=(_TIME, "times", "load", _LEVEL, "others"),
-    writes=("others", _LEVEL),
+    reads=("campaign_time", "times", "load", "level", "others"),
+    writes=("others", "level"),
 )
-_FLUID_LOSS = Effect("fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=(_TIME, _LEVEL), writes=(_LEVEL,))
+_FLUID_LOSS = Effect(
+    "fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=("campaign_time", "level"), writes=("level",)
+)
 
+#: Which sensors are mounted.
 MOUNTING = (
-    Effect("calendar", _calendar, "campaign", writes=(_TIME,), detail=_calendar_detail),
-    Effect("exchange", _exchange, "campaign.exchanges", reads=(_TIME,), writes=("sensors",), detail=_exchange_detail),
+    Effect("calendar", _calendar, "campaign", writes=("campaign_time",), detail=_calendar_detail),
+    Effect(
+        "exchange",
+        _exchange,
+        "campaign.exchanges",
+        reads=("campaign_time",),
+        writes=("sensors",),
+        detail=_exchange_detail,
+    ),
 )
-"""Which sensors are mounted."""
 
+#: How far their levels have drifted.
 DRIFT = (
-    Effect("level", _level, _needs_level, reads=("times",), writes=(_LEVEL,), off=_NO_DRIFT),
+    Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
     _DRIFT,
     _WARM_UP,
     FINGER_TEMPERATURE,
     _FLUID_LOSS,
-    Effect("level_shift", _shift, _needs_level, reads=(_LEVEL, "series"), writes=("series",), off=_NO_DRIFT),
+    Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
 )
-"""How far their levels have drifted."""
 
-TARES = (Effect("tares", _tares, _needs_tares, reads=(_TIME, "tare"), writes=("tare",), off="each grasp has a tare"),)
-"""Which tares are recorded."""
+#: Which tares are recorded.
+TARES = (
+    Effect(
+        "tares", _tares, _needs_tares, reads=("campaign_time", "tare"), writes=("tare",), off="each grasp has a tare"
+    ),
+)

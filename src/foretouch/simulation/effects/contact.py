@@ -38,9 +38,8 @@ def _weight(job: Job, state: SampleState) -> None:
 
 def _solve(level: str, job: Job, state: SampleState) -> None:
     scene, item = job.scene, job.item
-    pressed = zip(state.pads, state.relief, strict=True)
     state.contacts = solve_grip(
-        [contact_problem(scene, item, pad, height) for pad, height in pressed],
+        [contact_problem(scene, item, pad, height) for pad, height in zip(state.pads, state.relief, strict=True)],
         [command_of(scene, float(target)) for target in state.targets],
         balanced=scene.grasps.balanced,
         axial_load_n=state.axial_load_n,
@@ -62,13 +61,8 @@ def command_of(scene: SceneConfig, target: float) -> Command:
 
 
 def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, behind: Float64) -> ContactProblem:
-    """The gap between a pad and the surface behind its tangent plane.
-
-    Raises:
-        ContactError: If nowhere in the window do both exist.
-    """
-    gap = gap_field(window.depth, -behind)
-    return ContactProblem(gap, pad_of(scene, item).step_m, _layers_of(scene, item))
+    """The gap between a pad and the surface behind its tangent plane; a `ContactError` if both exist nowhere."""
+    return ContactProblem(gap_field(window.depth, -behind), pad_of(scene, item).step_m, _layers_of(scene, item))
 
 
 def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:
@@ -89,9 +83,6 @@ def _held(job: Job, state: SampleState) -> None:
             )
 
 
-_CONTACTS = ("contacts",)
-_PRESSED = ("pads", "relief", "targets", "axial_load_n")
-
 EFFECTS = (
     Effect(
         "weight", _weight, "gravity", reads=("bodies", "touches", "axial_load_n"), writes=("weight", "axial_load_n")
@@ -101,11 +92,11 @@ EFFECTS = (
             f"contact_{level}",
             partial(_solve, level),
             partial(_needs_level, level),
-            reads=_PRESSED,
-            writes=_CONTACTS,
+            reads=("pads", "relief", "targets", "axial_load_n"),
+            writes=("contacts",),
             off=f"fidelity: no object calls for {level}",
         )
         for level in LEVELS
     ),
-    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=_CONTACTS),
+    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=("contacts",)),
 )

@@ -7,8 +7,7 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ClutterConfig, ObjectConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import ClutterConfig, ObjectConfig, draw
 from foretouch.simulation.solids import LYING, Body, about_z, footprint_m
 from foretouch.types import Float64
 
@@ -34,9 +33,7 @@ def _clutter(job: Job, state: SampleState) -> None:
     bodies = list(state.bodies)
     for _ in range(clutter.count):
         size = np.full(3, draw(rng, _SIZE_M))
-        variant = int(rng.integers(_VARIANTS))
-        yaw = about_z(rng.uniform(0.0, 2.0 * np.pi))
-        body = Body("random", variant, size, np.zeros(3), yaw)
+        body = Body("random", int(rng.integers(_VARIANTS)), size, np.zeros(3), about_z(rng.uniform(0.0, 2.0 * np.pi)))
         bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
     state.bodies = bodies
 

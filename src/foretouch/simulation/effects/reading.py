@@ -25,9 +25,8 @@ from foretouch.simulation.effects import campaign
 from foretouch.simulation.effects.approach import pad_of, surface_behind
 from foretouch.simulation.effects.contact import command_of, contact_problem
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
-from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
-from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.scene import DeadConfig, DriftConfig, ObjectConfig, SceneConfig, TimelineConfig, draw
+from foretouch.simulation.scene.fingers import VibrationConfig
 from foretouch.simulation.world import SampleKey
 from foretouch.tactile.messages.biotac_all import OTHERS
 from foretouch.types import ELECTRODES, Float64, Touch
@@ -92,8 +91,7 @@ def _slip(job: Job, state: SampleState) -> None:
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
-    share = (path / path[-1])[:, None, None]
-    state.series[in_hold] += share * (moved - state.readings[1])
+    state.series[in_hold] += (path / path[-1])[:, None, None] * (moved - state.readings[1])
 
 
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:

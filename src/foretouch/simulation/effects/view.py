@@ -123,8 +123,7 @@ def _colour(job: Job, state: SampleState) -> None:
     rows, columns = state.window
     v, u = np.divmod(state.pixels, job.world.view.width)
     normal = state.normals[v - rows.start, u - columns.start]
-    rgb = (light(normal)[:, None] * np.asarray(job.settings)).astype(np.uint8)
-    state.cloud = replace(state.cloud, rgb=rgb)
+    state.cloud = replace(state.cloud, rgb=(light(normal)[:, None] * np.asarray(job.settings)).astype(np.uint8))
 
 
 def light(normal: Float64) -> Float64:
@@ -133,8 +132,7 @@ def light(normal: Float64) -> Float64:
 
 
 def _overlap(view: CameraView, corners: Float64, window: Window) -> bool:
-    other = view.window(corners)
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(window, other, strict=True))
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(window, view.window(corners), strict=True))
 
 
 def _grown(span: slice, size: int) -> slice:
@@ -156,8 +154,8 @@ EFFECTS = (
     Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window", "cloud"), writes=("cloud",)),
 )
 
+#: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
 FRAME_EFFECTS = (
     replace(EFFECTS[0], run=_whole_window, reads=()),
     *(replace(effect, again=True) for effect in EFFECTS[1:-2]),
 )
-"""What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image."""

@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, MissingDependencyError, SimulationError, shown
 from foretouch.libusb import ensure_libusb
-from foretouch.types import Float64
+from foretouch.types import Float64, Int64
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
 _MOST_FACES: Final = 1_000_000
-_UP_Y: Final = (".glb",)  # glTF has y up, all others as they were drawn: z up here
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +23,7 @@ class TriangleMesh:
     """A closed surface made of triangles, counter-clockwise seen from outside."""
 
     vertices: Float64  # (V, 3) float64 [m], or of unit extent before it is scaled
-    faces: npt.NDArray[np.int64]  # (F, 3) int64, indices into `vertices`
+    faces: Int64  # (F, 3) int64, indices into `vertices`
 
     @property
     def extents(self) -> Float64:
@@ -50,11 +48,7 @@ class TriangleMesh:
         return a, b, c
 
     def closed(self, name: str) -> Self:
-        """Itself; refuses a surface with a hole, or one that is inside out.
-
-        Raises:
-            SimulationError: Names the mesh and what is wrong.
-        """
+        """Itself; a `SimulationError` names the mesh and its fault if it has a hole or is inside out."""
         self._require_corners(name)
         edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
         key = edges[:, 0] * len(self.vertices) + edges[:, 1]
@@ -122,7 +116,7 @@ def _read(path: str, _sha256: str) -> TriangleMesh:
         raise FileError(path, "holds no triangle that can be read")
     if len(faces) > _MOST_FACES:
         raise FileError(path, f"holds {len(faces)} triangles, more than {_MOST_FACES}")
-    if Path(path).suffix.lower() in _UP_Y:
+    if Path(path).suffix.lower() == ".glb":  # glTF has y up, all others as they were drawn: z up here
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     if np.isfinite(vertices).all() and TriangleMesh(vertices, faces).volume() < 0.0:
         faces = faces[:, ::-1]  # it is inside out

@@ -18,24 +18,16 @@ from foretouch.simulation.objects.mesh import TriangleMesh, read_mesh_file
 from foretouch.types import Float64
 
 _HARMONICS = 6  # waves of a blob
-_SEGMENTS = 256  # around the axis; on a radius of 35 mm the facets leave the circle by 3 µm
 _LEVEL = 5  # halvings of the icosahedron's edges: 10,242 directions
 _ROUNDING = 6  # grid cells from the flat part of a box to the middle of an edge
 
 _Surface = tuple[Float64, npt.NDArray[np.int64]]  # vertices and faces
 
 
-def _random_shape(rng: np.random.Generator) -> TriangleMesh:
-    """One member, of roughly unit size; all is drawn from `rng`."""
-    kind = rng.integers(3)
-    return (_superquadric, _vase, _blob)[kind](rng)
-
-
 def _superquadric(rng: np.random.Generator) -> TriangleMesh:
     """Between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
     p, q = rng.uniform(2.0, 8.0, 2)
-    stretch = rng.uniform(0.6, 1.0, 3)
-    x, y, z = np.abs(_sphere_directions() / stretch).T
+    x, y, z = np.abs(_sphere_directions() / rng.uniform(0.6, 1.0, 3)).T
     return _star_shaped(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q))
 
 
@@ -47,8 +39,7 @@ def _vase(rng: np.random.Generator) -> TriangleMesh:
     rim = 0.04 * np.sqrt(np.linspace(0.0, 1.0, 8)[1:])  # rounds the two ends off
     radius[:7] *= 0.92 + 2.0 * rim
     radius[-7:] *= (0.92 + 2.0 * rim)[::-1]
-    ring = np.stack([radius, height], axis=1)
-    return _revolved(np.concatenate([[(0.0, 0.0)], ring, [(0.0, 1.0)]]))
+    return _revolved(np.concatenate([[(0.0, 0.0)], np.stack([radius, height], axis=1), [(0.0, 1.0)]]))
 
 
 def _blob(rng: np.random.Generator) -> TriangleMesh:
@@ -113,8 +104,7 @@ def _volleyball() -> TriangleMesh:
     d = _sphere_directions()
     ordered = np.sort(np.abs(d), axis=1)
     between_panels = ordered[:, 2] - ordered[:, 1]
-    largest = np.argmax(np.abs(d), axis=1)
-    along = np.take_along_axis(d, ((largest + 1) % 3)[:, None], axis=1)[:, 0]
+    along = np.take_along_axis(d, ((np.argmax(np.abs(d), axis=1) + 1) % 3)[:, None], axis=1)[:, 0]
     strips = np.abs(np.abs(along) - 0.22)
     seams = 0.012 * np.exp(-((between_panels / 0.05) ** 2)) + 0.006 * np.exp(-((strips / 0.035) ** 2))
     return _star_shaped(0.5 - seams)
@@ -129,8 +119,8 @@ _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
     "sponge": _sponge,
     "volleyball": _volleyball,
 }
+#: Names that a scene may use; `random` is a family with a member for each number.
 SHAPES: Final = (*_BUILDERS, "random")
-"""Names that a scene may use; `random` is a family with a member for each number."""
 
 
 @lru_cache(maxsize=256)
@@ -146,7 +136,8 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
         FileError: If the file cannot be used.
     """
     if shape == "random":
-        mesh = _random_shape(np.random.default_rng([0x5EED, variant]))
+        rng = np.random.default_rng([0x5EED, variant])
+        mesh = (_superquadric, _vase, _blob)[rng.integers(3)](rng)
     elif shape in _BUILDERS:
         mesh = _BUILDERS[shape]()
     elif ":" in shape:
@@ -165,8 +156,7 @@ def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:
     across = np.hypot(d[:, 0], d[:, 1])
     wall = radius / np.maximum(across, 1e-9)
     on_wall = wall * np.abs(d[:, 2]) <= straight
-    up = np.abs(d[:, 2])
-    cap = straight * up + np.sqrt(np.maximum(radius**2 - (straight * across) ** 2, 0.0))
+    cap = straight * np.abs(d[:, 2]) + np.sqrt(np.maximum(radius**2 - (straight * across) ** 2, 0.0))
     return np.where(on_wall, wall, cap)
 
 
@@ -178,7 +168,7 @@ def _bump(d: Float64, towards: tuple[float, float, float], width: float) -> Floa
 
 def _revolved(profile: npt.ArrayLike) -> TriangleMesh:
     """Turn a profile (n, 2) of radius and height about z; its ends, the poles, have radius 0, all others more."""
-    segments = _SEGMENTS
+    segments = 256  # around the axis; on a radius of 35 mm the facets leave the circle by 3 µm
     radius, height = np.asarray(profile, np.float64).T
     angle = np.arange(segments) * (2.0 * np.pi / segments)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -186,8 +176,7 @@ def _revolved(profile: npt.ArrayLike) -> TriangleMesh:
         [radius[1:-1, None, None] * circle, np.broadcast_to(height[1:-1, None, None], (len(height) - 2, segments, 1))],
         axis=2,
     )
-    poles = np.array([[0.0, 0.0, height[0]], [0.0, 0.0, height[-1]]])
-    vertices = np.concatenate([poles, rings.reshape(-1, 3)])
+    vertices = np.concatenate([[(0.0, 0.0, height[0]), (0.0, 0.0, height[-1])], rings.reshape(-1, 3)])
     index = 2 + np.arange(rings.shape[0] * segments).reshape(-1, segments)
     following = np.roll(index, -1, axis=1)
     bands = [_quads(index[:-1], following[:-1], following[1:], index[1:])]
@@ -213,8 +202,7 @@ def _rounded_box(size: npt.ArrayLike, edge_radius: float, cells: int = 6) -> Tri
     points, faces = _cube_grid(half, edge_radius, cells)
     core = np.clip(points, -(half - edge_radius), half - edge_radius)
     outward = points - core
-    vertices = core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
-    return TriangleMesh(vertices, faces)
+    return TriangleMesh(core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True), faces)
 
 
 @lru_cache(maxsize=1)
@@ -285,8 +273,8 @@ def _cube_grid(half: Float64, edge_radius: float, cells: int) -> _Surface:
 
 def _merged(points: Float64, faces: npt.NDArray[np.int64]) -> _Surface:
     """Points that coincide within rounding become one."""
-    scale = np.abs(points).max()
-    _, first, place = np.unique(np.round(points / scale, 9), axis=0, return_index=True, return_inverse=True)
+    rounded = np.round(points / np.abs(points).max(), 9)
+    _, first, place = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return points[first], np.asarray(place.reshape(-1)[faces], np.int64)
 
 
@@ -295,5 +283,4 @@ def _quads(
 ) -> npt.NDArray[np.int64]:
     """Two triangles for each quadrilateral a b c d."""
     first = np.stack([a, b, c], axis=-1).reshape(-1, 3)
-    second = np.stack([a, c, d], axis=-1).reshape(-1, 3)
-    return np.concatenate([first, second])
+    return np.concatenate([first, np.stack([a, c, d], axis=-1).reshape(-1, 3)])

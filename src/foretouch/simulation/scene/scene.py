@@ -87,11 +87,7 @@ class SceneConfig(Settings):
 
 
 def load_scene(path: str | Path) -> SceneConfig:
-    """Read a scene file.
-
-    Raises:
-        ConfigError: Names file, field and rule.
-    """
+    """Read a scene file; a `ConfigError` names file, field and rule."""
     return SceneConfig.from_mapping(load_yaml(path), str(path))
 
 
@@ -116,8 +112,7 @@ def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
             f"{name}.pose: may lie outside of the view, which is {view.width}x{view.height} pixels "
             f"of {scene.camera.hfov_deg:g} degrees at {scene.camera.distance_m:g} m"
         )
-    farthest = np.abs([item.pose.x_m, item.pose.y_m]).max(axis=1)
-    if (farthest > TABLE_M / 2.0).any():
+    if (np.abs([item.pose.x_m, item.pose.y_m]).max(axis=1) > TABLE_M / 2.0).any():
         raise ConfigError(f"{name}.pose: may lie beside the table of {TABLE_M.tolist()} m")
 
 

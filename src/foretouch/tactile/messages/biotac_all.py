@@ -11,8 +11,7 @@ from foretouch.tactile.messages.table import TactileConfig, TactileReader, Tacti
 from foretouch.types import ELECTRODES, Float32
 
 FINGERS: Final = ("TH", "MF")
-FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")
-"""Order of the fingers in `tactiles`."""
+FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")  # order of the fingers in `tactiles`
 
 OTHERS: Final = ("PAC0", "PAC1", "TAC", "TDC")
 

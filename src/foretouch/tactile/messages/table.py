@@ -15,16 +15,16 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.types import Float32
 
+#: Message type to the module that decodes it.
 TACTILE_TYPES: dict[str, str] = {
     "foretouch_msgs/BiotacAll": "foretouch.tactile.messages.biotac_all",
     "sr_robot_msgs/BiotacAll": "foretouch.tactile.messages.biotac_all",
     "std_msgs/String": "foretouch.tactile.messages.biotac_csv",
     "tactile_msgs/TactileState": "foretouch.tactile.messages.tactile_state",
 }
-"""Message type to the module that decodes it."""
 
+#: Flag of samples whose messages carry no stamp: the time of reception is taken instead.
 ARRIVAL_STAMPED: Final = "arrival_stamped"
-"""Flag of samples whose messages carry no stamp: the time of reception is taken instead."""
 
 _SECOND_NS: Final = 1_000_000_000
 
