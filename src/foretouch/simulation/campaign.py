@@ -97,7 +97,7 @@ class Campaign:
         return now.time_s / DAY_S - np.array([self.config.days[max(sessions, default=0)] for sessions in changes])
 
     def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[Float64, float]:
-        """(2,) temperature of both fingers at power-on, and how much warmer than they are the object of a visit is [K]."""
+        """(2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
         rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
         start = config.session_kelvin * shared + config.finger_kelvin * np.array(own)

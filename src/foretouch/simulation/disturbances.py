@@ -22,10 +22,8 @@ _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring 
 PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
 ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
-TDC_PER_KELVIN: Final = (
-    75.0  # [counts/K]; the slope of the converter's curve where recordings are, between 2350 and 2700
-)
-TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; so that TAC of a middle finger varies in contact as recorded
+TDC_PER_KELVIN: Final = 75.0  # [counts/K]; slope of the converter's curve between 2350 and 2700, where recordings are
+TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; an order of magnitude: recorded TAC varies by tens of counts
 VIBRATION_S: Final = 0.03  # time in which a vibration of the skin falls to 1/e
 PAC_REST: Final = 2048.0  # PAC of a still fingertip
 TAC_REST: Final = 2048.0  # TAC at a steady temperature

@@ -148,7 +148,7 @@ class SimulatedHand:
         )
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
-        """What both fingertips send while nothing touches them, as `GraspTrajectory.counts`; arguments as of `execute`."""
+        """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
         self._idle_rows, self._elapsed_s = rows, elapsed_s
         return _counts(self._resting.run(self._key(0, repeat)))
 

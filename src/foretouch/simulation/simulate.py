@@ -62,7 +62,7 @@ class Simulation:
         """The first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
-        takes, targets and contacts of both fingers, and PAC, TAC and TDC as a recording has them where the scene calls for them.
+        takes, targets and contacts of both fingers, and PAC, TAC and TDC where the scene calls for them.
 
         Args:
             count: How many.
@@ -168,7 +168,7 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
 
 
 def _other_values(state: SampleState) -> dict[str, float]:
-    """Simulated channels beside PDC and electrodes in contact, and with `tare_` before it where a tare is recorded [counts]."""
+    """PAC, TAC and TDC in contact as far as they are simulated, and those of the tare with `tare_` [counts]."""
     rows = {"": state.others[state.hold_row]}
     if state.tare is not None:
         rows["tare_"] = np.median(state.others[: int(np.argmax(state.load > 0.0))], axis=0)

@@ -65,8 +65,8 @@ class ExchangeConfig(Settings):
 class ThermistorConfig(RangedSettings):
     """The temperature of each finger, which its sensor sends as TDC and TAC, and which its electrodes follow.
 
-    The defaults are about those of the public recordings: slopes over TDC within a session, TDC from session to
-    session, and the cooling in contact by the differences of TDC between successive grasps (docs/scenes.md).
+    Slopes are those of the public recordings within a session. Sessions differ by more than the recorded ones (.65 K),
+    and the cooling in contact is an assumption within the differences of TDC between grasps (docs/scenes.md).
     """
 
     session_kelvin: float = setting(
@@ -109,9 +109,9 @@ class WarmUpConfig(TemperatureConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class FluidLossConfig(Settings):
-    """Liquid leaves a fingertip from the day on which it is mounted: its pressure falls, and the skin comes closer to the core.
+    """Liquid leaves a fingertip once it is mounted: its pressure falls, and the skin comes closer to the core.
 
-    The defaults are assumptions: between two refills, a lab would notice ten times as much.
+    The defaults are assumptions, not measurements.
     """
 
     pdc_per_day: float = setting(1.0, "Fall of PDC at rest", unit="counts/day", minimum=0.0, maximum=100.0)

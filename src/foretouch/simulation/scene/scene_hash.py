@@ -74,7 +74,11 @@ _CONSTANTS: Final[dict[str, Any]] = {
 # Settings that do not count at these values.
 _OFF: Final = {
     **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration")),
-    "method": "original", "first_variant": 0, "file_sha256": "", "slow_share": 0.0, "slow_s": 30.0,
+    "method": "original",
+    "first_variant": 0,
+    "file_sha256": "",
+    "slow_share": 0.0,
+    "slow_s": 30.0,
 }
 
 
