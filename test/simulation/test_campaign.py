@@ -224,7 +224,7 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
 
 
 def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
-    """On a campaign that the tracker was not fitted to; where the scene has no temperature, nothing changes to the bit."""
+    """On a campaign that the tracker was not fitted to; without a temperature, nothing changes to the bit."""
     days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}
     warm_up = {"warm_up": {"tdc": {"session_kelvin": 2.0}}}
 
