@@ -116,7 +116,7 @@ def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResul
     return result, list(open_samples(tmp_path / "ds").records(discarded=True))
 
 
-def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> None:
+def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tmp_path: Path) -> None:
     result, (touched, other) = imported(tmp_path, Faults(), object="sponge")
     assert (result.samples, result.labelled) == (2, 1)
     assert touched.sample.touch is not None
@@ -136,6 +136,13 @@ def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> 
     assert other.sample.touch is None
     assert other.sample.grasp.id == "c"
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
+    # Its grasps hold nine zeros as matrix, and are read from their quaternions.
+    faults = Faults(ago_ns=86_400 * NS, late_ns=NS // 2, matrix=np.zeros((3, 3)))
+    result, samples = imported(tmp_path / "replay", faults)
+    assert (result.samples, result.labelled) == (2, 1)
+    assert samples[0].sample.extra["clock_offset_s"] == 0.0
+    for one in samples:
+        np.testing.assert_array_equal(one.sample.grasp.rotation, TURNED)
 
 
 def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -> None:
@@ -157,16 +164,6 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
         ("no_tactile", Faults(electrodes=19)),
     ]
     every_case(cases, check)
-
-
-def test_times_of_a_bag_that_was_not_recorded_live_say_nothing_of_the_clocks(tmp_path: Path) -> None:
-    """Its grasps hold nine zeros as matrix, and are read from their quaternions."""
-    faults = Faults(ago_ns=86_400 * NS, late_ns=NS // 2, matrix=np.zeros((3, 3)))
-    result, samples = imported(tmp_path, faults)
-    assert (result.samples, result.labelled) == (2, 1)
-    assert samples[0].sample.extra["clock_offset_s"] == 0.0
-    for one in samples:
-        np.testing.assert_array_equal(one.sample.grasp.rotation, TURNED)
 
 
 def test_topics_are_checked_and_fingers_chosen_by_their_indices(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def test_sizes_are_what_they_are_called_and_do_not_depend_on_the_place(rng) -> N
         object_sizes(np.ones((20, 3)))
 
 
-def test_training_clouds_and_other_views_are_in_distribution_and_the_span_holds_usual_distances(
+def test_training_clouds_are_in_distribution_a_house_and_a_pea_get_the_mean_of_the_labels(
     fallback, trained, rng
 ) -> None:
     assert np.mean([fallback.score(one) >= 0.5 for one in trained]) >= 0.9
@@ -56,9 +56,6 @@ def test_training_clouds_and_other_views_are_in_distribution_and_the_span_holds_
     np.fill_diagonal(distance, np.inf)
     nearest = np.sort(distance, axis=1)[:, :3].mean(axis=1)
     assert [(nearest <= end).mean() for end in fallback.span] == pytest.approx([0.90, 0.97], abs=0.02)
-
-
-def test_a_house_and_a_pea_are_not_and_get_the_mean_of_the_labels(fallback, rng) -> None:
     clouds = [HERE + box(sides, rng) for sides in (SIDES[0] * 100.0, SIDES[0] / 20.0)] + [cylinder(0.2, HERE)]
     sizes = np.array([object_sizes(cloud) for cloud in clouds])
     assert [fallback.score(one) for one in sizes] == [0.0, 0.0, 0.0]

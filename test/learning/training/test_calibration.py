@@ -200,7 +200,7 @@ def test_coverage_is_told_by_intervals_of_the_other_objects_and_one_alone_has_no
     assert np.isfinite(after_touches(fit_group(one), one, 3)).all()
 
 
-def test_the_card_s_facts_name_what_the_promise_rests_on() -> None:
+def test_the_card_s_facts_name_what_the_promise_rests_on_whatever_the_order_of_samples() -> None:
     rng = np.random.default_rng(11)
     many, few = population(rng, lasting(rng), 20, 4), population(rng, lasting(rng), 8, 4)
     trust, facts = make_calibration(np.full(SIZE, 3000.0), {"known": few, "new": many})
@@ -209,9 +209,6 @@ def test_the_card_s_facts_name_what_the_promise_rests_on() -> None:
     assert (group["objects"], group["samples"], group["cut"]) == (20, 80, 0.945)
     assert facts["regimes"]["known"]["cut"] == 0.95
     assert set(group["coverage"]["E_MF"]) == {"mean", *np.unique(many.objects)}
-
-
-def test_the_order_of_samples_does_not_matter() -> None:
     rng = np.random.default_rng(12)
     held = population(rng, lasting(rng), 10, 6, 0.6)
     order = rng.permutation(60)

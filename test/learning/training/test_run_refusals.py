@@ -36,7 +36,7 @@ def with_first(data: Dataset, sample: GraspSample) -> Dataset:
     return replace(data, samples=(sample, *data.samples[1:]))
 
 
-def test_settings_of_another_method_are_refused() -> None:
+def test_settings_of_another_method_and_clouds_that_cannot_be_described_are_refused(data, tmp_path) -> None:
     cases = (
         ("RunConfig.train.epochs: has no effect on method 'contact'", {"method": "contact", "train": {"epochs": 3}}),
         ("RunConfig.model.n_points: has no effect on method 'contact'", {"method": "contact", "model": MODEL}),
@@ -47,6 +47,10 @@ def test_settings_of_another_method_are_refused() -> None:
         ("RunConfig.contact.trees: has no effect on method 'supervised'", {"contact": {"trees": 3}}),
     )
     every_refusal(ConfigError, cases, RunConfig.from_mapping)
+    first = data.samples[0]
+    few = with_first(data, replace(first, cloud=Cloud(first.cloud.xyz[:3])))
+    with pytest.raises(DatasetError, match=rf"{first.id}: .*points"):
+        train_run(run_config(**CONTACT), few, tmp_path / "run", quiet)
 
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])
@@ -73,13 +77,6 @@ def test_a_bad_label_is_named_and_the_corrected_data_train_in_the_same_folder(da
     with pytest.raises(DatasetError, match=rf"{first.id}: touch: pdc_mf: -22072 is not between 0 and 4095 counts"):
         train_run(run, replace(faulty, sha256="faulty"), tmp_path / "run", quiet)
     assert train_run(run, data, tmp_path / "run", quiet).is_file()
-
-
-def test_a_cloud_that_a_contact_model_cannot_describe_is_named(data, tmp_path) -> None:
-    first = data.samples[0]
-    few = with_first(data, replace(first, cloud=Cloud(first.cloud.xyz[:3])))
-    with pytest.raises(DatasetError, match=rf"{first.id}: .*points"):
-        train_run(run_config(**CONTACT), few, tmp_path / "run", quiet)
 
 
 def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monkeypatch) -> None:

@@ -75,7 +75,7 @@ def test_an_epoch_is_a_pass_over_either_kind(data) -> None:
         assert sorted(passed) == sorted(LABELLED if kind == "labelled" else UNLABELLED)
 
 
-def test_each_step_moves_its_own_network_alone(data) -> None:
+def test_each_step_moves_its_own_network_alone_and_frozen_batch_mates_move_no_features(data) -> None:
     trainer = make(data)
     freeze(trainer.net)
     real = trainer._clouds(UNLABELLED[:5])
@@ -87,9 +87,6 @@ def test_each_step_moves_its_own_network_alone(data) -> None:
     three = weights(trainer)
     assert all(torch.equal(two[key], three[key]) for key in two if key.startswith("generator/"))
     assert not torch.equal(two["net/output.weight"], three["net/output.weight"])
-
-
-def test_a_batch_mate_moves_no_features_when_frozen(data) -> None:
     trainer = steps(make(data), 1)
     points = trainer._clouds(LABELLED[:5])
     other = points.clone()

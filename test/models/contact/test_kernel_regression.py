@@ -35,7 +35,7 @@ def kernel(rows, target) -> KernelRegression:
     return KernelRegression(centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(DECAY))
 
 
-def test_kernel_and_predictions_are_those_of_scikit_learn(kernel, rows, target, rng) -> None:
+def test_kernel_and_predictions_are_scikit_learns_and_constant_columns_are_found(kernel, rows, target, rng) -> None:
     a, b = rng.normal(size=(5, 7)), rng.normal(size=(4, 7))
     assert_allclose(laplacian(a, b, DECAY), laplacian_kernel(a, b, gamma=DECAY / 7), rtol=1e-12)
     asked = rows.mean(axis=0) + 1.5 * rows.std(axis=0) * rng.normal(size=(40, 7))
@@ -46,6 +46,13 @@ def test_kernel_and_predictions_are_those_of_scikit_learn(kernel, rows, target, 
     # Known rows and weights are rounded to float32, 6e-8 each, and 60 of them are summed.
     assert_allclose(kernel.predict(asked), wanted, atol=1e-5)
     assert np.abs(wanted).max() > 0.1
+    # The mean of sixty times 0.05 is not 0.05, so the deviation is 2e-17 and not 0.
+    rows = np.column_stack([np.full(60, 0.05), np.arange(60.0)])
+    assert rows.std(axis=0)[0] > 0.0
+    centre, scale = standardisation(rows)
+    assert scale[0] == 1.0
+    assert abs((0.051 - centre[0]) / scale[0]) < 0.01
+    assert scale[1] == rows[:, 1].std()
 
 
 def test_far_from_all_that_is_known_it_has_no_opinion_and_rows_do_not_depend_on_each_other(kernel, rows) -> None:
@@ -57,16 +64,6 @@ def test_far_from_all_that_is_known_it_has_no_opinion_and_rows_do_not_depend_on_
     assert_array_equal(together, np.concatenate([kernel.predict(row[None]) for row in rows]))
     assert_array_equal(kernel.predict(rows[::-1])[::-1], together)
     assert kernel.predict(rows[:0]).shape == (0, 3)
-
-
-def test_a_column_that_varies_by_rounding_alone_is_constant() -> None:
-    """The mean of sixty times 0.05 is not 0.05, so the deviation is 2e-17 and not 0."""
-    rows = np.column_stack([np.full(60, 0.05), np.arange(60.0)])
-    assert rows.std(axis=0)[0] > 0.0
-    centre, scale = standardisation(rows)
-    assert scale[0] == 1.0
-    assert abs((0.051 - centre[0]) / scale[0]) < 0.01
-    assert scale[1] == rows[:, 1].std()
 
 
 def test_damage_is_refused_by_name(kernel, rows) -> None:

@@ -29,7 +29,7 @@ def forest_of(model: Any) -> Forest:
     return Forest.from_trees([tree.tree_ for tree in model.estimators_])
 
 
-def test_every_row_reaches_scikit_learn_s_leaf(rng) -> None:
+def test_every_row_and_one_on_a_threshold_reaches_scikit_learn_s_leaf(rng) -> None:
     """Also of a stump of one leaf."""
     stump = ExtraTreesRegressor(2, min_samples_leaf=50, random_state=0).fit(np.eye(60), np.arange(60.0))
     for model in (fitted(1)[0], fitted(3)[0], stump):
@@ -37,9 +37,6 @@ def test_every_row_reaches_scikit_learn_s_leaf(rng) -> None:
         leaves = model.apply(asked)
         values = [tree.tree_.value[leaves[:, k], :, 0].astype(np.float16) for k, tree in enumerate(model.estimators_)]
         assert_allclose(forest_of(model).predict(asked), np.mean(values, axis=0, dtype=np.float64), atol=1e-14)
-
-
-def test_a_row_on_a_threshold_goes_scikit_learn_s_way() -> None:
     model, rows = fitted(1, RandomForestRegressor)
     tree = model.estimators_[0].tree_
     inner = np.flatnonzero(tree.feature >= 0)

@@ -32,13 +32,18 @@ def test_features_without_relu_are_negative_where_all_points_are(training: bool)
     torch.testing.assert_close(torch.relu(features), with_relu.train(training)(points))
 
 
-def test_the_quick_way_can_be_differentiated_twice() -> None:
+def test_the_quick_way_can_be_differentiated_twice_and_is_taken_for_large_batches(monkeypatch) -> None:
     net = layers()
     points = torch.randn(2, 10, 3, dtype=F64).requires_grad_()
     assert torch.autograd.gradcheck(lambda x: pool(net, x), points)
     (slope,) = torch.autograd.grad(pool(net, points).square().sum(), points, create_graph=True)
     (second,) = torch.autograd.grad(slope.square().sum(), net[0].linear.weight)
     assert float(second.abs().max()) > 0
+    net = layers().train()
+    found = [net[-1].map_of(torch.randn(2, size, 8, dtype=F64)) is None for size in (10, 40_000)]
+    assert found == [True, False]
+    monkeypatch.setattr(pointnet, "_worth_moments", lambda *_: True)
+    assert net[-1].map_of(torch.randn(2, 8, dtype=F64)) is None  # rows of a head, not points
 
 
 def plain_features(net: PointNetFeatures, points: torch.Tensor) -> torch.Tensor:
@@ -89,11 +94,3 @@ def test_the_whole_network_equals_the_plain_composition(monkeypatch, dtype, mode
         assert float((one - two).detach().norm()) <= nearness * max(0.1 * largest, float(two.detach().norm()))
     for name, value in quick_state.items():
         torch.testing.assert_close(value.double(), plain_state[name].double(), rtol=nearness, atol=nearness)
-
-
-def test_small_batches_take_the_plain_way_and_large_ones_the_quick(monkeypatch) -> None:
-    net = layers().train()
-    found = [net[-1].map_of(torch.randn(2, size, 8, dtype=F64)) is None for size in (10, 40_000)]
-    assert found == [True, False]
-    monkeypatch.setattr(pointnet, "_worth_moments", lambda *_: True)
-    assert net[-1].map_of(torch.randn(2, 8, dtype=F64)) is None  # rows of a head, not points

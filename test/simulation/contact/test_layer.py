@@ -74,12 +74,20 @@ def test_forces_are_those_of_hertz_with_his_pressure_of_sneddon_and_of_dimitriad
     every_case(product((0.0, 0.3, 0.45, 0.5), (0.02, 0.01, 0.005, 0.003)), check)
 
 
-def test_given_force_and_depth_are_two_ways_to_the_same_contact():
+def test_force_and_depth_are_two_ways_to_a_contact_that_turns_with_its_gap():
     problem = paraboloid(32, 0.008, skin(), Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.02))
     at_force = solve_layer(problem, Command(force_n=1.5), **TIGHT)
     at_depth = solve_layer(problem, Command(depth_m=at_force.depth_m), **TIGHT)
     assert_allclose(at_depth.force_n, 1.5, rtol=1e-6)
     assert_allclose(at_depth.pressure, at_force.pressure, atol=1e-5 * at_force.pressure.max())
+    problem = paraboloid(24, 0.012, skin(), ratio=3.0)
+    turned = ContactProblem(problem.gap.T.copy(), problem.step_m, problem.layers)
+    straight = solve_layer(problem, Command(force_n=2.0), **TIGHT).pressure
+    assert_allclose(solve_layer(turned, Command(force_n=2.0), **TIGHT).pressure, straight.T, atol=1e-6 * straight.max())
+    small, large = paraboloid(24, 0.006, skin()), paraboloid(48, 0.012, skin())
+    inner, outer = (solve_layer(one, Command(force_n=0.5), **TIGHT).pressure for one in (small, large))
+    assert not inner[0].any()
+    assert_allclose(outer[12:36, 12:36], inner, atol=1e-5 * inner.max())
 
 
 def test_surfaces_meet_under_pressure_and_never_pass_through_each_other(rng):
@@ -91,17 +99,6 @@ def test_surfaces_meet_under_pressure_and_never_pass_through_each_other(rng):
     assert solution.pressure.min() == 0.0
     assert distance.min() > -1e-5 * solution.depth_m
     assert_allclose(distance[solution.pressure > 0], 0.0, atol=1e-5 * solution.depth_m)
-
-
-def test_a_turn_of_the_gap_and_the_window_around_it_change_nothing():
-    problem = paraboloid(24, 0.012, skin(), ratio=3.0)
-    turned = ContactProblem(problem.gap.T.copy(), problem.step_m, problem.layers)
-    straight = solve_layer(problem, Command(force_n=2.0), **TIGHT).pressure
-    assert_allclose(solve_layer(turned, Command(force_n=2.0), **TIGHT).pressure, straight.T, atol=1e-6 * straight.max())
-    small, large = paraboloid(24, 0.006, skin()), paraboloid(48, 0.012, skin())
-    inner, outer = (solve_layer(one, Command(force_n=0.5), **TIGHT).pressure for one in (small, large))
-    assert not inner[0].any()
-    assert_allclose(outer[12:36, 12:36], inner, atol=1e-5 * inner.max())
 
 
 def test_hard_gaps_converge(rng):

@@ -12,11 +12,21 @@ def level(*objects: dict[str, object], **groups: object) -> set[str]:
     return {p.name for p in explain_scene(scene(*objects, **groups)) if p.runs and p.name.startswith("contact_")}
 
 
-def test_the_level_follows_the_object_unless_the_scene_says_otherwise() -> None:
+def test_the_level_follows_the_object_and_a_solver_that_does_not_converge_is_counted_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert level(CAN) == {"contact_winkler"}
     assert level(SPONGE) == {"contact_layer"}
     assert level(CAN, SPONGE) == {"contact_winkler", "contact_layer"}
     assert level(CAN, SPONGE, fidelity="layer") == {"contact_layer"}
+
+    def fail(*_: object) -> None:
+        raise ConvergenceError("elastic layer: no convergence")
+
+    monkeypatch.setitem(grip._SOLVERS, "layer", fail)
+    with pytest.raises(SimulationError, match=r"sponge: contact_layer: elastic layer: no convergence") as caught:
+        run(scene(SPONGE), "contacts")
+    assert caught.value.reason == "not_converged"
 
 
 def test_fingers_press_as_commanded_by_force_by_depth_and_each_by_itself() -> None:
@@ -45,13 +55,3 @@ def test_weight_loads_one_finger_more_and_too_much_of_it_falls() -> None:
     with pytest.raises(SimulationError, match=r"its weight slips through|opens a grip") as caught:
         list(Simulation(config).samples(1))
     assert caught.value.reason in {"falls", "contact"}
-
-
-def test_a_solver_that_does_not_converge_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise ConvergenceError("elastic layer: no convergence")
-
-    monkeypatch.setitem(grip._SOLVERS, "layer", fail)
-    with pytest.raises(SimulationError, match=r"sponge: contact_layer: elastic layer: no convergence") as caught:
-        run(scene(SPONGE), "contacts")
-    assert caught.value.reason == "not_converged"

@@ -24,7 +24,7 @@ def test_a_unit_mesh_is_closed_in_one_piece_and_fills_its_box() -> None:
     every_case(MEMBERS, check)
 
 
-def test_volumes_of_known_solids() -> None:
+def test_volumes_of_known_solids_and_members_of_the_family_differ_and_come_back() -> None:
     sphere = shapes._star_shaped(np.full(len(shapes._sphere_directions()), 0.05))
     assert sphere.volume() == pytest.approx(4.0 / 3.0 * np.pi * 0.05**3, rel=2e-3)
     half_disc = np.linspace(0.0, np.pi, 65)
@@ -33,9 +33,6 @@ def test_volumes_of_known_solids() -> None:
     box = shapes._rounded_box((0.1, 0.2, 0.3), 0.001)
     assert box.volume() == pytest.approx(0.006, rel=1e-3)
     np.testing.assert_allclose(box.extents, [0.1, 0.2, 0.3])
-
-
-def test_members_of_the_family_differ_and_come_back() -> None:
     volumes = {round(unit_mesh("random", k).volume(), 6) for k in range(12)}
     assert len(volumes) == 12
     unit_mesh.cache_clear()
