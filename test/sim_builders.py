@@ -17,7 +17,7 @@ SPONGE = {"name": "sponge", "shape": "sponge", "size_m": [0.07, 0.11, 0.05], "yo
 SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
 """Parameters of the hand node, for grasps that take less than a second."""
 EVERY_CAMERA_FAULT = {"z_step_m": 0.001, "noise": {}, "stereo": {}, "flying_pixels": {}, "holes": {}}
-EVERY_FINGER_EFFECT = {name: {} for name in ("timeline", "creep", "slip", "drift", "noise", "scan")} | {
+EVERY_FINGER_EFFECT = {name: {} for name in ("timeline", "creep", "slip", "vibration", "drift", "noise", "scan")} | {
     "dead": {"thumb": [3]}
 }
 

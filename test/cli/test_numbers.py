@@ -46,7 +46,7 @@ def test_a_number_that_cannot_be_used_is_refused_by_the_parser() -> None:
     every_case([(name, text) for name in options if name not in CHECKED_LATER for text in texts], check)
 
 
-def test_the_command_names_option_and_rule_in_one_line(call, capsys) -> None:
+def test_the_command_names_option_or_setting_and_rule_in_one_line(call, capsys, files) -> None:
     def check(words: str, message: str) -> None:
         with pytest.raises(SystemExit, match="2"):
             call(*words.split())
@@ -67,11 +67,9 @@ def test_the_command_names_option_and_rule_in_one_line(call, capsys) -> None:
     ]
     every_case(cases, check)
 
-
-def test_a_setting_is_refused_in_one_line(call, files) -> None:
-    def check(name: str, text: str) -> None:
+    def check_setting(name: str, text: str) -> None:
         command, option = name.split()
         call(command, files / "object.pcd", option, text).check_refused(CHECKED_LATER[name])
 
-    cases = {"grasp --tip-mm": ("nan", "-5", "0"), "grasp --count": ("-5", "0"), "grasp --slide-m": ("nan", "inf")}
-    every_case([(name, text) for name, texts in cases.items() for text in texts], check)
+    settings = {"grasp --tip-mm": ("nan", "-5", "0"), "grasp --count": ("-5", "0"), "grasp --slide-m": ("nan", "inf")}
+    every_case([(name, text) for name, texts in settings.items() for text in texts], check_setting)

@@ -142,7 +142,7 @@ def effect_cases() -> Cases:
             document: dict[str, Any] = values
             for word in reversed(name.split(".")):
                 document = {word: document}
-            if name in ("fingers.creep", "fingers.slip", "fingers.scan"):
+            if name in ("fingers.creep", "fingers.slip", "fingers.vibration", "fingers.scan"):
                 document["fingers"]["timeline"] = {}
             if name == "gravity":
                 document |= _can(mass_kg=0.1)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: the calendar, and what becomes of the sensors, against the settings that state it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,19 +10,36 @@ import pytest
 from sim_builders import CAN, SPONGE, run, scene
 
 from foretouch.errors import ConfigError, SimulationError
+from foretouch.learning.data import labels_of
+from foretouch.learning.evaluation.prequential import Recording, replay
+from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch.learning.training.tracker import fit_tracker
+from foretouch.models.tracker import SensorTracker
 from foretouch.simulation.campaign import Campaign, object_index
-from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
+from foretouch.simulation.disturbances import TDC_REST, TemperatureConfig, temperature_drift
 from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import CampaignConfig, SceneConfig, load_scene
-from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S
-from foretouch.simulation.simulate import Simulation, explain_scene, replay
+from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S, ThermistorConfig
+from foretouch.simulation.simulate import Simulation, explain_scene
+from foretouch.simulation.simulate import replay as made_again
 from foretouch.simulation.world import SampleKey, World
+from foretouch.tactile import tdc_of
 from foretouch.types import GraspSample
 
 SCENES = Path(__file__).parents[2] / "config" / "scenes"
 HELD = {"grasps": {"insertion_m": 0.01}}
 BOX = {"name": "box", "shape": "box", "size_m": [0.06, 0.09, 0.07]}
-EFFECTS = ("calendar", "exchange", "level", "level_drift", "warm_up", "level_shift", "tares")
+EFFECTS = (
+    "calendar",
+    "exchange",
+    "level",
+    "level_drift",
+    "warm_up",
+    "finger_temperature",
+    "fluid_loss",
+    "level_shift",
+    "tares",
+)
 QUIET = {"hand_counts": 0.0, "finger_counts": 0.0, "electrode_counts": 0.0, "pdc_counts": 0.0}
 NOW = np.zeros(1)
 
@@ -86,7 +104,7 @@ def test_objects_take_turns_by_visits_and_keep_their_surface() -> None:
     config = scene(CAN | still, BOX | still, campaign={"days": [0, 1, 2, 3], "objects": 2, "grasps": 1}, **HELD)
     slots = [slot for slot in range(8) if object_index(config, slot) == 1]
     assert {slot % 2 for slot in slots} == {0, 1}
-    assert len({replay(config, SampleKey(0, slot)).relief.tobytes() for slot in slots}) == 1
+    assert len({made_again(config, SampleKey(0, slot)).relief.tobytes() for slot in slots}) == 1
 
 
 def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:
@@ -155,6 +173,103 @@ def test_warm_up_decays_after_each_power_on() -> None:
     assert run(config, "campaign_time", slot=20).campaign_time.powered_s == POWER_ON_S  # cold again
 
 
+def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object() -> None:
+    thermistor = {"slope_spread": 0.1, "object_kelvin": [-2, -2]}
+    warm_up = {"body_kelvin": 0.8, "tdc": thermistor}
+    settings: dict[str, Any] = {"days": [0, 1], "objects": 1, "grasps": 2, "tares": "object"}
+    config, plain = (scene(CAN, campaign=settings | one, **HELD) for one in ({"warm_up": warm_up}, {}))
+    found = Campaign(config.campaign, config, World.of(config).fingers)  # type: ignore[arg-type]
+    slopes = found.slopes(ThermistorConfig.from_mapping(thermistor), 0)
+    np.testing.assert_allclose(slopes.mean(axis=1), [0.75, 0.65], atol=0.06)
+    np.testing.assert_allclose(slopes.std(), np.hypot(0.1, 0.05), rtol=0.3)
+    starts = []
+    for slot, (warm, cold) in enumerate(zip(made(config, 4), made(plain, 4), strict=True)):
+        assert not [name for name in cold.extra if "TDC" in name or "TAC" in name]
+        assert np.isfinite(tdc_of(warm.extra, "tare_")).all() == (warm.tare is not None) == (slot % 2 == 0)
+        change = tdc_of(warm.extra) - TDC_REST
+        pairs = ((warm.touch, cold.touch, ""), (warm.tare, cold.tare, "tare_"))
+        for touch, other, prefix in pairs[: 1 + (warm.tare is not None)]:
+            moved = touch.vector() - other.vector()  # type: ignore[union-attr]
+            expected = slopes * (tdc_of(warm.extra, prefix) - TDC_REST)[:, None]
+            np.testing.assert_allclose(moved[2:].reshape(2, -1), expected, atol=1.6)  # of rounded counts
+            np.testing.assert_array_equal(moved[:2], 0.0)  # PDC does not follow
+        if warm.tare is not None:
+            cooled = tdc_of(warm.extra) - tdc_of(warm.extra, "tare_")
+            np.testing.assert_allclose(cooled, -2.0 * 75.0 * (1.0 - np.exp(-1.0 / 20.0)), atol=1.0)
+            assert (warm.extra["tare_TAC_TH"], warm.extra["TAC_TH"]) == (2048.0, 2010.0)
+            starts.append(change)
+        elif slot == 1:
+            assert (change - starts[0] > 4.0).all()  # it warms on
+    assert np.ptp(starts, axis=0).min() > 5.0  # each session begins at another temperature
+
+
+def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
+    settings = {"days": [0, 1], "objects": 1, "grasps": 2, "warm_up": {"tdc": {"object_kelvin": [-2, -2]}}}
+    config, plain = (scene(CAN, campaign=one, **HELD) for one in (settings, {**settings, "warm_up": {}}))
+    hand = SimulatedHand(config)
+    assert hand.rest(3).shape == (3, 2, 29)
+    assert SimulatedHand(plain).rest(3).shape == (3, 2, 25)
+    rise = hand.rest(1, elapsed_s=600.0)[0, :, 28] - hand.rest(1)[0, :, 28]
+    np.testing.assert_allclose(rise, 75.0 * 3.0 * (1.0 - np.exp(-1.0)), atol=1.0)
+    grasp = hand.execute(run(config, "grasp", slot=0).grasp, 0)
+    tac, tdc = np.moveaxis(grasp.counts[..., 27:].astype(int), 2, 0)
+    assert grasp.contact is not None
+    assert not grasp.counts[..., 25:27].any()  # no vibration
+    assert (tac[: grasp.start] == 2048).all()
+    assert (tac[grasp.contact] < 2012).all()
+    assert (tdc[grasp.release] < tdc[0]).all()
+
+
+def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
+    """On a campaign that the tracker was not fitted to; without a temperature, nothing changes to the bit."""
+    days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}
+    warm_up = {"warm_up": {"tdc": {"session_kelvin": 2.0}}}
+
+    def recorded(seed: int, settings: dict[str, Any], mean: np.ndarray | None = None) -> Recording:
+        items = [CAN | {"name": f"can{k}", "size_m": [0.06 + 0.002 * k] * 2 + [0.1]} for k in range(8)]
+        samples = made(scene(*items, seed=seed, campaign=days | settings, **HELD), 80)
+        labels = labels_of(samples)
+        expected = np.tile(labels.mean(axis=0) if mean is None else mean, (len(labels), 1))
+        return Recording.of_samples(samples, labels, expected, labels[0]).ordered()
+
+    first = recorded(0, warm_up)
+    group = fit_group(HeldOutPredictions(first.expected, first.readings, first.objects, first.objects), new=True)
+    parameters = fit_tracker(first, group, group)
+    assert ((parameters.slope[2:] > 0.3) & (parameters.slope[2:] < 1.0)).all()
+    warm = recorded(1, warm_up, first.expected[0])
+    assert warm.tdc is not None
+    half = np.arange(len(warm.tdc))[:, None] >= len(warm.tdc) // 2
+    shown = {
+        "none": None,
+        "whole": warm.tdc,
+        "zeros": np.zeros_like(warm.tdc),
+        "stuck": np.tile(warm.tdc[:1], (len(warm.tdc), 1)),
+        "thumb only": warm.tdc * [1.0, np.nan],
+        "power cycle": warm.tdc + 900.0 * half,
+    }
+    played = {name: replay(SensorTracker(parameters), replace(warm, tdc=tdc)).counts for name, tdc in shown.items()}
+    first_touches = np.flatnonzero(warm.begins())[5:]
+
+    def errors(name: str) -> np.ndarray:
+        """(runs, 2) mean squared errors of the electrodes of both fingers before the first touch [counts²]."""
+        squared = (played[name] - warm.readings)[first_touches, 2:] ** 2
+        return squared.reshape(-1, 2, 24).mean(axis=2)
+
+    gain = errors("none") - errors("whole")
+    draws = gain[rng.integers(0, len(gain), (1000, len(gain)))].mean(axis=1)
+    assert (np.quantile(draws, 0.025, axis=0) > 0.0).all()
+    np.testing.assert_array_equal(played["zeros"], played["none"])
+    np.testing.assert_allclose(played["stuck"], played["none"], atol=0.5)
+    np.testing.assert_allclose(played["thumb only"][:, [0, *range(2, 26)]], played["whole"][:, [0, *range(2, 26)]])
+    np.testing.assert_allclose(played["thumb only"][:, 26:], played["none"][:, 26:], atol=0.5)
+    assert (errors("power cycle").mean(axis=0) < errors("none").mean(axis=0)).all()
+    cold = recorded(1, {}, first.expected[0])
+    without = replace(parameters, slope=np.zeros(50), slope_sd=np.zeros(50))
+    found, same = (replay(SensorTracker(one), cold) for one in (parameters, without))
+    np.testing.assert_array_equal(found.counts, same.counts)
+    np.testing.assert_array_equal(found.half, same.half)
+
+
 def test_an_exchange_changes_level_and_drift_once_and_of_one_finger() -> None:
     exchange = {"session": 2, "finger": "thumb", "electrode_counts": -150, "pdc_counts": 40}
     found = campaign(days=[0, 1, 2, 3, 4], objects=1, grasps=1, exchanges=[exchange])
@@ -170,6 +285,17 @@ def test_an_exchange_changes_level_and_drift_once_and_of_one_finger() -> None:
     np.testing.assert_array_equal(new[:, 0], kept[:, 0])  # the other finger goes on
     np.testing.assert_array_equal(new[0], kept[0])
     assert (new[1:, 1] != kept[1:, 1]).all()
+
+
+def test_liquid_leaves_a_fingertip_until_another_is_mounted() -> None:
+    loss = {"pdc_per_day": 2.0, "electrodes_per_day": 5.0}
+    settings = {"days": [0, 3, 10], "objects": 1, "grasps": 1, "fluid_loss": loss, "exchanges": [{"session": 1}]}
+    config = scene(CAN, campaign=settings, **HELD)
+    states = [run(config, "level", "campaign_time", slot=slot) for slot in range(3)]
+    days = np.array([[0.0, 0.0], [0.0, 3.0], [7.0, 10.0]]) + POWER_ON_S / 86400.0  # the thumb is exchanged
+    for state, mounted in zip(states, days, strict=True):
+        expected = -np.outer(mounted, [2.0, *[5.0] * 24])
+        np.testing.assert_allclose(state.level, np.broadcast_to(expected, (2, 2, 25)))
 
 
 def test_tare_and_touch_follow_the_state_and_samples_hold_the_true_rest_levels() -> None:

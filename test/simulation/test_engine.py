@@ -109,9 +109,11 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
     full = scene(*loaded, **common, clutter={}, gravity={}, fingers=EVERY_FINGER_EFFECT | {"sessions": {}})
     campaign = {"tares": "object", "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}], "days": [0, 1]}
     configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}}), scene(fidelity="hertz")]
+    configs.append(scene(campaign={"warm_up": {"tdc": {}}, "fluid_loss": {}}))
     ran = set()
     for config in configs:
         wanted = OUTPUTS if config.campaign is None else (*OUTPUTS, "campaign_time")
+        wanted += ("others",) if config is full else ()
         ran |= made_before_read(EFFECTS, config, wanted)
         engine = Engine(config, [watched(one) for one in EFFECTS], wanted)
         for slot in range(6):

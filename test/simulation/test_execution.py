@@ -9,6 +9,7 @@ from sim_builders import CAN, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
 from foretouch.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.simulate import Simulation
 from foretouch.types import Grasp
 
 TIMING = GraspTimingConfig(rest_s=0.4, approach_s=0.3, close_s=0.2, hold_s=0.5)
@@ -58,6 +59,26 @@ def test_the_sensor_adds_only_what_the_scene_calls_for_and_each_time_anew() -> N
     hold = first.counts[first.contact : first.release].mean(axis=0)
     clean = executed(quiet).counts[first.contact]
     np.testing.assert_allclose(hold, clean, atol=5 * 4.6 / np.sqrt(8))  # 0.5 s hold about eight independent values
+
+
+def test_pac_swings_at_first_touch_release_and_slip() -> None:
+    quiet, slipping = ({"timeline": {}, "vibration": {}, **one} for one in ({}, {"slip": {}}))
+    found = executed(scene(fingers=quiet))
+    assert found.onset is not None
+    assert found.contact is not None
+    assert found.release is not None
+    pac = found.counts[..., 25:27].astype(float) - 2048.0
+    swing = pac.reshape(len(pac), -1).std(axis=1)
+    assert swing[: found.onset].max() < 20.0 < swing[found.onset : found.onset + 3].max()
+    assert swing[found.contact + 20 : found.release].max() < 20.0 < swing[found.release :].max()
+    assert not found.counts[..., 27:].any()  # no temperature
+    moving = executed(scene(fingers=slipping)).counts[found.contact + 20 : found.release, :, 25:27]
+    assert moving.std() > 2.0 * pac[found.contact + 20 : found.release].std()
+    sample = next(iter(Simulation(scene(fingers=quiet)).samples(1)))
+    assert {name for name in sample.extra if "AC" in name} == {
+        f"{t}PAC{k}_{f}" for t in ("", "tare_") for k in (0, 1) for f in ("TH", "MF")
+    }
+    assert not executed(scene(), repeat=1).counts[..., 25:].size
 
 
 def test_resting_fingers_are_as_noisy_as_real_ones() -> None:

@@ -25,7 +25,9 @@ from foretouch.simulation.scene.campaign import (
     CampaignConfig,
     DriftTermConfig,
     ExchangeConfig,
+    ThermistorConfig,
 )
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import ELECTRODES, Float64
@@ -86,6 +88,28 @@ class Campaign:
         """Thumb and middle finger as they are mounted in a session."""
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
+
+    def mounted_days(self, now: CampaignTime) -> Float64:
+        """(2,) time since both fingertips were mounted [days]."""
+        changes = (
+            [each.session for each in self._exchanges(finger) if each.session <= now.session] for finger in (0, 1)
+        )
+        return now.time_s / DAY_S - np.array([self.config.days[max(sessions, default=0)] for sessions in changes])
+
+    def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[Float64, float]:
+        """(2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
+        shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
+        rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
+        start = config.session_kelvin * shared + config.finger_kelvin * np.array(own)
+        return start, draw(rng, config.object_kelvin)
+
+    def slopes(self, config: ThermistorConfig, session: int) -> Float64:
+        """(2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""
+        drawn = []
+        for finger, (name, mean) in enumerate(zip(_FINGERS, (config.slope_th, config.slope_mf), strict=True)):
+            rng = SampleKey(self.scene.seed, self._exchanges_before(finger, session)).stream(f"slopes of the {name}")
+            drawn.append(mean + config.slope_spread * rng.standard_normal(ELECTRODES))
+        return np.array(drawn)
 
     def drift(self, now: CampaignTime, times_s: Float64, load: Float64) -> Float64:
         """(T, 2, 25) float64 [counts]: how far PDC and electrodes of both fingers have drifted.

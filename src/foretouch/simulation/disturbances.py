@@ -22,6 +22,13 @@ _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring 
 PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
 ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
+TDC_PER_KELVIN: Final = 75.0  # [counts/K]; slope of the converter's curve between 2350 and 2700, where recordings are
+TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; an order of magnitude: recorded TAC varies by tens of counts
+VIBRATION_S: Final = 0.03  # time in which a vibration of the skin falls to 1/e
+PAC_REST: Final = 2048.0  # PAC of a still fingertip
+TAC_REST: Final = 2048.0  # TAC at a steady temperature
+TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded
+
 WANDER_COUNTS: Final = 1.9  # standard deviation of the slow fluctuation of an electrode
 WANDER_S: Final = 0.4  # time in which its correlation falls to 1/e
 
@@ -81,6 +88,14 @@ def scan(series: Float64, rng: np.random.Generator) -> Float64:
     return np.asarray(np.take_along_axis(series, np.maximum.accumulate(sampled, axis=0), axis=0))
 
 
+@dataclass(frozen=True, kw_only=True)
+class CreepConfig(Settings):
+    """The skin relaxes under load within seconds; with a slow share, a part of the response comes later still."""
+
+    slow_share: float = setting(0.0, "Part of the response that comes later still", minimum=0.0, maximum=0.9)
+    slow_s: float = setting(30.0, "Time constant of that part", unit="s", minimum=0.1, maximum=1e5)
+
+
 def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:
     """The skin as a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
 
@@ -96,10 +111,14 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
     return result
 
 
+def warming(config: TemperatureConfig, times_s: Float64) -> Float64:
+    """(T,) float64: rise of the liquid's temperature [K] at times since power-on [s]."""
+    return np.asarray(config.body_kelvin * -np.expm1(-times_s / config.warming_s))
+
+
 def temperature_drift(config: TemperatureConfig, times_s: Float64) -> Float64:
     """(T, 25) float64: drift of PDC and electrodes [counts] at times (T,) since power-on [s]."""
-    kelvin = config.body_kelvin * -np.expm1(-times_s / config.warming_s)
-    return np.outer(kelvin, [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
+    return np.outer(warming(config, times_s), [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
 
 
 def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "low") -> Float64:

@@ -55,6 +55,8 @@ class SampleState:
     load: Float64  # (T,), 0 without contact and 1 in full contact
     hold_row: int  # the message that is the touch; the tare is the median of those before the first load
     level: Float64  # (T, 2, 25) [counts], how far the readings have drifted in the course of the campaign
+    others: Float64  # (T, 2, 4) [counts], PAC0, PAC1, TAC and TDC of both fingers, not rounded; 0 if not simulated
+    slid: Float64  # (T,) [m], how far the object has slid
     series: Float64  # (T, 2, 25) [counts], with what the sensor adds
     touch: Touch  # readings in contact [counts]
     tare: Touch | None  # readings before contact [counts]; None where no tare is recorded

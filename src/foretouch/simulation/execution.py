@@ -52,7 +52,7 @@ class GraspTimingConfig(TimelineConfig):
 class GraspTrajectory:
     """One executed grasp."""
 
-    counts: Counts  # (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them
+    counts: Counts  # (T, 2, 25 or 29) int16: thumb and middle finger, PDC, electrodes and, if simulated, the others
     start: int  # row at which the hand starts to close
     onset: int | None  # row of first touch; None where a finger never touches
     contact: int | None  # row from which on contact is steady; None likewise
@@ -104,10 +104,12 @@ class SimulatedHand:
             for e in EFFECTS
             if e.name not in _NOT_LIVE
         ]
-        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts"))
-        at_rest = Effect("rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load"))
+        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts", "others"))
+        at_rest = Effect(
+            "rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load", "slid")
+        )
         effects = [at_rest if e.name == "moments" else e for e in effects if e.name not in _NOT_AT_REST]
-        self._resting = Engine(self.scene, effects, ("series",))
+        self._resting = Engine(self.scene, effects, ("series", "others"))
 
     def execute(self, grasp: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
         """Take an object.
@@ -135,7 +137,7 @@ class SimulatedHand:
         steady = np.flatnonzero(state.load == 1.0)
         midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
         return GraspTrajectory(
-            counts=quantise(state.series).astype(np.int16),
+            counts=_counts(state),
             start=start,
             onset=int(np.argmax(state.load > 0.0)),
             contact=int(steady[0]),
@@ -146,9 +148,9 @@ class SimulatedHand:
         )
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
-        """(rows, 2, 25) int16: what both fingertips send while nothing touches them; arguments as of `execute`."""
+        """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
         self._idle_rows, self._elapsed_s = rows, elapsed_s
-        return quantise(self._resting.run(self._key(0, repeat)).series).astype(np.int16)
+        return _counts(self._resting.run(self._key(0, repeat)))
 
     def _key(self, slot: int, repeat: int) -> SampleKey:
         return SampleKey(self.scene.seed, slot, 0, repeat)
@@ -164,7 +166,7 @@ class SimulatedHand:
         low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
         state.series = np.repeat(low[None], self._idle_rows, axis=0)
         state.times = np.arange(self._idle_rows) / self.config.rate_hz
-        state.load = np.zeros(self._idle_rows)
+        state.load, state.slid = np.zeros((2, self._idle_rows))
 
     def _calendar(self, job: Job, state: SampleState) -> None:
         """The campaign passes with the time since the hand was switched on."""
@@ -193,7 +195,7 @@ class RestingFingers:
         self._next = 0
 
     def read(self, elapsed_s: float) -> Counts:
-        """(2, 25) int16 counts: thumb and middle finger, PDC then electrodes.
+        """Counts of thumb and middle finger, a row of `GraspTrajectory.counts`.
 
         Args:
             elapsed_s: Time since the hand was switched on [s].
@@ -203,6 +205,11 @@ class RestingFingers:
             self._repeat += 1
         self._next += 1
         return np.asarray(self._rows[self._next - 1], np.int16)
+
+
+def _counts(state: SampleState) -> Counts:
+    series = np.concatenate([state.series, state.others], axis=2) if hasattr(state, "others") else state.series
+    return quantise(series).astype(np.int16)
 
 
 def _achieved(fingers: tuple[ContactFrame, ContactFrame], grasp: Grasp, world: World) -> tuple[Float64, Float64]:

@@ -22,8 +22,10 @@ from foretouch.simulation.campaign import object_index
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine
+from foretouch.simulation.fingertip import quantise
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import ELECTRODES, GraspSample
 
 #: The keys of the state that every sample is made of.
@@ -60,7 +62,7 @@ class Simulation:
         """The first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
-        takes, and targets and contacts of both fingers.
+        takes, targets and contacts of both fingers, and PAC, TAC and TDC where the scene calls for them.
 
         Args:
             count: How many.
@@ -100,7 +102,7 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
 
 
 def _engine_of(scene: SceneConfig) -> Engine:
-    return Engine(scene, EFFECTS, SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time"))
+    return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
 
 
 # Samples, time by effect, failures, and whether they end with a slot that is given up.
@@ -140,6 +142,8 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
     if scene.campaign is not None:
         extra |= _campaign_values(state)
+    if hasattr(state, "others"):
+        extra |= _other_values(state)
     return GraspSample(
         id=f"{item.name}/{key.slot:06d}",
         object=item.name,
@@ -161,6 +165,20 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
         values[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
         values[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
     return values
+
+
+def _other_values(state: SampleState) -> dict[str, float]:
+    """PAC, TAC and TDC in contact as far as they are simulated, and those of the tare with `tare_` [counts]."""
+    rows = {"": state.others[state.hold_row]}
+    if state.tare is not None:
+        rows["tare_"] = np.median(state.others[: int(np.argmax(state.load > 0.0))], axis=0)
+    simulated = np.flatnonzero(state.others.any(axis=(0, 1)))
+    return {
+        f"{prefix}{OTHERS[k]}_{finger}": float(counts[k])
+        for prefix, row in rows.items()
+        for finger, counts in zip(FINGERS, quantise(row), strict=True)
+        for k in simulated
+    }
 
 
 def _given_up(failures: list[Failure]) -> SimulationError:

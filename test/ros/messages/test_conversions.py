@@ -206,6 +206,9 @@ def test_tactile_messages_hold_each_finger_at_its_index_and_a_missing_package_is
     assert [list(one.electrodes[:2]) for one in sent.tactiles] == [[101, 102], [0, 0], [0, 0], [0, 0], [1, 2]]
     for name in FINGER_ORDER:
         np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
+    assert {(one.tac, one.tdc) for one in sent.tactiles} == {(0, 0)}
+    warm = biotac_all_to_msg({"TH": np.arange(29, dtype=np.int16)}, "hand", 1_763_000_000_000_000_000).tactiles[-1]
+    assert (len(warm.electrodes), warm.pac0, warm.pac1, warm.tac, warm.tdc) == (24, 25, 26, 27, 28)
     assert tactile_class("std_msgs/String") is String
     with pytest.raises(MissingDependencyError, match="sr_robot_msgs is not installed"):
         tactile_class("sr_robot_msgs/BiotacAll")

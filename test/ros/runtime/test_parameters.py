@@ -60,7 +60,7 @@ def test_a_valid_change_is_accepted_and_passed_on_as_a_whole(node):
     assert settings.value.target.mode == "point"
 
 
-def test_an_invalid_change_is_refused_with_the_reason_and_changes_nothing(node):
+def test_an_invalid_change_is_refused_and_changes_nothing_and_an_invalid_value_at_the_start_is_named(node):
     settings = NodeSettings(node, Outer)
     before = settings.value
 
@@ -84,9 +84,6 @@ def test_an_invalid_change_is_refused_with_the_reason_and_changes_nothing(node):
     both = [Parameter("speed", value=2.0), Parameter("word", value="c")]
     assert not node.set_parameters_atomically(both).successful
     assert (settings.value.speed, node.get_parameter("speed").value) == (1.0, 1.0)
-
-
-def test_an_invalid_value_at_the_start_is_named_in_one_line(graph):
     for name, value in (("speed", -1.0), ("word", "c"), ("speed", "fast")):
         node = Node("starter", parameter_overrides=[Parameter(name, value=value)])
         with pytest.raises(ConfigError, match=name) as caught:

@@ -64,6 +64,12 @@ def test_creep_comes_late() -> None:
     assert held[0] > held[100] > held[-1]  # goes on falling
     assert held[-1] == pytest.approx(touched[0, e], abs=0.02 * (rest[0, e] - touched[0, e]))
     assert state.series[-1, 0, e] < rest[0, e]  # and leaves a trace
+    slow = {"slow_share": 0.2, "slow_s": 10.0}
+    slower = run(scene(fingers={"timeline": {"hold_s": 6.0}, "creep": slow}, **HELD), *SERIES).series
+    later = state.series[state.load == 1.0][-1, 0, e] - slower[state.load == 1.0][-1, 0, e]
+    span = touched[0, e] - rest[0, e]
+    assert later == pytest.approx(0.2 * np.exp(-6.1 / 10.0) * span, rel=0.05)  # what has not come yet
+    assert abs(slower[-1, 0, e] - rest[0, e]) > 2.0 * abs(state.series[-1, 0, e] - rest[0, e])
 
 
 def test_slip_moves_the_touch_only_while_held() -> None:

@@ -16,7 +16,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.tactile.messages import TactileConfig
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER, OTHERS
 from foretouch.topics import TACTILE_TOPIC
 from foretouch.types import ELECTRODES
 from foretouch_msgs.msg import Biotac, BiotacAll
@@ -35,14 +35,18 @@ class TactileInput(Settings):
 
 
 def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds: int) -> BiotacAll:
-    """A message of all five fingers with a frame and a stamp [ns]; vibration and temperature are not simulated and are 0.
+    """A message of all five fingers with a frame and a stamp [ns].
 
-    `fingers` holds (25,) int16 counts by finger, PDC then electrodes. An absent finger sends zeros, as one without a BioTac
-    does.
+    `fingers` holds (25,) int16 counts by finger, PDC then electrodes, or (29,) with PAC0, PAC1, TAC and TDC, which are
+    0 otherwise. An absent finger sends zeros, as one without a BioTac does.
     """
     # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
     tactiles = [
-        Biotac(pdc=int(counts[0]), electrodes=array.array("h", counts[1:].tobytes()))
+        Biotac(
+            pdc=int(counts[0]),
+            electrodes=array.array("h", counts[1 : 1 + ELECTRODES].tobytes()),
+            **{name.lower(): int(value) for name, value in zip(OTHERS, counts[1 + ELECTRODES :], strict=False)},
+        )
         for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER)
     ]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)

@@ -273,7 +273,7 @@ class HandNode(ForetouchNode[HandConfig]):
             self._finish(current, start_ns + current.first * period_ns, period_ns)
 
     def _fingers(self, number: int) -> dict[str, Any]:
-        """(25,) counts of each finger that has a BioTac."""
+        """Counts of each finger that has a BioTac, as `biotac_all_to_msg` takes them."""
         if self._current is None and self._ready is not None:
             self._current, self._ready = replace(self._ready, first=number), None
         elapsed_s = time.monotonic() - self._began

@@ -4,10 +4,22 @@
 import numpy as np
 
 from foretouch.simulation.campaign import Campaign
-from foretouch.simulation.disturbances import TemperatureConfig, temperature_drift
+from foretouch.simulation.disturbances import (
+    TAC_PER_KELVIN_S,
+    TAC_REST,
+    TDC_PER_KELVIN,
+    TDC_REST,
+    TemperatureConfig,
+    creep,
+    temperature_drift,
+    warming,
+)
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.scene import CampaignConfig, DriftTermConfig, ExchangeConfig, ObjectConfig, SceneConfig
+from foretouch.simulation.scene.campaign import FluidLossConfig, ThermistorConfig
 from foretouch.types import ELECTRODES
+
+_CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
 
 
 def _campaign(job: Job) -> Campaign:
@@ -32,9 +44,32 @@ def _drift(job: Job, state: SampleState) -> None:
 
 
 def _warm_up(job: Job, state: SampleState) -> None:
-    config: TemperatureConfig = job.settings
-    now = state.campaign_time
+    config, now = _campaign(job).config.warm_up, state.campaign_time
+    assert config is not None  # noqa: S101  # which calls for it
     state.level += temperature_drift(config, now.powered_s + now.speed * state.times)[:, None]
+
+
+def _finger_temperature(job: Job, state: SampleState) -> None:
+    """Fingers warm on, and approach the temperature of an object as long as they touch it."""
+    config: ThermistorConfig = job.settings
+    campaign, now, timeline = _campaign(job), state.campaign_time, job.scene.fingers.timeline
+    warm_up = campaign.config.warm_up
+    assert warm_up is not None  # noqa: S101  # it holds the settings
+    start_k, object_k = campaign.kelvin(config, now.session, job.key.slot // campaign.config.grasps)
+    rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
+    cooled = creep(state.load, rate_hz, share=1.0, time_s=config.contact_s)
+    common_k = warming(warm_up, now.powered_s + now.speed * state.times) + object_k * cooled
+    change = TDC_PER_KELVIN * (common_k[:, None] + start_k)  # (T, 2)
+    flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / config.contact_s
+    tac = np.broadcast_to((TAC_REST + flow)[:, None], change.shape)
+    state.others[..., 2:] = np.stack([tac, change + TDC_REST], axis=2)
+    state.level[..., 1:] += change[..., None] * campaign.slopes(config, now.session)
+
+
+def _fluid_loss(job: Job, state: SampleState) -> None:
+    config: FluidLossConfig = job.settings
+    fall = np.array([config.pdc_per_day, *[config.electrodes_per_day] * ELECTRODES])
+    state.level -= np.outer(_campaign(job).mounted_days(state.campaign_time), fall)
 
 
 def _shift(_job: Job, state: SampleState) -> None:
@@ -70,8 +105,14 @@ def _warm_up_detail(config: TemperatureConfig) -> str:
     return f"{config.warming_s:g} s after each power-on"
 
 
+def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
+    config = scene.campaign.warm_up if scene.campaign else None
+    return None if config is None or config.tdc else f"campaign.warm_up: {_warm_up_detail(config)}"
+
+
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    return _DRIFT.reason(scene, item) or _WARM_UP.reason(scene, item)
+    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, FINGER_TEMPERATURE, _FLUID_LOSS))
+    return next(filter(None, reasons), None)
 
 
 def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
@@ -79,7 +120,7 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     return None if kept == "grasp" else f"campaign.tares: {kept}"
 
 
-_NO_DRIFT = "no campaign.drift or campaign.warm_up"
+_NO_DRIFT = "no campaign.drift, campaign.warm_up or campaign.fluid_loss"
 
 _DRIFT = Effect(
     "level_drift",
@@ -92,10 +133,20 @@ _DRIFT = Effect(
 _WARM_UP = Effect(
     "warm_up",
     _warm_up,
-    "campaign.warm_up",
+    _warms_up,
     reads=("campaign_time", "times", "level"),
     writes=("level",),
-    detail=_warm_up_detail,
+    off="no campaign.warm_up, or finger_temperature holds it",
+)
+FINGER_TEMPERATURE = Effect(
+    "finger_temperature",
+    _finger_temperature,
+    "campaign.warm_up.tdc",
+    reads=("campaign_time", "times", "load", "level", "others"),
+    writes=("others", "level"),
+)
+_FLUID_LOSS = Effect(
+    "fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=("campaign_time", "level"), writes=("level",)
 )
 
 #: Which sensors are mounted.
@@ -116,6 +167,8 @@ DRIFT = (
     Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
     _DRIFT,
     _WARM_UP,
+    FINGER_TEMPERATURE,
+    _FLUID_LOSS,
     Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
 )
 

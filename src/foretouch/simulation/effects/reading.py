@@ -7,8 +7,11 @@ import numpy as np
 
 from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
 from foretouch.simulation.disturbances import (
+    PAC_REST,
+    VIBRATION_S,
     WANDER_COUNTS,
     WANDER_S,
+    CreepConfig,
     NoiseConfig,
     creep,
     mask_dead_electrodes,
@@ -22,8 +25,10 @@ from foretouch.simulation.effects import campaign
 from foretouch.simulation.effects.approach import pad_of, surface_behind
 from foretouch.simulation.effects.contact import command_of, contact_problem
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
-from foretouch.simulation.scene import DeadConfig, DriftConfig, TimelineConfig, draw
+from foretouch.simulation.scene import DeadConfig, DriftConfig, ObjectConfig, SceneConfig, TimelineConfig, draw
+from foretouch.simulation.scene.fingers import VibrationConfig
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile.messages.biotac_all import OTHERS
 from foretouch.types import ELECTRODES, Float64, Touch
 
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -63,7 +68,7 @@ def _timeline(job: Job, state: SampleState) -> None:
     rest, close, hold = (max(1, round(s * config.rate_hz)) for s in (config.rest_s, config.close_s, config.hold_s))
     ramp = np.arange(1, close) / close
     state.load = np.concatenate([np.zeros(rest), ramp, np.ones(hold), ramp[::-1], np.zeros(rest)])
-    state.times = np.arange(len(state.load)) / config.rate_hz
+    state.times, state.slid = np.arange(len(state.load)) / config.rate_hz, np.zeros(len(state.load))
     state.hold_row = rest + len(ramp) + hold - 1
     low, high = state.readings
     state.series = low + state.load[:, None, None] * (high - low)
@@ -82,6 +87,7 @@ def _slip(job: Job, state: SampleState) -> None:
     """
     in_hold = state.load == 1.0
     path = slip_path(int(np.count_nonzero(in_hold)), _rate_hz(job), job.rng())
+    state.slid[in_hold] = path
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
@@ -100,8 +106,33 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
     return _reading(job, state.sensors[k], window, contact)
 
 
+def _others(_job: Job, state: SampleState) -> None:
+    state.others = np.zeros((len(state.times), 2, len(OTHERS)))
+
+
+def _needs_others(scene: SceneConfig, item: ObjectConfig) -> str | None:
+    return _VIBRATION.reason(scene, item) or campaign.FINGER_TEMPERATURE.reason(scene, item)
+
+
+def _vibration(job: Job, state: SampleState) -> None:
+    """First touch and release shake a fingertip, and so does each slip; the skin damps it."""
+    config: VibrationConfig = job.settings
+    edges = np.diff(state.load > 0.0, prepend=False)
+    slips_m = np.maximum(np.diff(state.slid, prepend=0.0), 0.0)
+    struck = config.contact_counts * edges + 1e3 * config.slip_counts_mm * slips_m
+    kept = np.exp(-1.0 / (_rate_hz(job) * VIBRATION_S))
+    rng, swing = job.rng(), 0.0
+    for row, blow in zip(state.others, struck, strict=True):
+        swing = max(kept * swing, float(blow))
+        row[:, :2] = PAC_REST + np.hypot(config.noise_counts, swing) * rng.standard_normal((2, 2))
+
+
 def _creep(job: Job, state: SampleState) -> None:
-    state.series = creep(state.series, _rate_hz(job))
+    config: CreepConfig = job.settings
+    late = creep(state.series, _rate_hz(job))
+    if config.slow_share > 0.0:
+        late += creep(state.series, _rate_hz(job), share=config.slow_share, time_s=config.slow_s) - state.series
+    state.series = late
 
 
 def _drift(job: Job, state: SampleState) -> None:
@@ -160,6 +191,9 @@ def _touch(counts: Float64) -> Touch:
 
 _TIMED = ("times", "load", "hold_row", "series")
 _SERIES = ("series",)
+_VIBRATION = Effect(
+    "vibration", _vibration, "fingers.vibration", reads=("load", "slid", "others"), writes=("others",), again=True
+)
 
 EFFECTS = (
     Effect("sensors", _mounted, "fingers", writes=("sensors",)),
@@ -173,16 +207,18 @@ EFFECTS = (
         writes=_TIMED,
         off="fingers.timeline makes them",
     ),
-    Effect("timeline", _timeline, "fingers.timeline", reads=("readings",), writes=_TIMED),
+    Effect("timeline", _timeline, "fingers.timeline", reads=("readings",), writes=(*_TIMED, "slid")),
+    Effect("other_channels", _others, _needs_others, reads=("times",), writes=("others",), off="no PAC, TAC or TDC"),
     *campaign.DRIFT,
     Effect(
         "slip",
         _slip,
         "fingers.slip",
-        reads=("sensors", "readings", "bodies", "touches", "pads", "targets", "load", "series"),
-        writes=_SERIES,
+        reads=("sensors", "readings", "bodies", "touches", "pads", "targets", "load", "series", "slid"),
+        writes=("series", "slid"),
         again=True,
     ),
+    _VIBRATION,
     Effect("creep", _creep, "fingers.creep", reads=_SERIES, writes=_SERIES),
     Effect("drift", _drift, "fingers.drift", reads=("times", "load", "series"), writes=_SERIES, again=True),
     Effect("sessions", _sessions, "fingers.sessions", reads=_SERIES, writes=_SERIES),

@@ -7,6 +7,7 @@ from typing import Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.disturbances import TemperatureConfig
+from foretouch.simulation.scene.ranges import RangedSettings
 
 DAY_S: Final = 86400.0
 POWER_ON_S: Final = 120.0  # from power-on to the first grasp
@@ -61,6 +62,65 @@ class ExchangeConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ThermistorConfig(RangedSettings):
+    """The temperature of each finger, which its sensor sends as TDC and TAC, and which its electrodes follow.
+
+    Slopes are those of the public recordings within a session. Sessions differ by more than the recorded ones (.65 K),
+    and the cooling in contact is an assumption within the differences of TDC between grasps (docs/scenes.md).
+    """
+
+    session_kelvin: float = setting(
+        1.0, "Standard deviation of the temperature at power-on between sessions", unit="K", minimum=0.0, maximum=50.0
+    )
+    finger_kelvin: float = setting(0.2, "The same of each finger on its own", unit="K", minimum=0.0, maximum=50.0)
+    object_kelvin: tuple[float, ...] = setting(
+        (-3.0, 0.0),
+        "Temperature of an object minus that of the fingers, low and high",
+        unit="K",
+        minimum=-50.0,
+        maximum=50.0,
+    )
+    contact_s: float = setting(
+        20.0,
+        "Time constant with which a finger in contact takes the temperature of the object",
+        unit="s",
+        minimum=0.1,
+        maximum=1e6,
+    )
+    slope_th: float = setting(
+        0.75, "Mean of the thumb's electrode counts per count of TDC", minimum=-10.0, maximum=10.0
+    )
+    slope_mf: float = setting(
+        0.65, "Mean of the middle finger's electrode counts per count of TDC", minimum=-10.0, maximum=10.0
+    )
+    slope_spread: float = setting(
+        0.15, "Standard deviation of these slopes between electrodes", minimum=0.0, maximum=10.0
+    )
+
+    RANGES = ("object_kelvin",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmUpConfig(TemperatureConfig):
+    """Warming after each power-on; with `tdc`, the electrodes follow TDC, and PDC does not, as in the recordings."""
+
+    tdc: ThermistorConfig | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FluidLossConfig(Settings):
+    """Liquid leaves a fingertip once it is mounted: its pressure falls, and the skin comes closer to the core.
+
+    The defaults are assumptions, not measurements.
+    """
+
+    pdc_per_day: float = setting(1.0, "Fall of PDC at rest", unit="counts/day", minimum=0.0, maximum=100.0)
+    electrodes_per_day: float = setting(
+        2.0, "Fall of the electrodes at rest", unit="counts/day", minimum=0.0, maximum=100.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class CampaignConfig(Settings):
     """When grasps are executed, and what the sensors do in the course of the campaign.
 
@@ -88,7 +148,8 @@ class CampaignConfig(Settings):
         minimum=0.0,
         maximum=1e6,
     )
-    warm_up: TemperatureConfig | None = None
+    warm_up: WarmUpConfig | None = None
+    fluid_loss: FluidLossConfig | None = None
     drift: tuple[DriftTermConfig, ...] = field(default=())
     exchanges: tuple[ExchangeConfig, ...] = field(default=())
 

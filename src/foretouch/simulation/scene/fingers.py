@@ -7,7 +7,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig
 from foretouch.simulation.contact import PadConfig
-from foretouch.simulation.disturbances import NoiseConfig, TemperatureConfig
+from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
 from foretouch.simulation.scene.ranges import RangedSettings, Switch
 
@@ -82,11 +82,25 @@ class DeadConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class VibrationConfig(Settings):
+    """PAC swings at first touch, release and slip; the defaults are assumptions, not measurements."""
+
+    noise_counts: float = setting(
+        5.0, "Standard deviation of PAC of a still fingertip", unit="counts", minimum=0.0, maximum=500.0
+    )
+    contact_counts: float = setting(
+        200.0, "Standard deviation of PAC at first touch and at release", unit="counts", minimum=0.0, maximum=2000.0
+    )
+    slip_counts_mm: float = setting(
+        200.0, "Standard deviation of PAC per slip of 1 mm", unit="counts/mm", minimum=0.0, maximum=1e4
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class FingersConfig(Settings):
     """Both fingers. What is absent is off.
 
     Attributes:
-        creep: The skin relaxes under load.
         slip: The object slides over the skin during the hold.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
         scan: Electrodes are sampled one after the other, so that a message repeats about eight of them.
@@ -101,8 +115,9 @@ class FingersConfig(Settings):
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
     timeline: TimelineConfig | None = None
-    creep: Switch | None = None
+    creep: CreepConfig | None = None
     slip: Switch | None = None
+    vibration: VibrationConfig | None = None
     drift: DriftConfig | None = None
     sessions: Switch | None = None
     noise: NoiseConfig | None = None
@@ -111,7 +126,7 @@ class FingersConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("creep", "slip", "scan"):
+        for name in ("creep", "slip", "vibration", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
                 raise ConfigError(f"FingersConfig.{name}: acts over time, but there is no timeline; give one")
 

@@ -72,7 +72,14 @@ _CONSTANTS: Final[dict[str, Any]] = {
     },
 }
 # Settings that do not count at these values.
-_OFF: Final = {"campaign": None, "sessions": None, "method": "original", "first_variant": 0, "file_sha256": ""}
+_OFF: Final = {
+    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration")),
+    "method": "original",
+    "first_variant": 0,
+    "file_sha256": "",
+    "slow_share": 0.0,
+    "slow_s": 30.0,
+}
 
 
 def scene_hash(settings: dict[str, Any]) -> str:

@@ -13,7 +13,7 @@ from foretouch.types import ELECTRODES, Float32
 FINGERS: Final = ("TH", "MF")
 FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")  # order of the fingers in `tactiles`
 
-_OTHERS: Final = ("PAC0", "PAC1", "TAC", "TDC")
+OTHERS: Final = ("PAC0", "PAC1", "TAC", "TDC")
 
 
 def finger_counts(message: Any, finger: str) -> Float32:
@@ -26,7 +26,7 @@ def make_reader(config: TactileConfig) -> TactileReader:
     """The decoder for the chosen fingers (raises `ConfigError` for names that are none of `FINGER_ORDER`)."""
     names = zip(config.fingers, ("thumb", "middle"), strict=True)
     fingers = tuple(FINGER_ORDER[named_index(name, FINGER_ORDER, which)] for name, which in names)
-    others = tuple(f"{channel}_{finger}" for finger in FINGERS for channel in _OTHERS)
+    others = tuple(f"{channel}_{finger}" for finger in FINGERS for channel in OTHERS)
     return TactileReader(partial(_read, fingers=fingers), others)
 
 
@@ -36,6 +36,6 @@ def _read(message: Any, fingers: tuple[str, ...]) -> TactileReading:
         if len(counts) != 1 + ELECTRODES:
             raise TactileError(f"{finger}: {len(counts) - 1} electrodes, a BioTac SP has {ELECTRODES}")
     tactiles = [message.tactiles[FINGER_ORDER.index(finger)] for finger in fingers]
-    others = np.array([getattr(one, name.lower()) for one in tactiles for name in _OTHERS], np.float32)
+    others = np.array([getattr(one, name.lower()) for one in tactiles for name in OTHERS], np.float32)
     counts = np.concatenate([thumb[:1], middle[:1], thumb[1:], middle[1:]])
     return TactileReading(stamp_ns(message.header.stamp), counts, others)
