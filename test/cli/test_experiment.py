@@ -53,9 +53,7 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
     assert "are finished" not in summary.read_text()
 
 
-def test_what_is_wrong_is_told_in_one_line_and_another_experiment_s_folder_is_not_redrawn(
-    call, tmp_path, numbers, monkeypatch
-) -> None:
+def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_path, numbers, monkeypatch) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]
     assert "'phrenology' is none of prequential, cross_validation" in call("experiment", "phrenology", *out).err
