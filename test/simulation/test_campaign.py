@@ -195,7 +195,6 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
     np.testing.assert_allclose(rise, 75.0 * 3.0 * (1.0 - np.exp(-1.0)), atol=1.0)
     grasp = hand.execute(run(config, "grasp", slot=0).grasp, 0)
     tac, tdc = np.moveaxis(grasp.counts[..., 27:].astype(int), 2, 0)
-    assert grasp.contact is not None
     assert not grasp.counts[..., 25:27].any()  # no vibration
     assert (tac[: grasp.start] == 2048).all()
     assert (tac[grasp.contact] < 2012).all()
@@ -219,7 +218,6 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     parameters = fit_tracker(first, group, group)
     assert ((parameters.slope[2:] > 0.3) & (parameters.slope[2:] < 1.0)).all()
     warm = recorded(1, warm_up, first.expected[0])
-    assert warm.tdc is not None
     half = np.arange(len(warm.tdc))[:, None] >= len(warm.tdc) // 2
     shown = {
         "none": None,
@@ -287,7 +285,6 @@ def test_tare_and_touch_follow_the_state_and_samples_hold_the_true_rest_levels()
     for slot, sample in enumerate(made(config, 4)):
         state = run(config, "series", "readings", "level", "tare", "touch", slot=slot)
         np.testing.assert_allclose(state.series - state.readings, state.level)
-        assert state.tare is not None
         tare = np.array([np.append(state.tare.pdc_th, state.tare.e_th), np.append(state.tare.pdc_mf, state.tare.e_mf)])
         np.testing.assert_array_equal(tare, np.clip(np.rint(state.series[0]), 0, 4095))
         assert np.abs(state.level).min() > 0.0
@@ -322,7 +319,6 @@ def test_a_live_hand_passes_through_the_campaign_by_its_clock() -> None:
 def test_the_committed_campaign_is_long_and_shares_no_object_with_the_unseen_ones() -> None:
     """Its effects are reported with what calls for them."""
     config, unseen = load_scene(SCENES / "campaign.yaml"), load_scene(SCENES / "unseen_objects.yaml")
-    assert config.campaign is not None
     assert {object_index(config, slot) for slot in range(config.campaign.size)} == set(range(36))
     assert not {item.size_m for item in config.objects} & {item.size_m for item in unseen.objects}
     reasons = {plan.name: plan.reason for plan in explain_scene(config) if plan.runs}
