@@ -11,51 +11,29 @@ from typing import NamedTuple
 import pytest
 
 
-class LaunchContext:
-    def __init__(self) -> None:
-        self.launch_configurations: dict[str, str] = {}
-
-
 class LaunchConfiguration(NamedTuple):
     name: str
 
-    def perform(self, context: LaunchContext) -> str:
-        return context.launch_configurations[self.name]
+    def perform(self, context: SimpleNamespace) -> str:
+        return str(context.launch_configurations[self.name])
 
 
 class IfCondition(NamedTuple):
     value: LaunchConfiguration
 
-    def evaluate(self, context: LaunchContext) -> bool:
+    def evaluate(self, context: SimpleNamespace) -> bool:
         return {"true": True, "false": False}[self.value.perform(context)]
-
-
-class DeclareLaunchArgument(NamedTuple):
-    name: str
-    default_value: str | None = None
-    description: str = ""
-
-
-class PackageNotFoundError(KeyError):
-    pass
-
-
-def get_package_prefix(name: str) -> str:
-    raise PackageNotFoundError(name)
 
 
 _MODULES = {
     "ament_index_python": {},
-    "ament_index_python.packages": {
-        "PackageNotFoundError": PackageNotFoundError,
-        "get_package_prefix": get_package_prefix,
-    },
+    "ament_index_python.packages": {"PackageNotFoundError": KeyError, "get_package_prefix": {}.__getitem__},
     "launch": {
-        "LaunchContext": LaunchContext,
+        "LaunchContext": lambda: SimpleNamespace(launch_configurations={}),
         "LaunchDescription": lambda entities: SimpleNamespace(entities=entities),
     },
     "launch.actions": {
-        "DeclareLaunchArgument": DeclareLaunchArgument,
+        "DeclareLaunchArgument": lambda name, **options: SimpleNamespace(name=name, **options),
         "IncludeLaunchDescription": lambda source, **options: SimpleNamespace(source=source, **options),
         "OpaqueFunction": SimpleNamespace,
         "Shutdown": SimpleNamespace,

@@ -56,7 +56,7 @@ def test_without_a_capacity_it_accepts_everything_and_one_set_later_holds_from_t
     assert queue.get_all(0.0) == [3, 4]
 
 
-def test_what_waits_can_be_taken_out_of_a_closed_queue() -> None:
+def test_what_waits_can_be_taken_out_of_a_closed_queue_for_which_a_receiver_waits_no_longer_than_asked() -> None:
     queue = BoundedQueue[int](3)
     queue.put(0)
     queue.put(1)
@@ -68,10 +68,6 @@ def test_what_waits_can_be_taken_out_of_a_closed_queue() -> None:
     queue.reopen()
     assert queue.put(3)
     assert queue.get() == 3
-
-
-def test_a_receiver_waits_until_the_queue_is_closed_or_no_longer_than_asked() -> None:
-    queue = BoundedQueue[int](1)
     got: list[int | None] = []
     receiver = threading.Thread(target=lambda: got.append(queue.get()), daemon=True)
     receiver.start()

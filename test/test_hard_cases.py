@@ -160,7 +160,7 @@ def test_outcomes(cases) -> None:
     every_case(cases(), check_outcome)
 
 
-def test_a_million_points_take_bounded_time_and_memory(model) -> None:
+def test_a_million_points_take_bounded_time_and_memory_and_an_answer_does_not_depend_on_other_grasps(model) -> None:
     cloud = OBJECTS["a million points"].cloud
     assert cloud.size == MANY
     tracemalloc.start()
@@ -171,9 +171,6 @@ def test_a_million_points_take_bounded_time_and_memory(model) -> None:
     tracemalloc.stop()
     assert seconds < 20.0
     assert peak < 20 * cloud.xyz.nbytes
-
-
-def test_an_answer_does_not_depend_on_other_grasps_of_the_call(model) -> None:
     cloud, fine, thin = OBJECTS["bar"].cloud, across(), across(0.04)
     alone = {name: model.predict(cloud, [grasp])[0] for name, grasp in (("fine", fine), ("thin", thin))}
     together = model.predict(Cloud(cloud.xyz), [thin, across(1.0), fine, thin])

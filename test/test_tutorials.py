@@ -75,16 +75,8 @@ def run(page: Path, folder: Path) -> tuple[list[Step], list[str]]:
         "ROS_DOMAIN_ID": str(76 + (os.getpid() + PAGES.index(page)) % 25),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=580,
-        check=False,
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "timeout": 580}
+    done = subprocess.run(["bash", "-c", script], cwd=folder, env=environment, check=False, **pipes)
     outputs = done.stdout.split(f"{END}\n")
     assert done.returncode == 0, f"{steps[min(len(outputs), len(steps)) - 1].commands}\n{outputs[-1]}"
     return steps, outputs

@@ -13,13 +13,7 @@ from foretouch.simulation import DepthImage, random_scene
 WIDTH, HEIGHT = 424, 240
 
 if find_spec("pyrealsense2") is None:
-    collect_ignore_glob = [
-        "test_filters.py",
-        "test_realsense.py",
-        "test_recording.py",
-        "test_stream.py",
-        "test_synthetic.py",
-    ]
+    collect_ignore_glob = [f"test_{name}.py" for name in ("filters", "realsense", "recording", "stream", "synthetic")]
 
 
 @pytest.fixture(scope="session")

@@ -51,10 +51,9 @@ def test_directions_are_those_of_the_library(rs: Any) -> None:
 
 def test_a_distortion_that_the_iteration_does_not_undo_is_refused() -> None:
     strong = ([-0.3, -0.3, 0.0, 0.0, -0.3], [-2.0, 0.0, 0.0, 0.0, 0.0], [1e300] * 5)
-    cases = product(
-        [r"distortion \[.*\]: is not undone by 10 iterations"], strong, ("brown_conrady", "inverse_brown_conrady")
-    )
+    text, models = r"distortion \[.*\]: is not undone by 10 iterations", ("brown_conrady", "inverse_brown_conrady")
     lens = pinhole_matrix(64, 48), 64, 48
+    cases = product([text], strong, models)
     every_refusal(CameraError, cases, lambda coefficients, model: Deprojector.of_lens(*lens, model, coefficients))
 
 
@@ -62,11 +61,10 @@ def test_a_pixel_by_hand() -> None:
     matrix = np.array([[100.0, 0.0, 2.0], [0.0, 50.0, 1.0], [0.0, 0.0, 1.0]])
     depth = np.zeros((3, 5), np.uint16)
     depth[2, 4] = 500
-    xyz = Deprojector.of_lens(matrix, 5, 3).points(depth)
+    lens = Deprojector.of_lens(matrix, 5, 3)
+    xyz = lens.points(depth)
     np.testing.assert_allclose(xyz[2, 4], [0.01, 0.01, 0.5], rtol=1e-6)
     assert np.isnan(xyz).all(axis=-1).sum() == 14
-    np.testing.assert_allclose(
-        Deprojector.of_lens(matrix, 5, 3).points(depth, 0.0001)[2, 4], xyz[2, 4] / 10.0, rtol=1e-6
-    )
+    np.testing.assert_allclose(lens.points(depth, 0.0001)[2, 4], xyz[2, 4] / 10.0, rtol=1e-6)
     with pytest.raises(CameraError, match=r"depth image: shape \(4, 5\) is not the lens's \(3, 5\)"):
-        Deprojector.of_lens(matrix, 5, 3).points(np.zeros((4, 5), np.uint16))
+        lens.points(np.zeros((4, 5), np.uint16))

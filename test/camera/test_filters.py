@@ -79,7 +79,7 @@ def test_a_hole_is_filled_from_the_left_the_farthest_or_the_nearest(images, conf
     assert np.isnan(unfilled.xyz[100, 199]).all()
 
 
-def test_bounds_and_defaults_are_the_librarys() -> None:
+def test_bounds_and_defaults_are_the_librarys_and_every_setting_reaches_it() -> None:
     def check(block: str, settings: Any, options: dict[str, str]) -> None:
         rs = realsense()
         filter_block = getattr(rs, block)()
@@ -99,9 +99,6 @@ def test_bounds_and_defaults_are_the_librarys() -> None:
         ("hole_filling_filter", HoleFillingConfig, {"mode": "holes_fill"}),
     ]
     every_case(cases, check)
-
-
-def test_every_setting_reaches_the_library() -> None:
     chain = FilterChain(
         FilterConfig(
             decimation=DecimationConfig(enabled=True, magnitude=3),

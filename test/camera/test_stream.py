@@ -2,6 +2,7 @@
 """Frames to clouds on the software device: bit-equal points, colour, stamps, refusals."""
 
 import time
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,8 @@ def _next(source: SyntheticCamera, stream: FrameStream) -> tuple[Any, Any]:
 
 
 def _cloud(source: SyntheticCamera, config: RealSenseConfig) -> Cloud:
-    stream = FrameStream(source.find(), config)
-    try:
+    with closing(FrameStream(source.find(), config)) as stream:
         return stream.cloud(*_next(source, stream))
-    finally:
-        stream.close()
 
 
 def test_points_are_those_of_the_librarys_own_pointcloud(images, config):

@@ -7,12 +7,12 @@ import time
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
+from foretouch.camera import RealSenseCamera, SyntheticCamera
 from foretouch.errors import CameraError
 from foretouch.simulation import DepthImage, random_scene
 
 
-def test_it_feeds_at_its_rate_and_its_thread_ends(images: list[DepthImage]) -> None:
+def test_it_feeds_at_its_rate_its_thread_ends_and_opening_under_full_feed_is_safe(images, config) -> None:
     source = SyntheticCamera(images, fps=50)
     with source:
         time.sleep(0.5)
@@ -21,6 +21,12 @@ def test_it_feeds_at_its_rate_and_its_thread_ends(images: list[DepthImage]) -> N
     time.sleep(0.1)
     assert source._number == fed
     assert not any(thread.name == "synthetic-camera" for thread in threading.enumerate())
+    source = SyntheticCamera(images, fps=300)
+    fast = config.replace(fps=300, align="colour_to_depth")
+    with source:
+        for _ in range(15):
+            with RealSenseCamera(fast, source) as camera:
+                assert camera.read(2.0) is not None
 
 
 def test_no_frames_and_a_frame_of_another_size_are_refused(images: list[DepthImage]) -> None:
@@ -31,12 +37,3 @@ def test_no_frames_and_a_frame_of_another_size_are_refused(images: list[DepthIma
         source.feed()
     with pytest.raises(CameraError, match="no frames to feed"):
         SyntheticCamera([])
-
-
-def test_opening_and_closing_under_full_feed_is_safe(images: list[DepthImage], config: RealSenseConfig) -> None:
-    source = SyntheticCamera(images, fps=300)
-    fast = config.replace(fps=300, align="colour_to_depth")
-    with source:
-        for _ in range(15):
-            with RealSenseCamera(fast, source) as camera:
-                assert camera.read(2.0) is not None

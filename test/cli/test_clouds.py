@@ -42,7 +42,7 @@ def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call, file
     assert "Traceback" not in answer.err
 
 
-def test_grasp_of_an_object_equals_the_core(call, files) -> None:
+def test_grasp_of_an_object_equals_the_core_and_vary_is_repeated_by_its_seed(call, files) -> None:
     (record,) = call("grasp", files / "object.pcd", "--plane", "0,0,1,-1.27", "--json").records
     cloud = read_cloud(files / "object.pcd")
     (result,) = Pipeline().run(cloud, ASSUMED_TABLE).targets
@@ -50,6 +50,12 @@ def test_grasp_of_an_object_equals_the_core(call, files) -> None:
     np.testing.assert_array_equal(record["grasps"][0]["g1"], result.plan.grasps[0].g1)
     np.testing.assert_array_equal(record["grasps"][0]["rotation"], result.plan.grasps[0].rotation.reshape(9))
     np.testing.assert_array_equal(record["initial_points"], result.plan.initial_points)
+
+    def contact(*options: str) -> list[list[float]]:
+        return call("grasp", files / "object.pcd", "--json", *options).records[0]["initial_points"]
+
+    assert contact("--vary", "1") == contact("--vary", "1") != contact("--vary", "2")
+    assert contact("--slide-m", "0.01") != contact()
 
 
 def test_an_organised_cloud_is_segmented_and_its_targets_are_used(call, files) -> None:
@@ -66,14 +72,6 @@ def test_an_organised_cloud_is_segmented_and_its_targets_are_used(call, files) -
     (tied,) = call(*words, "--target", "nearest", "--set", "target.margin_m=1").records
     flagged = ["ambiguous_target" in one["predictions"][0]["flags"] for one in (nearest, tied)]
     assert flagged == [False, True]
-
-
-def test_vary_is_repeated_by_its_seed_and_slide_by_its_length(call, files) -> None:
-    def contact(*options: str) -> list[list[float]]:
-        return call("grasp", files / "object.pcd", "--json", *options).records[0]["initial_points"]
-
-    assert contact("--vary", "1") == contact("--vary", "1") != contact("--vary", "2")
-    assert contact("--slide-m", "0.01") != contact()
 
 
 def fifty(one: dict[str, Any], key: str) -> list[float]:

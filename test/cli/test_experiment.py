@@ -53,7 +53,9 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
     assert "are finished" not in summary.read_text()
 
 
-def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch) -> None:
+def test_what_is_wrong_is_told_in_one_line_and_another_experiment_s_folder_is_not_redrawn(
+    call, tmp_path, numbers, monkeypatch
+) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]
     assert "'phrenology' is none of prequential, cross_validation" in call("experiment", "phrenology", *out).err
@@ -69,16 +71,12 @@ def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch)
         with pytest.raises(SystemExit) as wrong:
             call("experiment", OWN, *out, "--data", numbers, *words)
         assert wrong.value.code == 2
-
-
-def test_a_folder_of_another_experiment_is_not_redrawn(call, tmp_path, numbers) -> None:
-    out = tmp_path / "out"
-    call("experiment", OWN, "-o", out, "--data", numbers, "cells=1", "--workers", "1")
-    words = ("-o", out, "--redraw")
+    call("experiment", OWN, *out, "--data", numbers, "cells=1", "--workers", "1")
+    words, results = (*out, "--redraw"), tmp_path / "out" / "results.csv"
     call("experiment", "coverage", *words).check_refused("manifest.json: experiment: 'counting' is not 'coverage'\n")
-    (out / "results.csv").write_text("")
+    results.write_text("")
     call("experiment", OWN, *words).check_refused("contains no row")
-    (out / "results.csv").unlink()
+    results.unlink()
     call("experiment", OWN, *words).check_refused("results.csv: No such file or directory\n")
 
 

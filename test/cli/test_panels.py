@@ -100,31 +100,18 @@ def test_the_state_of_a_recording_is_whole_with_what_was_dropped_and_which_senso
         for name in ("/rh/tactile", *(f"/foretouch/{name}" for name in names))
     ]
     states = ["alive", "frozen: the same 300 times, or simulated without noise", "no data"]
-    status = RecorderStatus(samples=12, sensors=["TH", "MF", "camera"], sensor_states=states, topics=topics)
-    status.reason = "disk full"
+    shared: dict[str, Any] = {"samples": 12, "sensors": ["TH", "MF", "camera"], "sensor_states": states}
+    status = RecorderStatus(reason="disk full", topics=topics, **shared)
 
     def check(width: int) -> None:
         words = screen(record_panel(status, "foretouch record (Ctrl-C ends it)"), width)
         assert {"100123", "97000", "executed_grasp", "disk", "frozen:", "camera"} <= words
 
     every_case([60, 80], check)
-    status = RecorderStatus(
-        recording=True,
-        samples=12,
-        last_sample="can/000012",
-        outcomes=["no_tare", "recorded"],
-        outcome_counts=[2, 12],
-        sensors=["TH", "MF"],
-        sensor_states=["alive", "frozen: the same 300 times"],
-        pairing_error=0.012,
-        pairing_error_max=0.034,
-        disk_left=600.0,
-        topics=[
-            TopicAccount(topic="/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3]),
-            TopicAccount(topic="/foretouch/grasps", lost=5),
-            TopicAccount(topic="/foretouch/touch"),
-        ],
-    )
+    tactile = TopicAccount(topic="/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3])
+    shared |= {"outcomes": ["no_tare", "recorded"], "outcome_counts": [2, 12], "last_sample": "can/000012"}
+    shared |= {"pairing_error": 0.012, "pairing_error_max": 0.034, "disk_left": 600.0}
+    status = RecorderStatus(recording=True, topics=[tactile, TopicAccount(topic="/foretouch/grasps", lost=5)], **shared)
     text = printed(record_panel(status, "title"))
     for words in ("12 samples", "can/000012", "disk full in 10 min", "2 no tare", "12 recorded", "3 queue full"):
         assert words in text

@@ -117,17 +117,6 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
 
 
-def test_a_sample_s_own_reading_moves_nothing(call, model, session, tmp_path) -> None:
-    found = open_samples(session)
-    first, *_ = found.records()
-    with RecordingWriter(tmp_path / "one", IDENTITY, QUICK) as writer:
-        writer.append(first)
-    words = ("predict", tmp_path / "one", "--model", model, "--json")
-    (alone,), (adapted,) = (call(*words, *more).records for more in ((), ("--touched", tmp_path / "one")))
-    assert adapted["predictions"] == alone["predictions"]
-    assert (adapted["touched"], adapted["predictions"][0]["reference"]) == (0, "none")
-
-
 def test_touches_narrow_the_interval_and_a_person_sees_it(call, model, session) -> None:
     words = ("predict", session, "--model", model)
     before, after = (call(*words, *more, "--json").records[0] for more in ((), ("--touched", session)))
@@ -230,12 +219,18 @@ def test_a_history_is_read_in_order_of_time_from_a_dataset_or_the_file_of_a_hand
     assert "right.safetensors: damaged" in call(*words).err
 
 
-def test_no_reading_of_the_future_is_used_and_never_its_own(call, tracked, session) -> None:
+def test_no_reading_of_the_future_is_used_and_never_its_own(call, model, tracked, session, tmp_path) -> None:
     words = ("predict", session, "--model", tracked, "--json")
     alone, adapted = (call(*words, *more).records for more in ((), ("--history", session)))
     readings = [result["predictions"][0]["evidence"]["readings"] for result in adapted]
     assert readings == [2 * k for k in range(5)] or readings == [k + 1 if k else 0 for k in range(5)]
     assert flat(alone[0]["predictions"][0], "value") == flat(adapted[0]["predictions"][0], "value")
+    with RecordingWriter(tmp_path / "one", IDENTITY, QUICK) as writer:
+        writer.append(next(iter(open_samples(session).records())))
+    words = ("predict", tmp_path / "one", "--model", model, "--json")
+    (alone,), (adapted,) = (call(*words, *more).records for more in ((), ("--touched", tmp_path / "one")))
+    assert adapted["predictions"] == alone["predictions"]
+    assert (adapted["touched"], adapted["predictions"][0]["reference"]) == (0, "none")
 
 
 def test_a_model_without_a_calibration_takes_no_readings(call, files, session, earlier, tmp_path) -> None:

@@ -68,7 +68,9 @@ def whole(written: str, width: int) -> str:
     return text
 
 
-def test_tables_of_the_commands_are_whole(call, files, tmp_path, monkeypatch) -> None:
+def test_tables_of_the_commands_are_whole_and_folded_on_a_terminal(
+    call, files, tmp_path, monkeypatch, environment
+) -> None:
     dataset = tmp_path / "a-rather-long-name-of-a-dataset"
     write_dataset(dataset, 6, points=100)
     commands = (
@@ -92,6 +94,7 @@ def test_tables_of_the_commands_are_whole(call, files, tmp_path, monkeypatch) ->
         assert "…" not in answer.out
 
     every_case([(width, words) for width in (60, 80) for words in commands], check)
+    assert "score (higher" in whole(on_a_terminal(60, environment, "grasp", files / "scene.npz"), 60)
 
 
 @pytest.mark.slow
@@ -126,10 +129,6 @@ def test_a_live_screen_leaves_one_table_behind(tmp_path, environment) -> None:
     assert after.count("╭") == after.count("╰") == 1
 
 
-def test_a_table_on_a_terminal_is_folded_with_its_title(files, environment) -> None:
-    assert "score (higher" in whole(on_a_terminal(60, environment, "grasp", files / "scene.npz"), 60)
-
-
 def drawn(table: FittedTable, width: int) -> str:
     console = Console(width=width, color_system=None)
     with console.capture() as captured:
@@ -152,7 +151,7 @@ def test_nothing_is_cut_and_words_are_whole_as_long_as_they_fit() -> None:
     every_case([(width, live) for width in (8, 15, 24, 30, 40, 50, 60, 80, 120) for live in (False, True)], check)
 
 
-def test_frames_go_before_words_are_folded_and_columns_before_words_are() -> None:
+def test_frames_go_before_words_are_folded_numbers_end_at_the_right_and_rows_beyond_the_limit_are_counted() -> None:
     table = FittedTable(COLUMNS, ROWS)
     assert "┃" in drawn(table, 90)
     beside = drawn(table, 70)
@@ -161,9 +160,6 @@ def test_frames_go_before_words_are_folded_and_columns_before_words_are() -> Non
     listed = drawn(table, 24).splitlines()
     assert [line.split() for line in listed[:2]] == [["finger", "thumb"], ["value", "2931", "±158"]]
     assert not all(line.strip() for line in listed), "rows stand apart"
-
-
-def test_numbers_end_at_the_right_and_rows_beyond_the_limit_are_counted() -> None:
     lines = drawn(FittedTable(["a", "count", "of what"], [["x", "7", "3 touches"], ["y", "1234", "one"]]), 60)
     cells = [line.split("│")[2:4] for line in lines.splitlines() if "│" in line]
     assert cells == [["     7 ", " 3 touches "], ["  1234 ", " one       "]]

@@ -65,7 +65,7 @@ def test_people_get_a_table(call, simulated, tmp_path) -> None:
     assert "E_MF" in scored.out
 
 
-def test_errors_are_one_line(call, simulated, tmp_path) -> None:
+def test_errors_are_one_line_and_so_is_an_unfinished_run(call, simulated, tmp_path, run, files) -> None:
     recipe, out = CONFIG / "train/p2.yaml", ("-o", tmp_path / "run")
     for words, line in (
         (("train", recipe, f"data={simulated}", "train.epoch=3", *out), "train.epoch: unknown setting; known: device"),
@@ -75,6 +75,12 @@ def test_errors_are_one_line(call, simulated, tmp_path) -> None:
     ):
         call(*words).check_refused(line)
     assert not (tmp_path / "run").exists()
+    for name in ("config.yaml", "log.jsonl", "state.safetensors"):
+        (tmp_path / name).write_bytes((run / name).read_bytes())
+    for words in (("predict", files / "object.pcd", "--model", tmp_path), ("evaluate", tmp_path, simulated)):
+        call(*words).check_refused(f"{tmp_path}: is an unfinished run without a model card")
+    (record,) = call("models", tmp_path, "--json").records
+    assert f"{tmp_path}: is an unfinished run" in record["reason"]
 
 
 def test_a_run_is_used_as_its_card(call, run, simulated, files) -> None:
@@ -100,15 +106,6 @@ def test_the_node_loads_the_model_of_a_run(run) -> None:
     assert predictor.fault == ""
     assert predictor.model is not None
     assert predictor.model.name == "tiny"
-
-
-def test_an_unfinished_run_is_refused_in_one_line(call, run, simulated, files, tmp_path) -> None:
-    for name in ("config.yaml", "log.jsonl", "state.safetensors"):
-        (tmp_path / name).write_bytes((run / name).read_bytes())
-    for words in (("predict", files / "object.pcd", "--model", tmp_path), ("evaluate", tmp_path, simulated)):
-        call(*words).check_refused(f"{tmp_path}: is an unfinished run without a model card")
-    (record,) = call("models", tmp_path, "--json").records
-    assert f"{tmp_path}: is an unfinished run" in record["reason"]
 
 
 @pytest.mark.slow

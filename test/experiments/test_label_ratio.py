@@ -233,13 +233,6 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
         assert torch.equal(one, other)
 
 
-def test_epochs_follow_from_updates() -> None:
-    def check(labelled: int, updates: int | None, epochs: int) -> None:
-        assert configured(BASE, "srgan", "0.3/1/1", labelled, updates, seed=0).epochs == epochs
-
-    every_case([(320, 640, 16), (2880, 640, 2), (64, 1, 1), (64, None, 30)], check)
-
-
 def test_points_are_those_of_the_cloud_each_once(presampled: PresampledSet) -> None:
     long = replace(presampled, cached_points=np.arange(2 * 40 * 3, dtype=np.float32).reshape(2, 40, 3))
     rng = np.random.default_rng(0)

@@ -49,9 +49,8 @@ def test_candidates_average_their_voxels(rng):
     assert len(cells) == len(candidates.xyz)
     x, y = np.mgrid[:20, :20] * 0.002
     flat = np.column_stack([x.ravel(), y.ravel(), np.ones(400)])
-    candidates, initial, n_near = _contact_side(
-        np.vstack([flat, [0.5, 0.0, 1.0]]).astype(np.float32), 400, 0.02, CONFIG
-    )
+    lonely = np.vstack([flat, [0.5, 0.0, 1.0]]).astype(np.float32)
+    candidates, initial, n_near = _contact_side(lonely, 400, 0.02, CONFIG)
     assert n_near == 1  # a lonely point leaves its voxel without a normal
     assert np.isnan(candidates.normal).all()
     assert np.isnan(initial.curvature).all()

@@ -38,7 +38,7 @@ def grasps_on(points: np.ndarray, count: int, rng: np.random.Generator) -> list[
     return [Grasp(g1, g2, hand) for g1, g2, hand in ends]
 
 
-def test_contacts_on_a_surface_differ_by_rounding(rng) -> None:
+def test_contacts_on_a_surface_differ_by_rounding_and_those_on_a_plane_are_left_to_numpy(rng) -> None:
     points = rough(rng)
     ends = [PLACE + step for step in ([0.0, 0.0, 0.055], [0.0, 0.08, 0.0], [1e3, 0.0, 0.0])]
     ends += [points[0] + 0.03, points.min(axis=0), points.max(axis=0)]
@@ -65,6 +65,9 @@ def test_contacts_on_a_surface_differ_by_rounding(rng) -> None:
     far = [Grasp(np.array([x, -x, 0.0]), PLACE, HAND) for x in (1e200, 1e308)]  # distances that overflow
     with np.errstate(over="ignore", invalid="ignore"):
         assert_array_equal(scene.describe(far)[:, -28:-14], 0.0)
+    points = np.column_stack([rng.uniform(-0.05, 0.05, (3000, 2)), np.full(3000, 0.123)]) + PLACE
+    scene, (g1, _, hand) = HandFrameFeatures(points), stacked(grasps_on(points, 20, rng))
+    assert_array_equal(scene._contacts(g1, hand), scene._summed(g1, hand))
 
 
 @settings(max_examples=60, deadline=None)
@@ -77,12 +80,6 @@ def test_where_rounding_decides_numpy_describes_the_contact(case) -> None:
     rows, plain = scene._contacts(contacts, fingers), scene._summed(contacts, fingers)
     assert_allclose(rows[:, :5], plain[:, :5], rtol=1e-9, atol=1e-9)
     assert_allclose(rows[:, 5:], plain[:, 5:], rtol=0.0, atol=1e-6)
-
-
-def test_contacts_on_a_plane_are_left_to_numpy(rng) -> None:
-    points = np.column_stack([rng.uniform(-0.05, 0.05, (3000, 2)), np.full(3000, 0.123)]) + PLACE
-    scene, (g1, _, hand) = HandFrameFeatures(points), stacked(grasps_on(points, 20, rng))
-    assert_array_equal(scene._contacts(g1, hand), scene._summed(g1, hand))
 
 
 @cache

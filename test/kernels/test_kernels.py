@@ -13,16 +13,12 @@ from foretouch import kernels
 COUNT = kernels.Kernel("count_range", np.float32, int, float, float, np.int64)
 
 
-def test_an_array_that_would_be_misread_is_refused() -> None:
+def test_an_array_that_would_be_misread_and_an_absent_or_foreign_library_are_refused(tmp_path: Path) -> None:
     for xyz in (np.zeros((4, 3)), np.zeros((4, 6), np.float32)[:, ::2]):
         with pytest.raises(TypeError, match=r"count_range: an array of .* is not a contiguous one of float32"):
             COUNT(xyz, 4, 0.1, 2.0, np.zeros(2, np.int64))
     with pytest.raises(AttributeError):
         kernels.Kernel("no_such_function", int)
-
-
-def test_an_absent_or_foreign_library_is_refused_with_the_fix(tmp_path: Path) -> None:
-    """As without a compiler, or in a checkout that was updated and not installed again."""
     copy = tmp_path / "copied_kernels"
     shutil.copytree(Path(kernels.__file__).parent, copy)
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from every_case import every_case
-from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, run, scene
+from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, made, run, scene
 
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import SimulationError
@@ -24,10 +24,6 @@ FULL = {
     "fingers": EVERY_FINGER_EFFECT,
 }
 LOADED = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONGE | {"mass_kg": 0.02}]
-
-
-def made(config: SceneConfig, count: int, workers: int = 1) -> list[GraspSample]:
-    return list(Simulation(config).samples(count, workers))
 
 
 def digest(samples: list[GraspSample]) -> str:

@@ -31,7 +31,7 @@ def test_cells_stand_on_the_origin_nan_spreads_to_its_cell_and_column_only_and_t
         voxel_grid(np.array([[0, 0, 0], [1e30, 1e30, 1e30]], np.float32), 0.01)
 
 
-def test_normals_look_at_the_sensor_and_turn_with_the_cloud(rng):
+def test_normals_look_at_the_sensor_turn_with_the_cloud_and_are_those_worked_by_hand(rng):
     x, y = rng.uniform(-0.08, 0.08, (2, 1500))
     z = 1.0 + 5.0 * x**2 + 0.01 * np.sin(60 * y) + rng.normal(0, 0.001, 1500)
     xyz = np.column_stack([x, y, z]).astype(np.float32)
@@ -42,9 +42,6 @@ def test_normals_look_at_the_sensor_and_turn_with_the_cloud(rng):
     turned, same = normals_and_curvature((xyz @ turn.T).astype(np.float32), query)
     np.testing.assert_allclose(same, curvature, atol=1e-4)
     assert np.median(np.abs(np.einsum("ij,ij->i", turned, normals @ turn.T))) > 0.99999
-
-
-def test_normals_of_hand_made_points():
     x, y = np.meshgrid(np.arange(30) * 0.002, np.arange(30) * 0.002)
     xyz = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]).astype(np.float32)
     normals, curvature = normals_and_curvature(xyz, np.array([0, 450]))
@@ -56,7 +53,7 @@ def test_normals_of_hand_made_points():
     assert np.isfinite(normals_and_curvature(xyz, np.array([0]), 0.500001)[1]).all()
 
 
-def test_no_plane_no_normal():
+def test_no_plane_no_normal_and_empty_and_tiny_clouds():
     cases = {
         "two points": [[0, 0, 1], [0.001, 0, 1]],
         "three on a line": [[0, 0, 1], [0.002, 0, 1], [0.004, 0, 1]],
@@ -72,9 +69,6 @@ def test_no_plane_no_normal():
         assert count_without_normal(xyz) == len(xyz)
 
     every_case(cases, check)
-
-
-def test_empty_and_tiny_clouds():
     none = np.zeros((0, 3), np.float32)
     normals, curvature = normals_and_curvature(none, np.zeros(0, np.int64))
     assert (normals.shape, curvature.shape) == ((0, 3), (0,))

@@ -26,7 +26,7 @@ def test_pixels_of_a_shuffled_image_are_recovered(rng):
     np.testing.assert_array_equal(grid.column, pixels[order] % WIDTH)
 
 
-def test_clouds_without_pixels(rng):
+def test_clouds_without_pixels_and_pixels_far_apart_make_no_grid_and_no_list_of_pixels_is_refused(rng):
     cases = {
         "off the lattice": rng.uniform(0.5, 1.0, (500, 3)),
         "behind the camera": -_depth_image(rng)[0],
@@ -41,9 +41,6 @@ def test_clouds_without_pixels(rng):
         assert PixelGrid.from_rays(np.array(xyz, np.float32)) is None
 
     every_case(cases, check)
-
-
-def test_pixels_far_apart_make_no_grid_and_what_is_no_list_of_pixels_is_refused(rng):
     far = _depth_image(rng)[1].astype(np.int64)
     for last in (65535 * 65536 + 65535, 65535):  # as a message can say it: 4 GB of cells, or one endless row
         far[-1] = last

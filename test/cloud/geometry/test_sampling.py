@@ -29,7 +29,7 @@ def test_every_method_of_sampling(rng: np.random.Generator) -> None:
     every_case(SAMPLERS, check)
 
 
-def test_farthest_equals_the_plain_definition(rng: np.random.Generator) -> None:
+def test_farthest_equals_the_plain_definition_and_voxel_is_more_even_than_random(rng: np.random.Generator) -> None:
     xyz = rng.normal(size=(300, 3)).astype(np.float32)
     index = sample_indices(xyz, 40, method="farthest", rng=rng)
     chosen = [int(index[0])]
@@ -37,9 +37,6 @@ def test_farthest_equals_the_plain_definition(rng: np.random.Generator) -> None:
     while len(chosen) < 40:
         chosen.append(int(distances[chosen].min(axis=0).argmax()))
     np.testing.assert_array_equal(index, chosen)
-
-
-def test_voxel_is_more_even_than_random(rng: np.random.Generator) -> None:
     dense, sparse = rng.normal(0.0, 0.01, (5000, 3)), rng.uniform(-1, 1, (500, 3))
     xyz = np.concatenate([dense, sparse])
     share = {m: (sample_indices(xyz, 300, method=m, rng=rng) >= 5000).mean() for m in ("random", "voxel")}

@@ -58,14 +58,8 @@ def layouts(draw: st.DrawFn) -> PointCloud2Layout:
     height, width = draw(st.integers(0, 4)), draw(st.integers(0, 5))
     step = offset + draw(st.integers(0, 5))
     row_step = step * width + draw(st.integers(0, 9))
-    return PointCloud2Layout(
-        height=height,
-        width=width,
-        fields=tuple(fields),
-        point_step=step,
-        row_step=row_step,
-        is_bigendian=draw(st.booleans()),
-    )
+    sizes = {"height": height, "width": width, "point_step": step, "row_step": row_step}
+    return PointCloud2Layout(fields=tuple(fields), is_bigendian=draw(st.booleans()), **sizes)
 
 
 @settings(max_examples=300, deadline=None)
@@ -139,15 +133,15 @@ def test_views_empty_messages_and_numbers_beyond_float32() -> None:
 
 
 def test_layouts_that_do_not_add_up_are_named() -> None:
+    def colour(datatype: int) -> tuple[PointField, ...]:
+        return (*XYZ, PointField("rgb", 12, datatype))
+
     cases = [
         ("fields: z is missing; there are: x, y", {"fields": XYZ[:2]}),
         ("fields: x is missing; there are: none", {"fields": ()}),
         ("z: datatype UINT32 is neither FLOAT32 nor FLOAT64", {"fields": (*XYZ[:2], PointField("z", 8, 6))}),
         ("x: count 0 is not 1", {"fields": (PointField("x", 0, 7, 0), *XYZ[1:])}),
-        (
-            "rgb: ends at byte 16, beyond",
-            {"fields": (*XYZ, PointField("rgb", 12, 7)), "point_step": 15, "row_step": 30},
-        ),
+        ("rgb: ends at byte 16, beyond", {"fields": colour(7), "point_step": 15, "row_step": 30}),
         ("z: ends at byte 16, beyond point_step 12", {"fields": (*XYZ[:2], PointField("z", 8, 8))}),
         ("z: offset 6 lies within y, which ends at 8", {"fields": (*XYZ[:2], PointField("z", 6, 7))}),
         ("a: datatype 9 is none of 1 to 8", {"fields": (*XYZ, PointField("a", 0, 9))}),
@@ -157,11 +151,6 @@ def test_layouts_that_do_not_add_up_are_named() -> None:
         ("width: -1 is negative", {"width": -1}),
         ("data: 24 bytes are not row_step 24 x height 2 = 48", {"height": 2}),
         ("data: 24 bytes are not row_step 12 x height 1 = 12", {"width": 1, "row_step": 12}),
-        (
-            "rgb: 1 x UINT8 is not one FLOAT32",
-            {"fields": (*XYZ, PointField("rgb", 12, 2)), "point_step": 13, "row_step": 26},
-            26,
-        ),
+        ("rgb: 1 x UINT8 is not one FLOAT32", {"fields": colour(2), "point_step": 13, "row_step": 26}, 26),
     ]
-
     every_refusal(CloudError, cases, lambda changes, size=24: decode(_layout(**changes), bytes(size)))

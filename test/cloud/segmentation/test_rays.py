@@ -76,14 +76,11 @@ def test_damaged_pixels_of_sample_objects_or_anywhere_are_counted(rng: np.random
         assert found.counts["off_ray"] > 100
 
 
-def test_an_image_in_millimetres_is_refused() -> None:
+def test_an_image_in_millimetres_is_refused_a_rotated_one_and_pixels_on_one_line_are_on_rays() -> None:
     xyz = _scene() * np.array([1000.0, 1000.0, 1.0], np.float32)  # its lateral coordinates alone
     for cloud, reason in ((xyz, "field_of_view_deg 120"), (xyz[np.isfinite(xyz[..., 2])], "field of view of 120")):
         found = _strictly(Cloud(cloud))
         assert (found.status, reason in found.reason) == ("bad_cloud", True)
-
-
-def test_a_rotated_image_and_pixels_on_one_line_are_on_rays() -> None:
     found = _strictly(Cloud(np.ascontiguousarray(np.rot90(_scene(), axes=(0, 1)))))
     assert (found.status, found.counts["off_ray"]) == ("ok", 0)
     columns = np.arange(5)

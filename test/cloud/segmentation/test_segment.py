@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 from every_case import every_case
 
+from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.clusters import ClusterConfig, CropConfig, in_range
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _count_depths, segment
 from foretouch.errors import ConfigError
@@ -147,7 +148,7 @@ def test_without_a_plausible_object_the_reason_is_named(rng: np.random.Generator
 
 
 @pytest.mark.real_data
-def test_shared_scenes(real_data: Path) -> None:
+def test_shared_scenes_and_real_object_clouds(real_data: Path) -> None:
     for name in ("oblique_848x480", "oblique_1280x720"):
         with np.load(real_data / "scenes" / f"{name}.npz") as scene:
             xyz, truth, plane = scene["xyz"], scene["labels"].astype(np.int32), scene["plane"]
@@ -155,11 +156,5 @@ def test_shared_scenes(real_data: Path) -> None:
         assert len(segmentation.objects) == 3
         assert min(_overlaps(segmentation, truth)) >= 0.98
         np.testing.assert_allclose(segmentation.plane.coefficients, plane, atol=5e-4)
-
-
-@pytest.mark.real_data
-def test_real_object_clouds_have_a_status(real_data: Path) -> None:
-    from foretouch.cloud.io.files import read_cloud
-
     for path in sorted(real_data.glob("vision2tactile/*/*/cloud-object.pcd"))[::10]:
         _checked(read_cloud(path))

@@ -40,9 +40,10 @@ def test_root_mean_square_by_hand_exact_and_zero_at_zero() -> None:
     scaled, target = torch.tensor([[1.0], [5.0]]), torch.tensor([[4.0], [1.0]])
     assert float(labeled_loss(scaled, target, [1])) == pytest.approx(math.sqrt((9 + 16) / 2))
     assert float(labeled_loss(scaled, target, [1], "mse")) == pytest.approx(12.5)
-    assert float(labeled_loss(torch.zeros(1, 3), torch.tensor([[2.0, 3.0, 4.0]]), [1, 2])) == pytest.approx(
-        (2 + math.sqrt(12.5)) / 2
-    )
+    apart = torch.zeros(1, 3), torch.tensor([[2.0, 3.0, 4.0]]), [1, 2]  # each modality counts alike
+    assert float(labeled_loss(*apart)) == pytest.approx((2 + math.sqrt(12.5)) / 2)
+    assert float(labeled_loss(*apart, "mse")) == pytest.approx((4 + 12.5) / 2)
+    assert float(labeled_loss(*apart, epsilon=5.0)) == pytest.approx((3 + math.sqrt(17.5)) / 2)
     squares = torch.tensor([0.0, 1.0001e-12, 1e-8, 0.3, 7e6], dtype=F64)
     assert torch.equal(_safe_root(squares), squares.sqrt())
 
