@@ -103,7 +103,8 @@ def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> Non
         weights = (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake, loss.gradient_penalty)
         assert weights == (1.0, 10.0, 0.1, 0.0)
 
-    presets = {"p2_as_printed": "as_printed", "p2_as_printed_contrast": "contrast", "p2_as_printed_srgan": "srgan"}
+    presets = {f"p2_as_printed_{one}": one for one in ("contrast", "batch_means", "srgan")}
+    presets["p2_as_printed"] = "as_printed"
     every_case(presets.items(), check)
     tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
     small = {"cached_points": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0]}

@@ -65,6 +65,11 @@ def test_as_printed_contrast_and_the_original_srgan_by_hand_and_equation_4_is_eq
     assert found["total"] == pytest.approx(0.5 + 30 - 0.1 * 7 / 4)
     parted = [parts(SrganLossConfig(), Features(U, U, U + gap))["total"] for gap in (0.0, 0.5, 2.0, 50.0)]
     assert parted == sorted(set(parted), reverse=True)
+    means = parts(SrganLossConfig(loss_variant="batch_means"))
+    assert means["unlabeled"] == pytest.approx((1.5**2 + 0.5**2) / 2)
+    assert float(matching_loss(L, U[:1], SrganLossConfig(loss_variant="batch_means"))) == pytest.approx(
+        (2**2 + 1**2) / 2
+    )
     config = SrganLossConfig(loss_variant="srgan")
     found = parts(config)
     assert found["unlabeled"] == pytest.approx((1.5 + 0.5) / 2)
@@ -88,7 +93,7 @@ def test_gradients_agree_with_finite_differences() -> None:
 
         assert torch.autograd.gradcheck(total, (labels, *features))
 
-    every_case(("as_printed", "contrast", "srgan"), check)
+    every_case(("as_printed", "contrast", "batch_means", "srgan"), check)
 
 
 def test_the_contrast_stays_bounded_for_huge_features() -> None:
@@ -101,7 +106,7 @@ def test_the_contrast_stays_bounded_for_huge_features() -> None:
         assert float(fake.grad.abs().sum()) <= 0.1 + 1e-6  # w_F times a slope of at most one, shared out
         assert math.isfinite(float(total.detach()))
 
-    every_case(product(("contrast", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)
+    every_case(product(("contrast", "batch_means", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)
 
 
 def test_the_penalty_is_one_sided_worked_by_hand_and_differentiable_where_features_vanish() -> None:
