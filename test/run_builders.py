@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A configuration that trains within a second, and report callbacks."""
+"""A configuration that trains within a second, a store to train on, and report callbacks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
+from foretouch.dataset.store_writer import SampleFacts, StoreWriter
+from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.learning.training.run_config import GROUPS, RunConfig
+from foretouch.types import GraspSample
 
 MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
 BASE: dict[str, Any] = {
@@ -20,6 +24,17 @@ def run_config(**changes: Any) -> RunConfig:
     given = {**BASE, **changes}
     unused = {name for name, methods in GROUPS.items() if given.get("method", "supervised") not in methods}
     return RunConfig.from_mapping({key: value for key, value in given.items() if key not in unused})
+
+
+def write_store(path: Path, samples: Iterable[GraspSample]) -> Path:
+    """A store of labelled samples with their splits."""
+    facts = []
+    with StoreWriter(path, {}) as writer:
+        for sample in samples:
+            writer.write(sample)
+            facts.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, labelled=True))
+        writer.attach(SPLITS_FILE, make_splits(facts, 3))
+    return path
 
 
 def quiet(_record: Mapping[str, Any]) -> None:

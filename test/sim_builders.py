@@ -10,7 +10,9 @@ from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.simulate import Simulation
 from foretouch.simulation.world import SampleKey
+from foretouch.types import GraspSample
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
 SPONGE = {"name": "sponge", "shape": "sponge", "size_m": [0.07, 0.11, 0.05], "young_pa": 2e5, "thickness_m": 0.02}
@@ -30,6 +32,11 @@ def scene(*objects: dict[str, Any], **groups: Any) -> SceneConfig:
 def run(config: SceneConfig, *outputs: str, slot: int = 0, seed: int | None = None) -> SampleState:
     """One sample with all its effects, as far as the outputs need them."""
     return _engine(config, outputs or ("touch",)).run(SampleKey(config.seed if seed is None else seed, slot))
+
+
+def made(config: SceneConfig, count: int) -> list[GraspSample]:
+    """The first samples of a scene."""
+    return list(Simulation(config).samples(count))
 
 
 _engine = lru_cache(maxsize=8)(lambda config, outputs: Engine(config, EFFECTS, outputs))

@@ -34,12 +34,11 @@ def foreign_message(store, xyz: np.ndarray, *, stamp_ns: int, seq: int | None = 
     """A PointCloud2 as others write it: big-endian, z y x, bytes between the fields, the points and the rows."""
     height, width, _ = xyz.shape
     point_step, row_step = 20, 20 * width + 12
-    rows = np.full((height, row_step), 0xAB, np.uint8)
-    for row in range(height):
-        for column in range(width):
-            for axis, offset in ((2, 0), (1, 8), (0, 12)):
-                start = column * point_step + offset
-                rows[row, start : start + 4] = np.array([xyz[row, column, axis]], ">f4").view(np.uint8)
+    layout = np.dtype({"names": ["z", "y", "x"], "formats": [">f4"] * 3, "offsets": [0, 8, 12], "itemsize": point_step})
+    points = np.full((height, width * point_step), 0xAB, np.uint8)
+    for axis, name in enumerate("xyz"):
+        points.view(layout)[name] = xyz[..., axis]
+    rows = np.pad(points, ((0, 0), (0, row_step - points.shape[1])), constant_values=0xAB)
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
     header = {"stamp": stamp, "frame_id": "lidar"} | ({} if seq is None else {"seq": seq})

@@ -12,31 +12,22 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from every_case import every_case, every_refusal
-from recording_builders import assert_same_sample
+from recording_builders import assert_same_sample, record
 
 from foretouch import checked_files
 from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
-from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
+from foretouch.types import TOUCH_SIZE, Cloud, GraspSample, Touch
 
 
 def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = False) -> GraspSample:
-    rng = np.random.default_rng(k)
-    rgb = rng.integers(0, 255, (points, 3), np.uint8) if colour else None
-    cloud = Cloud(rng.random((points, 3), np.float32), rgb, "camera", 7 * k)
-    rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    return GraspSample(
-        id=f"can/{k}",
-        object="can",
-        cloud=cloud,
-        grasp=Grasp(rng.random(3), rng.random(3), rotation, score=math.nan if k == 1 else float(k)),
-        touch=Touch.from_vector(rng.random(TOUCH_SIZE)) if labelled else None,
-        tare=Touch.from_vector(rng.random(TOUCH_SIZE)),
-        stamp_ns=7 * k,
-        extra={"force_th_n": 1.5 + k},
-    )
+    made = record(k, "can", points).sample
+    cloud = made.cloud if colour else replace(made.cloud, rgb=None)
+    rotation = np.linalg.qr(np.random.default_rng(k).standard_normal((3, 3)))[0]
+    grasp = replace(made.grasp, rotation=rotation, score=math.nan if k == 1 else float(k))
+    return replace(made, id=f"can/{k}", cloud=cloud, grasp=grasp, touch=made.touch if labelled else None)
 
 
 def write(path: Path, samples: list[GraspSample]) -> StoreWriter:

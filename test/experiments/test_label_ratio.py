@@ -103,7 +103,8 @@ def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> Non
         weights = (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake, loss.gradient_penalty)
         assert weights == (1.0, 10.0, 0.1, 0.0)
 
-    presets = {"p2_as_printed": "as_printed", "p2_as_printed_contrast": "contrast", "p2_as_printed_srgan": "srgan"}
+    presets = {f"p2_as_printed_{one}": one for one in ("contrast", "batch_means", "srgan")}
+    presets["p2_as_printed"] = "as_printed"
     every_case(presets.items(), check)
     tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
     small = {"cached_points": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0]}
@@ -230,13 +231,6 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
     ]
     for one, other in zip(nets[0].state_dict().values(), nets[1].state_dict().values(), strict=True):
         assert torch.equal(one, other)
-
-
-def test_epochs_follow_from_updates() -> None:
-    def check(labelled: int, updates: int | None, epochs: int) -> None:
-        assert configured(BASE, "srgan", "0.3/1/1", labelled, updates, seed=0).epochs == epochs
-
-    every_case([(320, 640, 16), (2880, 640, 2), (64, 1, 1), (64, None, 30)], check)
 
 
 def test_points_are_those_of_the_cloud_each_once(presampled: PresampledSet) -> None:

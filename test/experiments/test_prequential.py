@@ -52,7 +52,7 @@ def test_tares_and_temperatures_are_joined_with_their_grasps() -> None:
         assert_array_equal(recording.tdc[1::2, 0], 2400.0 + np.arange(1, 12, 2))
         assert np.isnan(recording.tdc[::2]).all()
     table = find_experiment("prequential").tabulate(settings, rows)
-    assert {"temperature", EVERYTHING} < set(unique(table, "sources"))
+    assert {"temperature", "history + touches + tares", EVERYTHING} < set(unique(table, "sources"))
 
 
 def test_every_grasp_is_scored_once_and_tables_are_made_of_the_rows(tmp_path: Path) -> None:

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from run_builders import write_store
 
-from foretouch.dataset.store_writer import SampleFacts, StoreWriter
 from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.models.network.config import ModelConfig
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
@@ -50,13 +49,7 @@ def small() -> ModelConfig:
 
 @pytest.fixture(scope="session")
 def store(samples, tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "boxes"
-    facts = [SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in samples]
-    with StoreWriter(path, {}) as writer:
-        for sample in samples:
-            writer.write(sample)
-        writer.attach(SPLITS_FILE, make_splits(facts, 3))
-    return path
+    return write_store(tmp_path_factory.mktemp("data") / "boxes", samples)
 
 
 @pytest.fixture(scope="session")

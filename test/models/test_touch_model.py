@@ -11,7 +11,7 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.errors import CloudError, ModelError, TactileError
+from foretouch.errors import ModelError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.network.checkpoint import NetworkEstimator
@@ -121,15 +121,6 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
     assert ["unfamiliar" in p.flags for p in predictions] == [False, True]
 
 
-def test_refusals_reach_the_caller(make_net, small, can, make_grasps) -> None:
-    config = small.replace(channels="xyz+rgb")
-    model = TouchModel(NetworkEstimator(config, fold(make_net(config))), CARD)
-    with pytest.raises(ModelError, match="has no rgb"):
-        model.predict(Cloud(can.xyz), make_grasps(1))
-    with pytest.raises(CloudError, match="fewer than 32"):
-        model.predict(Cloud(can.xyz[:5], can.rgb[:5]), make_grasps(1))
-
-
 def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() -> None:
     """Objects like those of training and others; a hand of which nothing was read yet is no reading."""
     sample, limits = SAMPLES[3], ObjectLimits(max_extent_m=10.0, max_range_m=100.0)
@@ -153,15 +144,6 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
         for cloud, group in ((sample.cloud, known), (house, "new"))
     ]
     every_case(cases, check)
-
-
-def test_a_tare_moves_predictions_part_of_its_way_from_rest(calibrated) -> None:
-    sample, tare = SAMPLES[3], Touch.from_vector(REST + 40.0)
-    before, after = (calibrated.predict(sample.cloud, [sample.grasp], tare=one) for one in (None, tare))
-    moved = (vectors(after) - vectors(before))[0]
-    assert 10.0 < moved.mean() < 40.0
-    assert after[0].reference == "tare"
-    assert (np.diff(bounds(after), axis=0) < np.diff(bounds(before), axis=0)).mean() > 0.9
 
 
 def test_touches_shift_and_narrow_as_the_tracker_predicts_and_a_reduced_model_is_wider(calibrated) -> None:

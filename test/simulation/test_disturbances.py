@@ -35,14 +35,6 @@ def repeats(series):
     return side, np.mean([np.mean(one[1:] & one[:-1]) for one in same])
 
 
-def test_simulated_noise_is_that_of_the_sensor():
-    """The bounds of 22 recordings of a BioTac SP in steady touch at 100 Hz."""
-    noise = steady_noise([steady_touch(seed) for seed in range(22)])
-    assert noise.sd == pytest.approx(4.4, abs=0.5)
-    assert noise.repeated == pytest.approx(0.35, abs=0.05)
-    assert noise.lag1 == pytest.approx(0.38, abs=0.08)
-
-
 @pytest.mark.real_data
 def test_recorded_noise_is_what_the_simulation_aims_at(real_data):
     files = sorted((real_data / "biotac_steady_100hz").glob("*.csv"))

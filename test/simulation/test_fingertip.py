@@ -27,7 +27,6 @@ def test_touch_raises_pdc_and_drops_the_electrodes_below_and_no_force_reads_rest
     drop = THUMB.electrode_rest - two[1:]
     assert drop[[4, 14]].min() > 150  # electrodes 5 and 15, under the contact
     assert drop[[0, 9, 10, 19]].max() < 0  # far ones see the skin bulge
-    assert four[0] - two[0] < 0.1 * (two[0] - THUMB.pdc_rest)  # PDC levels off
     assert four[1:].min() < two[1:].min() - 100
     left, right = read(3.0, 0.2, 0.3), read(3.0, 0.2, -0.3)
     assert left[0] == pytest.approx(right[0], rel=1e-6)  # the same pressure with another pattern

@@ -45,7 +45,6 @@ def test_what_is_seen_is_the_sample_of_its_stamp_though_the_clock_is_faulty() ->
         assert stamp == clock.now_ns - 123_456, "stamps are whole milliseconds"
         expected = FrameMaker(config).frame(schedule.slot(stamp))
         np.testing.assert_array_equal(image.depth_mm, expected.depth_mm)
-    config = scene(camera=SMALL)
     camera, clock, schedule = images(config, jitter_s=0.02, skew_s=0.05)
     for number in range(40):
         clock.now_ns = START + 1_900_000_000 + number * 5_000_000

@@ -39,7 +39,6 @@ def _check_onsets(_: str, item: dict[str, Any], slot: int) -> None:
     series = vectors(course.counts)
     stamps = np.arange(len(series)) * PERIOD
     for onset in find_contact(stamps, series, series[: course.start]):
-        assert onset is not None
         assert 0 <= onset // PERIOD - course.onset <= 5
     detector, changes = ContactDetector(), []
     for stamp, reading in zip(stamps, series, strict=True):

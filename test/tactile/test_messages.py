@@ -34,10 +34,6 @@ def biotac_all() -> Any:
     return SimpleNamespace(header=header(), tactiles=tactiles)
 
 
-def String(data: str) -> SimpleNamespace:  # noqa: N802  as the message is called
-    return SimpleNamespace(data=data)
-
-
 def line(places: int = 3) -> str:
     """As biotac_sp_ros prints it; PAC is -1 everywhere."""
     numbers: list[float] = []
@@ -67,13 +63,13 @@ def test_biotac_all_by_the_names_of_its_fingers_and_one_that_is_no_sp() -> None:
 
 def test_the_csv_of_biotac_sp_ros_has_no_stamp_and_says_so() -> None:
     reader = make_reader(TactileConfig(type="std_msgs/String"))
-    reading = reader.read(String(data=line()))
+    reading = reader.read(SimpleNamespace(data=line()))
     np.testing.assert_array_equal(reading.counts, expected(0, 1))
     assert reading.stamp_ns is None
     assert reader.flags == ("arrival_stamped",)
     others = dict(zip(reader.others, reading.others, strict=True))
     assert others == {"TAC_TH": 50, "TDC_TH": 60, "TAC_MF": 51, "TDC_MF": 61}
-    other = make_reader(TactileConfig(type="std_msgs/String", thumb="2", middle="0")).read(String(data=line()))
+    other = make_reader(TactileConfig(type="std_msgs/String", thumb="2", middle="0")).read(SimpleNamespace(data=line()))
     np.testing.assert_array_equal(other.counts, expected(2, 0))
     cases = (
         ("1 fields, a line of biotac_sp_ros has 163", ""),
@@ -81,7 +77,7 @@ def test_the_csv_of_biotac_sp_ros_has_no_stamp_and_says_so() -> None:
         ("could not convert", line().replace(",1001", ",x", 1)),
         ("not finite", line().replace(",1001", ",nan", 1)),
     )
-    every_refusal(TactileError, cases, lambda text: reader.read(String(data=text)))
+    every_refusal(TactileError, cases, lambda text: reader.read(SimpleNamespace(data=text)))
 
 
 def state(**channels: Any) -> Any:

@@ -40,9 +40,10 @@ def test_root_mean_square_by_hand_exact_and_zero_at_zero() -> None:
     scaled, target = torch.tensor([[1.0], [5.0]]), torch.tensor([[4.0], [1.0]])
     assert float(labeled_loss(scaled, target, [1])) == pytest.approx(math.sqrt((9 + 16) / 2))
     assert float(labeled_loss(scaled, target, [1], "mse")) == pytest.approx(12.5)
-    assert float(labeled_loss(torch.zeros(1, 3), torch.tensor([[2.0, 3.0, 4.0]]), [1, 2])) == pytest.approx(
-        (2 + math.sqrt(12.5)) / 2
-    )
+    apart = torch.zeros(1, 3), torch.tensor([[2.0, 3.0, 4.0]]), [1, 2]  # each modality counts alike
+    assert float(labeled_loss(*apart)) == pytest.approx((2 + math.sqrt(12.5)) / 2)
+    assert float(labeled_loss(*apart, "mse")) == pytest.approx((4 + 12.5) / 2)
+    assert float(labeled_loss(*apart, epsilon=5.0)) == pytest.approx((3 + math.sqrt(17.5)) / 2)
     squares = torch.tensor([0.0, 1.0001e-12, 1e-8, 0.3, 7e6], dtype=F64)
     assert torch.equal(_safe_root(squares), squares.sqrt())
 
@@ -64,6 +65,11 @@ def test_as_printed_contrast_and_the_original_srgan_by_hand_and_equation_4_is_eq
     assert found["total"] == pytest.approx(0.5 + 30 - 0.1 * 7 / 4)
     parted = [parts(SrganLossConfig(), Features(U, U, U + gap))["total"] for gap in (0.0, 0.5, 2.0, 50.0)]
     assert parted == sorted(set(parted), reverse=True)
+    means = parts(SrganLossConfig(loss_variant="batch_means"))
+    assert means["unlabeled"] == pytest.approx((1.5**2 + 0.5**2) / 2)
+    assert float(matching_loss(L, U[:1], SrganLossConfig(loss_variant="batch_means"))) == pytest.approx(
+        (2**2 + 1**2) / 2
+    )
     config = SrganLossConfig(loss_variant="srgan")
     found = parts(config)
     assert found["unlabeled"] == pytest.approx((1.5 + 0.5) / 2)
@@ -87,7 +93,7 @@ def test_gradients_agree_with_finite_differences() -> None:
 
         assert torch.autograd.gradcheck(total, (labels, *features))
 
-    every_case(("as_printed", "contrast", "srgan"), check)
+    every_case(("as_printed", "contrast", "batch_means", "srgan"), check)
 
 
 def test_the_contrast_stays_bounded_for_huge_features() -> None:
@@ -100,7 +106,7 @@ def test_the_contrast_stays_bounded_for_huge_features() -> None:
         assert float(fake.grad.abs().sum()) <= 0.1 + 1e-6  # w_F times a slope of at most one, shared out
         assert math.isfinite(float(total.detach()))
 
-    every_case(product(("contrast", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)
+    every_case(product(("contrast", "batch_means", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)
 
 
 def test_the_penalty_is_one_sided_worked_by_hand_and_differentiable_where_features_vanish() -> None:

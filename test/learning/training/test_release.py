@@ -4,14 +4,14 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from recording_builders import read_folder
+from run_builders import write_store
 from safetensors.numpy import load_file
 
 from foretouch.cli.main import main
-from foretouch.cloud.io.files import write_cloud
+from foretouch.dataset.samples import export_samples
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.models import load_model
 
@@ -25,16 +25,8 @@ train: {epochs: 3, batch_size: 4}
 @pytest.fixture
 def folder(tmp_path: Path, samples) -> Path:
     """Ten of the made-up samples, written as the recordings are."""
-    for name in ("box0", "box1"):
-        for sample in [one for one in samples if one.object == name][:5]:
-            here = tmp_path / "data" / name / str(sample.stamp_ns // 10**9)
-            here.mkdir(parents=True)
-            write_cloud(here / "cloud-object.pcd", sample.cloud)
-            contacts = np.concatenate([sample.grasp.g1, sample.grasp.g2])
-            (here / "best-grasp.txt").write_text(",".join(map(str, contacts)))
-            touch = sample.touch
-            numbers = [*touch.e_mf, 0, 0, touch.pdc_mf, 0, 0, *touch.e_th, 0, 0, touch.pdc_th, 0, 0]
-            (here / "tactile.tac").write_text("," + ",".join(map(str, numbers)))
+    chosen = [one for name in ("box0", "box1") for one in [s for s in samples if s.object == name][:5]]
+    export_samples(write_store(tmp_path / "store", chosen), tmp_path / "data", "vision2tactile")
     return tmp_path / "data"
 
 

@@ -1,24 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of a run name file, field and rule, and no earlier result is lost."""
 
-import hashlib
-import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from every_case import every_refusal
-from run_builders import BASE, MODEL, quiet, run_config, stop_after
+from run_builders import BASE, MODEL, quiet, run_config, stop_after, write_store
 from safetensors.torch import load_file
 
-from foretouch.dataset.files import sealed
-from foretouch.dataset.store import MANIFEST, SEAL
-from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.data.splits import make_splits, parse_splits
 from foretouch.learning.training.run import train_run
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, RunFolder, read_state
@@ -57,9 +50,7 @@ def test_settings_of_another_method_and_clouds_that_cannot_be_described_are_refu
 def test_one_object_cannot_be_kept_apart_and_without_any_label_there_is_nothing_to_learn(
     data, tmp_path, method: str
 ) -> None:
-    alone = tuple(sample for sample in data.samples if sample.object == "box0")
-    book = parse_splits(make_splits([SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in alone]))
-    one = Dataset("one", alone, "sha", book.parts, omitted=book.omitted)
+    one = load_dataset(write_store(tmp_path / "one", (sample for sample in data.samples if sample.object == "box0")))
     rule = r"one: split: 'object' cannot be made of these samples: folds: all samples are of box0; .* takes 2"
     with pytest.raises(DatasetError, match=rule):
         train_run(run_config(method=method, split="object/box0"), one, tmp_path / "run", quiet)
@@ -159,17 +150,3 @@ def test_models_of_others_in_the_folder_are_not_written_over(data, tmp_path) -> 
     with pytest.raises(FileError, match="holds a run already"):
         train_run(run_config(), data, tmp_path / "run", quiet)
     assert contents(card.parent) == before
-
-
-def test_splits_of_a_store_give_the_reason_one_is_missing(store, tmp_path) -> None:
-    store = Path(shutil.copytree(store, tmp_path / store.name))
-    file = store / "splits.json"
-    splits = json.loads(file.read_text())
-    del splits["splits"]["object"]
-    splits["omitted"]["object"] = "too few"
-    before = hashlib.sha256(file.read_bytes()).hexdigest()
-    file.write_text(json.dumps(splits))
-    manifest = (store / MANIFEST).read_text().replace(before, hashlib.sha256(file.read_bytes()).hexdigest())
-    (store / MANIFEST).write_text(sealed(json.loads(manifest), SEAL))
-    with pytest.raises(DatasetError, match="boxes: split: 'object' cannot be made of these samples: too few"):
-        load_dataset(store).parts("object")

@@ -14,7 +14,6 @@ from foretouch.learning.data import Dataset, TrainingSet, duplicate_labels, labe
 from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.evaluation.baselines import object_mean, training_mean
 from foretouch.learning.evaluation.evaluate import cross_validate
-from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.run import make_learner
 from foretouch.learning.training.run_config import RunConfig, load_run_config
 from foretouch.learning.training.supervised import (
@@ -29,10 +28,7 @@ from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.network.preparation import prepare_grasps
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import MODALITIES, modality_size
 from foretouch.types import Grasp, Touch
-
-SIZES = [modality_size(name) for name in MODALITIES]
 
 QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
 
@@ -102,18 +98,6 @@ def test_the_last_smaller_batch_is_used_if_asked_for(samples, small) -> None:
         assert [len(batch) for batch, *_ in trainer.batches()] == sizes
         assert trainer.batch_count == len(sizes)
         assert np.isfinite(trainer.run_epoch()["loss"])
-
-
-def test_every_modality_counts_alike() -> None:
-    scaled = torch.zeros(4, 50)
-    for column in (0, slice(2, 26)):
-        target = torch.zeros(4, 50)
-        target[:, column] = 2.0
-        assert float(labeled_loss(scaled, target, SIZES, "mse")) == pytest.approx(1.0)  # 2² over four modalities
-        assert float(labeled_loss(scaled, target, SIZES, "rmse")) == pytest.approx(0.5, abs=1e-5)
-        # One modality at sqrt(4 + 5), three at sqrt(5).
-        rooted = (3.0 + 3.0 * 5.0**0.5) / 4.0
-        assert float(labeled_loss(scaled, target, SIZES, "rmse", epsilon=5.0)) == pytest.approx(rooted, abs=1e-5)
 
 
 def test_missing_and_duplicate_labels_are_named(samples, small) -> None:

@@ -227,6 +227,7 @@ EXPERIMENTS: Final = (
             "paper": {**_PAPER, **_chosen(RATIOS)},
             "p2_as_printed": _as_printed("as_printed"),
             "p2_as_printed_contrast": _as_printed("contrast"),
+            "p2_as_printed_batch_means": _as_printed("batch_means"),
             "p2_as_printed_srgan": _as_printed("srgan"),
             "quick": {**_QUICK, **_chosen(RATIOS), "seeds": [0, 1, 2]},
             "smoke": {**_SMOKE, **_chosen((50, 90)), "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},

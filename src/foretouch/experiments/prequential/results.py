@@ -36,7 +36,7 @@ HISTORY: Final = "history"
 EVERYTHING: Final = "history + touches + temperature"
 SOURCES: Final = (
     *(NOTHING, "name", "time", "temperature", HISTORY, "history + temperature", TOUCHES, "history + touches"),
-    *("history + touches + last temperature", EVERYTHING),
+    *("history + touches + tares", "history + touches + last temperature", EVERYTHING),
 )
 """What is known besides vision: names of the rows, from the least to the most."""
 
@@ -116,7 +116,7 @@ def _score_run(
 ) -> None:
     """Add the predictions of the last run of a recording from each of the sources."""
     last = shown.runs() == shown.runs()[-1]
-    cold = replace(shown, tdc=None, tare_tdc=None)
+    cold = replace(shown, tares=None, tdc=None, tare_tdc=None)
     scored.add(NOTHING, where, shown.expected[last])
     own = ~last & (shown.objects == shown.objects[-1])
     named = shown.readings[own].mean(axis=0) if own.any() else shown.expected[last]
@@ -128,6 +128,8 @@ def _score_run(
         TOUCHES: (ending, cold),
         "history + touches": (tracker, cold),
     }
+    if shown.tares is not None:
+        played["history + touches + tares"] = (tracker, replace(cold, tares=shown.tares))
     if shown.tdc is not None:
         earlier = replace(shown, tare_tdc=np.concatenate([shown.tdc[:1], shown.tdc[:-1]]))
         before = np.array([shown.tdc_before(k) for k in range(len(last))])
@@ -277,7 +279,7 @@ def _sentences(rows: Sequence[Row]) -> list[str]:
     found = []
     for (regime, vision), own in grouped(rows, "regime", "vision"):
         known = dict(grouped(own, "sources"))
-        best = known[EVERYTHING if EVERYTHING in known else "history + touches"]
+        best = known[max(known, key=SOURCES.index)]
         words = "the mean of earlier readings" if vision == CONSTANT else f"vision ({vision})"
         text = f"{regime}, with {words}: {_listed(known[NOTHING])} alone, {_listed(best)} with {best[0]['sources']}"
         found.append(text)
