@@ -57,9 +57,8 @@ def _check_predictions(predictions: list[TouchPrediction]) -> None:
 
 def test_plan() -> None:
     def check(case: ObjectCase) -> None:
-        original, stable = (
-            plan_grasps(case.cloud, case.plane, GeoGraspConfig(method=m)) for m in ("original", "stable")
-        )
+        configs = (GeoGraspConfig(method=method) for method in ("original", "stable"))
+        original, stable = (plan_grasps(case.cloud, case.plane, config) for config in configs)
         if case.planned != "ok":
             assert (original.status, original.grasps) == ("no_grasp", ())
             assert re.search(case.planned, original.reason), original.reason

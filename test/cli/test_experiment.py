@@ -20,9 +20,8 @@ def test_a_program_gets_a_line_a_cell_and_the_summary_and_exit_status_1_if_one_f
     answer = call(*words)
     assert answer.status == 0, answer.err
     *cells, summary = answer.records
-    assert [(record["cell"], record["done"], record["cells"]) for record in cells] == [
-        (f"cell{k}", k + 1, 3) for k in range(3)
-    ]
+    told = [(record["cell"], record["done"], record["cells"]) for record in cells]
+    assert told == [(f"cell{k}", k + 1, 3) for k in range(3)]
     assert summary["status"] == "done"
     assert (summary["cells"], summary["reused"], summary["rows"], summary["failed"]) == (3, 0, 6, {})
     call(*words).check_refused("--resume continues")

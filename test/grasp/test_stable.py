@@ -37,9 +37,7 @@ def wedge_cloud(rng: np.random.Generator) -> Cloud:
     return Cloud(np.stack([across, along, depth], axis=-1)[inside].astype(np.float32))
 
 
-def test_the_order_of_points_changes_no_bit_jitter_little_and_a_shift_carries_the_grasp_along(
-    box_cloud, top_view, rng
-) -> None:
+def test_order_changes_no_bit_jitter_little_and_a_shift_carries_the_grasp_along(box_cloud, top_view, rng) -> None:
     one, other = (
         plan_grasps(Cloud(xyz), top_view, STABLE.replace(count=5)).grasps
         for xyz in (box_cloud.xyz, rng.permutation(box_cloud.xyz))
