@@ -42,9 +42,8 @@ def sphere(radius: float, at: Float64, count: int = 8000) -> Float64:
     """(count, 3) points on Fibonacci's lattice [m]."""
     k = np.arange(count) + 0.5
     polar, around = np.arccos(1.0 - 2.0 * k / count), np.pi * (1.0 + 5.0**0.5) * k
-    return at + radius * np.column_stack(
-        [np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)]
-    )
+    ring = np.sin(polar)
+    return at + radius * np.column_stack([np.cos(around) * ring, np.sin(around) * ring, np.cos(polar)])
 
 
 def moved(grasp: Grasp, turn: Float64, shift: Float64) -> Grasp:

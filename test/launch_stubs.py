@@ -45,9 +45,7 @@ _MODULES = {
         "PathJoinSubstitution": lambda parts: SimpleNamespace(parts=parts),
     },
     "launch_ros": {},
-    "launch_ros.actions": {
-        "Node": lambda **options: SimpleNamespace(options=options, node_executable=options["executable"])
-    },
+    "launch_ros.actions": {"Node": lambda **given: SimpleNamespace(options=given, node_executable=given["executable"])},
     "launch_ros.substitutions": {"FindPackageShare": lambda package: package},
 }
 

@@ -33,9 +33,7 @@ def level(number: int) -> np.ndarray:
 def interval(number: int, period_s: float = 3.0) -> Interval:
     """Grasp `number` closes at 1 s of its period, holds from 1.5 s to 2.2 s."""
     begin = T0 + round(number * period_s * SECOND)
-    return Interval(
-        start=begin + SECOND, contact=begin + SECOND + SECOND // 2, release=begin + SECOND * 2 + SECOND // 5
-    )
+    return Interval(start=begin + SECOND, contact=begin + 3 * SECOND // 2, release=begin + 11 * SECOND // 5)
 
 
 def true_counts(stamp_ns: int, grasps: int, period_s: float = 3.0) -> np.ndarray:

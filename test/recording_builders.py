@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,9 +135,7 @@ def read_folder(path: Path) -> list[GraspSample]:
     return [record.sample for record in open_samples(path).records()]
 
 
-def readable(
-    source: Source, refuse: Callable[[str, ForetouchError], None]
-) -> Iterator[tuple[str, Cloud | GraspSample]]:
+def readable(source: Source, refuse: Callable[[str, ForetouchError], Any]) -> Iterator[tuple[str, Cloud | GraspSample]]:
     """The clouds or samples that can be read, with their names; `refuse` is called with name and error of each other."""
     items = iter(source)
     while True:

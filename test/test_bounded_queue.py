@@ -8,7 +8,7 @@ from collections import Counter
 from foretouch.bounded_queue import BoundedQueue
 
 
-def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones() -> None:
+def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones_and_one_without_a_capacity_none() -> None:
     dropped: list[tuple[int, str]] = []
     queue = BoundedQueue[int](2, on_drop=lambda item, reason: dropped.append((item, reason)))
     assert all(queue.put(item) for item in range(5))
@@ -24,6 +24,15 @@ def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones() -> None:
     assert sized.dropped == {"full": 2}
     assert [len(item) for item in sized.get_all(0.0)] == [4, 4, 2]
     assert sized.put(bytes(10))
+    for when_full in ("wait", "drop_oldest", "reject"):
+        queue = BoundedQueue[int](None, when_full=when_full)  # type: ignore[arg-type]
+        assert all(queue.put(item) for item in range(3))
+        assert [queue.get(0.0) for _ in range(3)] == [0, 1, 2]
+    queue = BoundedQueue[int](None)
+    assert all(queue.put(item) for item in range(4))
+    queue.capacity = 2
+    queue.put(4)
+    assert queue.get_all(0.0) == [3, 4]
 
 
 def test_a_full_queue_may_block_the_sender_until_it_is_read_or_closed() -> None:
@@ -42,18 +51,6 @@ def test_a_full_queue_may_block_the_sender_until_it_is_read_or_closed() -> None:
     assert not sender.is_alive()
     assert queue.get(0.0) is None
     assert queue.dropped == {"stopped": 2}
-
-
-def test_without_a_capacity_it_accepts_everything_and_one_set_later_holds_from_then_on() -> None:
-    for when_full in ("wait", "drop_oldest", "reject"):
-        queue = BoundedQueue[int](None, when_full=when_full)  # type: ignore[arg-type]
-        assert all(queue.put(item) for item in range(3))
-        assert [queue.get(0.0) for _ in range(3)] == [0, 1, 2]
-    queue = BoundedQueue[int](None)
-    assert all(queue.put(item) for item in range(4))
-    queue.capacity = 2
-    queue.put(4)
-    assert queue.get_all(0.0) == [3, 4]
 
 
 def test_what_waits_can_be_taken_out_of_a_closed_queue_for_which_a_receiver_waits_no_longer_than_asked() -> None:

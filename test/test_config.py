@@ -58,7 +58,7 @@ class Scene(Settings):
     light: Inner | None = None
 
 
-def test_lists_of_groups_and_absent_groups() -> None:
+def test_lists_of_groups_absent_groups_and_a_field_without_setting() -> None:
     made = Scene.from_mapping({"items": [{"range_m": 1}, {"mode": "far"}]})
     assert [(item.range_m, item.mode) for item in made.items] == [(1.0, "near"), (2.0, "far")]
     assert made.light is None
@@ -74,8 +74,6 @@ def test_lists_of_groups_and_absent_groups() -> None:
     ]
     every_refusal(ConfigError, cases, Scene.from_mapping)
 
-
-def test_a_field_without_setting_is_our_own_mistake() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Bare(Settings):
         width: float = 1.0

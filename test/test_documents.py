@@ -102,9 +102,8 @@ def test_every_field_of_every_interface_is_listed_with_its_comment(reference) ->
             elif "SPDX" not in comment:
                 assert comment in section or reference.cell(comment) in section, line
 
-    every_case(
-        [path for kind in ("msg", "srv", "action") for path in (ROOT / "foretouch_msgs" / kind).glob("*")], check
-    )
+    kinds = (ROOT / "foretouch_msgs" / kind for kind in ("msg", "srv", "action"))
+    every_case([path for kind in kinds for path in kind.glob("*")], check)
     messages = pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
     for one in reference.interfaces("msg"):
         fields = getattr(messages, one.name).get_fields_and_field_types()
@@ -195,10 +194,8 @@ def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> 
     monkeypatch.chdir(tmp_path)
     target = Pipeline().run(scene).targets[0]
     given = {"cloud": target.target.cloud, "plane": target.target.plane, "grasps": target.plan.grasps, "tare": None}
-    pages = sorted((DOCS / "api").glob("*.md"))
-    examples = {
-        page.stem: re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL) for page in pages
-    }
+    block = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+    examples = {page.stem: block.findall(page.read_text()) for page in sorted((DOCS / "api").glob("*.md"))}
     assert sum(map(len, examples.values())) == 6
     for name, codes in examples.items():
         for code in codes:

@@ -57,9 +57,8 @@ def _check_predictions(predictions: list[TouchPrediction]) -> None:
 
 def test_plan() -> None:
     def check(case: ObjectCase) -> None:
-        original, stable = (
-            plan_grasps(case.cloud, case.plane, GeoGraspConfig(method=m)) for m in ("original", "stable")
-        )
+        configs = (GeoGraspConfig(method=method) for method in ("original", "stable"))
+        original, stable = (plan_grasps(case.cloud, case.plane, config) for config in configs)
         if case.planned != "ok":
             assert (original.status, original.grasps) == ("no_grasp", ())
             assert re.search(case.planned, original.reason), original.reason
@@ -108,29 +107,21 @@ def test_pipeline_of_an_object(pipeline) -> None:
     every_case(OBJECTS, check)
 
 
-def test_segment() -> None:
+def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
     def check(case: SceneCase) -> None:
-        found = segment(case.cloud)
+        found, result = segment(case.cloud), pipeline.run(case.cloud)
         assert found.status == case.segmented, found.reason
         assert re.search(case.reason, found.reason)
         parts = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
         assert found.counts["received"] == case.cloud.size == sum(found.counts[name] for name in parts)
         assert min(found.counts.values()) >= 0
-        if case.segmented == "ok":
-            assert len(found.objects) == 1
-            assert np.isfinite(found.plane.coefficients).all()
-            assert all(np.isfinite(one.cloud.xyz).all() and np.abs(one.bounds).max() < 2.0 for one in found.objects)
-
-    every_case(SCENES, check)
-
-
-def test_pipeline_of_a_scene(pipeline) -> None:
-    def check(case: SceneCase) -> None:
-        result = pipeline.run(case.cloud)
         if case.segmented != "ok":
             assert (result.status, result.targets) == (case.segmented, ())
             assert re.search(case.reason, result.reason)
             return
+        assert len(found.objects) == 1
+        assert np.isfinite(found.plane.coefficients).all()
+        assert all(np.isfinite(one.cloud.xyz).all() and np.abs(one.bounds).max() < 2.0 for one in found.objects)
         assert result.status == "ok", result.reason
         for target in result.targets:
             assert target.predictions

@@ -24,9 +24,8 @@ import foretouch
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "foretouch"
-CORE = [
-    one.name for one in pkgutil.iter_modules([str(SOURCE)]) if one.name not in ("ros", "camera", "__main__", "kernels")
-]
+OUTER = {"ros", "camera", "__main__", "kernels"}
+CORE = [one.name for one in pkgutil.iter_modules([str(SOURCE)]) if one.name not in OUTER]
 
 
 def test_the_version_is_one() -> None:
@@ -122,9 +121,8 @@ def test_the_installation_page_installs_what_rosdep_does_not_know() -> None:
     text = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
     (line,) = re.findall(r"^pip install -c src/foretouch/constraints.txt (.*)$", text, re.MULTILINE)
     assert {IMPORT_NAMES.get(name, name) for name in line.split()} == NOT_IN_ROSDEP
-    assert {f"`{extra}`" for extra in metadata.metadata("foretouch").get_all("Provides-Extra") or []} <= set(
-        re.findall(r"`\w+`", text)
-    )
+    extras = metadata.metadata("foretouch").get_all("Provides-Extra") or []
+    assert {f"`{extra}`" for extra in extras} <= set(re.findall(r"`\w+`", text))
 
 
 def test_the_constraints_are_within_the_ranges_and_complete() -> None:

@@ -48,7 +48,7 @@ def test_take_by_mask_equals_take_by_index(rng: np.random.Generator) -> None:
     assert (by_mask.frame_id, by_mask.stamp_ns) == ("camera", 7)
 
 
-def test_plane_is_normalised_with_its_offset() -> None:
+def test_a_normalised_plane_the_middle_and_width_of_a_grasp_and_the_vector_of_a_touch() -> None:
     plane = Plane.from_coefficients([0, 0, 2, -2.5])
     np.testing.assert_allclose(plane.coefficients, [0, 0, 1, -1.25])
     np.testing.assert_allclose(plane.height(np.array([[5.0, 6.0, 1.5]])), [0.25])
@@ -56,9 +56,6 @@ def test_plane_is_normalised_with_its_offset() -> None:
     for scale in (5e-324, 1e-310, 1e-161, 1e-155, 1e155, 1e200, 3e307):
         plane = Plane.from_coefficients(np.array([1.0, -2.0, 2.0, 3.0]) * scale)
         np.testing.assert_allclose(plane.coefficients, np.array([1.0, -2.0, 2.0, 3.0]) / 3.0, rtol=1e-13)
-
-
-def test_midpoint_and_width_of_a_grasp_and_the_vector_of_a_touch_with_the_thumb_first() -> None:
     grasp = Grasp(np.array([0.0, 0.0, 1.0]), np.array([0.03, 0.04, 1.0]), np.eye(3))
     np.testing.assert_allclose(grasp.midpoint, [0.015, 0.02, 1.0])
     assert grasp.width_m == pytest.approx(0.05)

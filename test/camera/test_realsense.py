@@ -90,9 +90,7 @@ def test_an_unplugged_camera_is_absent_until_it_is_back(source: SyntheticCamera,
     assert changes == ["streaming", "absent", "streaming", "closed"]
 
 
-def test_an_absent_camera_is_named_and_costs_no_processor_time(
-    source: SyntheticCamera, config: RealSenseConfig
-) -> None:
+def test_an_absent_camera_is_named_and_costs_no_processor_time(source, config) -> None:
     source.plugged = False
     with RealSenseCamera(config, source) as camera:
         started, used = time.monotonic(), time.process_time()

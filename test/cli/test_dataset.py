@@ -79,10 +79,9 @@ def test_export_and_import_come_round(call, dataset, tmp_path) -> None:
     assert out["samples"] == 16
     (back,) = call("dataset", "import", tmp_path / "bag", "-o", tmp_path / "again", "--json").records
     assert (back["samples"], back["labelled"]) == (16, 16)
-    builds = [
-        call("dataset", "build", d, "-o", d.with_suffix(".store"), "--json") for d in (dataset, tmp_path / "again")
-    ]
-    assert builds[0].records[0]["sha256"] == builds[1].records[0]["sha256"]
+    both = (dataset, tmp_path / "again")
+    one, other = (call("dataset", "build", path, "-o", path.with_suffix(".store"), "--json").records for path in both)
+    assert one[0]["sha256"] == other[0]["sha256"]
 
 
 def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:

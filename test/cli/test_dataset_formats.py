@@ -71,7 +71,7 @@ def test_a_new_format_is_read_built_exported_imported_and_listed(tmp_path, call,
         assert ("{numbers,vision2tactile,npz,rosbag2}" in text) == (action == "export"), action
 
 
-def test_a_path_of_no_format_is_refused_with_the_list(tmp_path) -> None:
+def test_a_path_of_no_format_is_refused_and_every_module_supports_what_its_line_declares(tmp_path) -> None:
     (tmp_path / "notes.txt").write_text("x")
     for path in (tmp_path, tmp_path / "notes.txt"):
         assert not is_sample_set(path)
@@ -81,9 +81,6 @@ def test_a_path_of_no_format_is_refused_with_the_list(tmp_path) -> None:
         export_samples(tmp_path / "absent", tmp_path / "out", "npz")
     with pytest.raises(FileError, match="is not a dataset"):
         build_store([tmp_path], tmp_path / "store")
-
-
-def test_every_module_of_the_table_supports_what_its_line_declares() -> None:
     for entry in formats.FORMATS:
         functions = importlib.import_module(entry.module).DATASET_FORMAT
         missing = DatasetFormat()

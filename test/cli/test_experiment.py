@@ -20,9 +20,8 @@ def test_a_program_gets_a_line_a_cell_and_the_summary_and_exit_status_1_if_one_f
     answer = call(*words)
     assert answer.status == 0, answer.err
     *cells, summary = answer.records
-    assert [(record["cell"], record["done"], record["cells"]) for record in cells] == [
-        (f"cell{k}", k + 1, 3) for k in range(3)
-    ]
+    told = [(record["cell"], record["done"], record["cells"]) for record in cells]
+    assert told == [(f"cell{k}", k + 1, 3) for k in range(3)]
     assert summary["status"] == "done"
     assert (summary["cells"], summary["reused"], summary["rows"], summary["failed"]) == (3, 0, 6, {})
     call(*words).check_refused("--resume continues")
@@ -53,9 +52,7 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
     assert "are finished" not in summary.read_text()
 
 
-def test_what_is_wrong_is_told_in_one_line_and_another_experiment_s_folder_is_not_redrawn(
-    call, tmp_path, numbers, monkeypatch
-) -> None:
+def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_path, numbers, monkeypatch) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]
     assert "'phrenology' is none of prequential, cross_validation" in call("experiment", "phrenology", *out).err

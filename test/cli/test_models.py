@@ -31,7 +31,7 @@ def test_every_model_of_the_package_has_skill_files_and_intervals(call) -> None:
     assert any(names == "all models" for names, _, _ in remarks)
 
 
-def test_coverage_and_guarantee_are_those_of_the_card(call, tmp_path) -> None:
+def test_coverage_is_that_of_the_card_and_a_flipped_byte_or_an_absent_file_is_found(call, tmp_path) -> None:
     (record,) = call("models", save_calibrated_contact(tmp_path), "--json").records
     result = record["calibration"]
     assert (record["kind"], result["level"], result["objects"], result["promise"]) == ("contact", 0.9, 4, 0.8)
@@ -39,9 +39,6 @@ def test_coverage_and_guarantee_are_those_of_the_card(call, tmp_path) -> None:
     table = call("models", tmp_path / "contact.json").out
     assert "0.91" in table
     assert "the guaranteed coverage of one more object is at most 80%" in table
-
-
-def test_a_flipped_byte_or_an_absent_file_is_found(call, tmp_path) -> None:
     card = save_calibrated_network(tmp_path)
 
     def check(name: str) -> None:

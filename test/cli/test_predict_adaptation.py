@@ -198,9 +198,7 @@ def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call, model, real_da
     assert result["touched"] == 1
 
 
-def test_a_history_is_read_in_order_of_time_from_a_dataset_or_the_file_of_a_hand(
-    call, tracked, session, earlier, tmp_path
-) -> None:
+def test_a_history_is_read_from_a_dataset_or_a_file_in_order_of_time(call, tracked, session, earlier, tmp_path) -> None:
     words = ("predict", session, "--model", tracked, "--json", "--history", earlier)
     one = load_model(tracked)
     hand, records = hand_after(one, earlier), call(*words).records

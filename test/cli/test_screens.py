@@ -68,9 +68,7 @@ def whole(written: str, width: int) -> str:
     return text
 
 
-def test_tables_of_the_commands_are_whole_and_folded_on_a_terminal(
-    call, files, tmp_path, monkeypatch, environment
-) -> None:
+def test_tables_are_whole_and_folded_on_a_terminal(call, files, tmp_path, monkeypatch, environment) -> None:
     dataset = tmp_path / "a-rather-long-name-of-a-dataset"
     write_dataset(dataset, 6, points=100)
     commands = (

@@ -154,7 +154,7 @@ def test_a_recording_has_its_times_and_candidates_also_while_it_is_written(view,
 
 
 @pytest.mark.usefixtures("recording")
-def test_clouds_have_their_tables_objects_and_planned_grasps(call, view, files) -> None:
+def test_clouds_have_tables_objects_and_planned_grasps_and_no_hand_without_one(call, view, files, tmp_path) -> None:
     (planned,) = call("grasp", files / "object.pcd", "--count", 10, "--json").records
     drawn = view(files / "object.pcd").rows("/scene/candidates", "LineStrips3D:strips")[0]
     expected = [[one["g1"], one["g2"]] for one in planned["grasps"][1:]]
@@ -166,6 +166,14 @@ def test_clouds_have_their_tables_objects_and_planned_grasps(call, view, files) 
     corners = np.array(written.rows("/scene/table", "Mesh3D:vertex_positions")[0])
     a, b, c, d = record["plane"]
     np.testing.assert_allclose(corners @ [a, b, c], -d, atol=1e-6)
+    for number, name in enumerate(("scene.npz", "empty.npz", "scene.npz")):
+        (tmp_path / f"{number}.npz").write_bytes((files / name).read_bytes())
+    written = view(tmp_path)
+    electrodes = written.rows("/scene/thumb/electrodes", "Points3D:positions")
+    assert {step: len(points) for step, points in electrodes.items()} == {0: 24, 1: 0, 2: 24}
+    assert [len(row) for row in written.rows("/scene/thumb/skin", "Ellipsoids3D:half_sizes").values()] == [1, 0, 1]
+    assert written.rows("/scene/hand", "TransformAxes3D:axis_length")[1] == [0.0]
+    assert 1 in written.rows("/scene/objects", "Clear:is_recursive")
 
 
 def test_answers_are_shown_as_given_with_or_without_their_clouds(call, view, dataset, answers, files, tmp_path) -> None:
@@ -182,18 +190,6 @@ def test_answers_are_shown_as_given_with_or_without_their_clouds(call, view, dat
     texts = [text for (text,) in written.rows("/answer", "TextDocument:text").values()]
     assert sum("not predicted: " in text for text in texts) == 1
     assert len(written.rows("/scene/cloud", "Points3D:positions")) == len(texts) - 1
-
-
-@pytest.mark.usefixtures("recording")
-def test_a_hand_disappears_where_there_is_no_grasp(view, files, tmp_path) -> None:
-    for number, name in enumerate(("scene.npz", "empty.npz", "scene.npz")):
-        (tmp_path / f"{number}.npz").write_bytes((files / name).read_bytes())
-    written = view(tmp_path)
-    electrodes = written.rows("/scene/thumb/electrodes", "Points3D:positions")
-    assert {step: len(points) for step, points in electrodes.items()} == {0: 24, 1: 0, 2: 24}
-    assert [len(row) for row in written.rows("/scene/thumb/skin", "Ellipsoids3D:half_sizes").values()] == [1, 0, 1]
-    assert written.rows("/scene/hand", "TransformAxes3D:axis_length")[1] == [0.0]
-    assert 1 in written.rows("/scene/objects", "Clear:is_recursive")
 
 
 def test_what_cannot_be_shown_is_refused_in_one_line(call, answers, files, tmp_path, monkeypatch) -> None:

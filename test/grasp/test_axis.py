@@ -20,7 +20,7 @@ def _rod(direction, n=400):
     return (points + rng.normal(0.0, 0.005, (n, 3))).astype(np.float32)
 
 
-def test_finds_the_long_direction(top_view):
+def test_finds_the_long_direction_and_sides_across_it(top_view):
     def check(*direction):
         axis = find_axis(_rod(direction), top_view, CONFIG)
         assert abs(axis.direction @ direction) / np.linalg.norm(direction) > 0.99
@@ -28,6 +28,10 @@ def test_finds_the_long_direction(top_view):
         np.testing.assert_allclose(axis.centroid, [0.0, 0.0, 1.0], atol=0.02)
 
     every_case([(1, 0.2, 0), (0.1, 1, 0.1), (0.3, 0.3, 1), (1, 1, 1)], check)
+    top = [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)]
+    side = [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)]
+    for plane, cases in ((top_view, top), (SIDE_VIEW, side)):
+        assert [_side(np.array(axis), plane) for axis, _ in cases] == [one for _, one in cases]
 
 
 def test_sign_in_top_view_whatever_the_order_of_points_and_the_sign_of_the_planes_normal(top_view, rng):
@@ -47,13 +51,6 @@ def test_sign_in_top_view_whatever_the_order_of_points_and_the_sign_of_the_plane
         flipped = Plane(-SIDE_VIEW.normal, -SIDE_VIEW.offset)
         axes = [find_axis(xyz, plane, CONFIG).direction for plane in (SIDE_VIEW, flipped)]
         np.testing.assert_array_equal(*axes)
-
-
-def test_sides_lie_across_the_axis(top_view):
-    top = [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)]
-    side = [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)]
-    for plane, cases in ((top_view, top), (SIDE_VIEW, side)):
-        assert [_side(np.array(axis), plane) for axis, _ in cases] == [one for _, one in cases]
 
 
 def test_an_outlier_does_not_turn_the_axis_of_which_a_ball_has_none(top_view):

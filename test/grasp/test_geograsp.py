@@ -20,7 +20,7 @@ def test_a_box_is_taken_across_its_long_axis(box_cloud, top_view):
     np.testing.assert_allclose(np.abs(best.rotation[:, 2]), [1.0, 0.0, 0.0], atol=0.2)
 
 
-def test_candidates_come_best_first_counts_add_up_and_every_stage_is_timed(box_cloud, top_view):
+def test_candidates_come_best_first_and_points_are_counted_those_that_are_not_finite_too(box_cloud, top_view):
     plan = plan_grasps(box_cloud, top_view, GeoGraspConfig(count=10))
     counts, ms = plan.counts, plan.ms
     scores = [grasp.score for grasp in plan.grasps]
@@ -34,6 +34,11 @@ def test_candidates_come_best_first_counts_add_up_and_every_stage_is_timed(box_c
     assert counts["n_points"] >= counts["n_filtered"] >= counts["n_plane"]
     assert list(ms) == ["outliers", "axis", "slab", "candidates", "ranking", "pose", "total"]
     assert ms["total"] == pytest.approx(sum(ms.values()) - ms["total"])
+    bad = np.array([[np.nan, 0, 1], [0, np.inf, 1], [np.nan] * 3], np.float32)
+    plan = plan_grasps(Cloud(np.concatenate([bad, box_cloud.xyz])), top_view, CONFIG)
+    assert plan.counts["n_dropped"] == 3
+    assert plan.counts["n_points"] == box_cloud.size + 3
+    assert plan.grasps[0].score == plan_grasps(box_cloud, top_view, CONFIG).grasps[0].score
 
 
 def test_shifting_by_whole_voxels_along_the_table_shifts_the_grasp(box_cloud, top_view):
@@ -45,14 +50,6 @@ def test_shifting_by_whole_voxels_along_the_table_shifts_the_grasp(box_cloud, to
     one, other = plan_grasps(near, top_view, CONFIG), plan_grasps(far, top_view, CONFIG)
     np.testing.assert_allclose(other.initial_points, one.initial_points + shift, atol=1e-6)
     np.testing.assert_allclose(other.axis, one.axis, atol=1e-4)
-
-
-def test_points_that_are_not_finite_are_counted_and_change_nothing(box_cloud, top_view):
-    bad = np.array([[np.nan, 0, 1], [0, np.inf, 1], [np.nan] * 3], np.float32)
-    plan = plan_grasps(Cloud(np.concatenate([bad, box_cloud.xyz])), top_view, CONFIG)
-    assert plan.counts["n_dropped"] == 3
-    assert plan.counts["n_points"] == box_cloud.size + 3
-    assert plan.grasps[0].score == plan_grasps(box_cloud, top_view, CONFIG).grasps[0].score
 
 
 def test_a_slide_moves_the_contacts_along_the_axis(box_cloud, top_view, rng):

@@ -54,7 +54,7 @@ def test_what_has_no_pose_is_refused():
     every_refusal(GraspError, cases, quaternion_xyzw)
 
 
-def test_quaternions_are_those_of_scipy_and_of_a_half_turn_by_hand():
+def test_quaternions_are_those_of_scipy_and_what_is_accepted_at_once_is_a_rotation(rng):
     rotations = Rotation.random(200, random_state=0)
     for matrix, expected in zip(rotations.as_matrix(), rotations.as_quat(), strict=True):
         quaternion = quaternion_xyzw(matrix)
@@ -64,6 +64,13 @@ def test_quaternions_are_those_of_scipy_and_of_a_half_turn_by_hand():
         quaternion = quaternion_xyzw(2.0 * np.outer(axis, axis) - np.eye(3))
         leading = axis[np.flatnonzero(axis)[0]]  # positive by convention
         np.testing.assert_allclose(quaternion, [*(axis * np.sign(leading)), 0.0], atol=1e-12)
+    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(40)])
+    turns[:30] *= rng.uniform(0.999, 1.001, (30, 1, 1))
+    turns[30], turns[31], turns[32] = 1e300, np.diag([1.0, 1.0, -1.0]), np.eye(3)
+    found = fast_accept_rotations(turns)
+    assert found[32]
+    for one in turns[found]:
+        check_rotation(one)
 
 
 def test_lengths_whose_squares_are_out_of_range_have_the_same_rotation():
@@ -75,13 +82,3 @@ def test_lengths_whose_squares_are_out_of_range_have_the_same_rotation():
         np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
         assert not is_parallel(scale * g1, np.zeros(3), axis)
     np.testing.assert_allclose(hand_rotation(g1, np.zeros(3), 1e-155 * axis), expected, rtol=0.0, atol=1e-15)
-
-
-def test_what_is_accepted_at_once_is_a_rotation(rng):
-    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(40)])
-    turns[:30] *= rng.uniform(0.999, 1.001, (30, 1, 1))
-    turns[30], turns[31], turns[32] = 1e300, np.diag([1.0, 1.0, -1.0]), np.eye(3)
-    found = fast_accept_rotations(turns)
-    assert found[32]
-    for one in turns[found]:
-        check_rotation(one)

@@ -70,7 +70,7 @@ def _sides():
     return ContactSide(a, p1, 3), ContactSide(b, p2, 3)
 
 
-def test_pairs_score_as_worked_by_hand():
+def test_pairs_score_as_worked_by_hand_and_initial_points_without_a_score_have_a_reason():
     ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
     # pd = k = 0 but for 1e-8 over the range; u across the axis: R1 = 2 + 10 · 0.2 = 4; c = 1: R2 = 2 + 2 = 4.
     assert (ranking.first[0], ranking.second[0]) == (0, 0)
@@ -84,6 +84,16 @@ def test_pairs_score_as_worked_by_hand():
     score, reason = initial_score(_sides(), GRASP_PLANE, CENTROID)
     # pd = 0, k = 0.25: R1 = 4, R2 = 4 - 0.5.
     assert (reason, score) == ("", pytest.approx(1.5 * 4.0 + 3.5, abs=1e-4))
+    a, b = _sides()
+    xyz, normal, curvature = a.candidates.xyz[:1], a.candidates.normal[:1], a.candidates.curvature[:1]
+    one = a._replace(candidates=SurfacePoints(xyz, normal, curvature))
+    score, reason = initial_score((one, b), GRASP_PLANE, CENTROID)
+    assert np.isnan(score)
+    assert reason == "no score: the candidates of the first side do not differ (1 of them)"
+    b.initial.curvature[0] = np.nan
+    score, reason = initial_score((a, b), GRASP_PLANE, CENTROID)
+    assert np.isnan(score)
+    assert "the second initial point" in reason
 
 
 def test_candidates_that_are_inside_without_a_normal_or_along_the_axis_never_rank():
@@ -107,16 +117,3 @@ def test_candidates_that_are_inside_without_a_normal_or_along_the_axis_never_ran
     for x, kept in ((0.0499, True), (0.0497, False)):
         others = _points([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)
         assert (0 in rank_pairs((a, b._replace(candidates=others)), GRASP_PLANE, CENTROID).second) == kept
-
-
-def test_initial_points_without_a_score_have_a_reason():
-    a, b = _sides()
-    xyz, normal, curvature = a.candidates.xyz[:1], a.candidates.normal[:1], a.candidates.curvature[:1]
-    one = a._replace(candidates=SurfacePoints(xyz, normal, curvature))
-    score, reason = initial_score((one, b), GRASP_PLANE, CENTROID)
-    assert np.isnan(score)
-    assert reason == "no score: the candidates of the first side do not differ (1 of them)"
-    b.initial.curvature[0] = np.nan
-    score, reason = initial_score((a, b), GRASP_PLANE, CENTROID)
-    assert np.isnan(score)
-    assert "the second initial point" in reason

@@ -99,7 +99,7 @@ def hard_rows(rng: np.random.Generator, count: int = 130) -> np.ndarray:
     return rows
 
 
-def test_a_forest_gives_the_same_bits_alone_and_with_others(rng) -> None:
+def test_a_forest_gives_the_same_bits_alone_and_with_others_and_reads_nothing_beyond_its_end(rng) -> None:
     def check(trees: int, outputs: int) -> None:
         rows = hard_rows(rng)
         with np.errstate(over="ignore"):
@@ -113,8 +113,6 @@ def test_a_forest_gives_the_same_bits_alone_and_with_others(rng) -> None:
         assert_array_equal(CompiledForests(forests).predict(rows), expected)
     assert CompiledForests(forests).predict(np.empty((0, 6))).shape == (0, 5)
 
-
-def test_what_would_be_read_beyond_its_end_is_refused() -> None:
     def predict(name: str, value: int) -> None:
         array = getattr(forest(7, 3), name).copy()
         array.reshape(-1)[0] = value

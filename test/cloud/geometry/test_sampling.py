@@ -13,9 +13,7 @@ def test_every_method_of_sampling(rng: np.random.Generator) -> None:
     xyz = rng.normal(size=(1200, 3)).astype(np.float32)
 
     def check(method: str) -> None:
-        first, again, other = (
-            sample_indices(xyz, 750, method=method, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
-        )
+        first, again, other = (sample_indices(xyz, 750, method=method, rng=np.random.default_rng(k)) for k in (1, 1, 2))
         assert len(np.unique(first)) == 750
         np.testing.assert_array_equal(first, again)
         assert not np.array_equal(first, other)

@@ -45,7 +45,7 @@ def test_the_rule_decides_and_no_target_is_explained() -> None:
         TargetConfig(mode="point")
 
 
-def test_of_equal_objects_the_most_central_then_the_leftmost_is_selected_and_named() -> None:
+def test_of_equal_objects_the_previous_or_most_central_then_the_leftmost_is_selected() -> None:
     def check(reason: str, objects: list[ObjectSegment], config: TargetConfig, chosen: int) -> None:
         found, why = select_targets(objects, config)
         assert [obj.id for obj in found] == [chosen]
@@ -76,9 +76,6 @@ def test_of_equal_objects_the_most_central_then_the_leftmost_is_selected_and_nam
     found, why = select_targets(pair, TargetConfig())
     assert [obj.id for obj in found] == [2]
     assert why.endswith("object 2 is the leftmost of those nearest to the optical axis")
-
-
-def test_of_objects_equal_within_the_margin_the_previous_target_is_kept() -> None:
     pair = [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)]
     found, why = select_targets(pair, TargetConfig(), previous=np.array([0.052, 0.001, 0.8]))
     assert [obj.id for obj in found] == [2]

@@ -96,7 +96,7 @@ def test_objects_before_others_and_clouds_without_order() -> None:
     every_case(range(0, 50, 10), check)
 
 
-def test_other_resolutions() -> None:
+def test_resolutions_strides_colours_frame_and_stamp_do_not_matter_or_are_kept(rng: np.random.Generator) -> None:
     def check(width: int, height: int) -> None:
         image = _image(1, width=width, height=height)
         segmentation = segment(image.cloud())
@@ -108,9 +108,6 @@ def test_other_resolutions() -> None:
     coarse, shipped = (segment(image.cloud(), SegmentationConfig(grid_rows=rows)) for rows in (60, 120))
     assert len(coarse.objects) == len(shipped.objects) == 3
     assert 0.9 < np.mean(_overlaps(coarse, image.labels)) < np.mean(_overlaps(shipped, image.labels))
-
-
-def test_strides_colours_frame_and_stamp_do_not_matter_or_are_kept(rng: np.random.Generator) -> None:
     xyz = _image(4).cloud().xyz
     padded = np.zeros((xyz.shape[0], xyz.shape[1] + 3, 4), np.float32)
     padded[:, :-3, :3] = xyz
