@@ -174,9 +174,7 @@ def exported(path: Path, kind: str) -> Iterator[GraspSample]:
                 yield GraspSample(str(arrays["id"]), "ball", read_cloud(file), grasp, **fields)
 
 
-def test_what_vision2tactile_cannot_hold_is_reported_and_samples_of_one_second_are_kept_apart(
-    dataset: Path, tmp_path: Path
-) -> None:
+def test_what_vision2tactile_cannot_hold_is_reported_and_a_second_holds_several(dataset: Path, tmp_path: Path) -> None:
     result = export_samples(dataset, tmp_path / "out", "vision2tactile")
     assert result.left_out == {"unlabelled": 1}
     assert {name: count for name, count in result.lost.items() if count} == {"tare": 3, "series": 3, "id": 3}
@@ -205,9 +203,7 @@ def test_nothing_is_overwritten_and_names_that_lead_elsewhere_are_not_exported(d
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_an_import_of_another_hand_of_taken_ids_or_of_damaged_files_leaves_nothing(
-    dataset: Path, tmp_path: Path
-) -> None:
+def test_an_import_of_another_hand_taken_ids_or_damaged_files_leaves_nothing(dataset: Path, tmp_path: Path) -> None:
     build_store([dataset], tmp_path / "store")
     other = replace(IDENTITY, hand={"name": "other"})
     with pytest.raises(FileError, match=r"hand\.name: shadow-rh there, other here"):

@@ -4,7 +4,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from recording_builders import IDENTITY, QUICK, ids, write_dataset
 
@@ -54,9 +53,7 @@ def test_undo_takes_back_one_edit_after_the_other(dataset: Path) -> None:
     assert describe(dataset).edits[0] == "1: relabel cup (2 samples) (undone)"
 
 
-def test_what_could_leave_a_folder_is_not_there_taken_or_being_written_is_refused(
-    dataset: Path, tmp_path: Path
-) -> None:
+def test_names_that_leave_a_folder_are_absent_taken_or_being_written_are_refused(dataset: Path, tmp_path: Path) -> None:
     def check(message: str, action: Callable[..., object], *arguments: object) -> None:
         with pytest.raises((DatasetError, FileError), match=message):
             action(dataset, *arguments)
@@ -78,9 +75,7 @@ def test_what_could_leave_a_folder_is_not_there_taken_or_being_written_is_refuse
         undo(dataset / "nothing")
 
 
-def test_any_flipped_bit_of_the_log_is_found_and_an_edit_that_was_cut_off_does_not_count(
-    dataset: Path, rng: np.random.Generator
-) -> None:
+def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not_count(dataset: Path, rng) -> None:
     relabel(dataset, ["ball/000001"], "cup")
     edited = ids(dataset)
     drop(dataset, ["cup/000001"])

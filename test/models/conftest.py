@@ -22,6 +22,23 @@ def small() -> ModelConfig:
     return SMALL
 
 
+@pytest.fixture(
+    params=[
+        {},
+        {"tnet": False},
+        {"use_grasp": False, "head_norm": True},
+        {"channels": "xyz+normals", "metric_inputs": True, "head_norm": True},
+        {"outputs": ("PDC_MF",), "head_widths": ()},
+        {"trunk_widths": (16,), "head_dropout": 0.5},
+        {"trunk_relu": False},
+    ],
+    ids=str,
+)
+def variant(request: pytest.FixtureRequest) -> ModelConfig:
+    """A small network with some changes."""
+    return SMALL.replace(**request.param)
+
+
 @pytest.fixture
 def make_net() -> Callable[..., TouchNet]:
     """Builds a network whose batch norms have seen data and whose outputs are counts."""

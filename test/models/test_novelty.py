@@ -45,9 +45,7 @@ def test_sizes_are_what_they_are_called_and_do_not_depend_on_the_place(rng) -> N
         object_sizes(np.ones((20, 3)))
 
 
-def test_training_clouds_are_in_distribution_a_house_and_a_pea_get_the_mean_of_the_labels(
-    fallback, trained, rng
-) -> None:
+def test_training_clouds_are_in_distribution_a_house_and_a_pea_get_the_mean(fallback, trained, rng) -> None:
     assert np.mean([fallback.score(one) >= 0.5 for one in trained]) >= 0.9
     others = [fallback.score(object_sizes(HERE + box(one, rng))) for one in SIDES for _ in range(30)]
     assert np.mean(np.array(others) >= 0.5) >= 0.8  # about the quantile of the usual distances

@@ -61,9 +61,7 @@ def begin_run(folder: Path) -> Path:
     return folder
 
 
-def test_a_run_folder_leads_to_its_only_card_and_one_that_is_unfinished_is_refused(
-    contact: Path, tmp_path: Path
-) -> None:
+def test_a_run_folder_leads_to_its_only_card_and_an_unfinished_one_is_refused(contact: Path, tmp_path: Path) -> None:
     folder = begin_run(contact.parent)
     assert find_card(folder) == find_card(str(folder)) == contact
     assert load_model(folder).name == "toy"
@@ -78,9 +76,7 @@ def test_a_run_folder_leads_to_its_only_card_and_one_that_is_unfinished_is_refus
 
 def test_a_folder_with_several_models_or_a_damaged_card_is_refused_by_name(contact: Path, make_net) -> None:
     save_network(contact.parent, "net", make_net(), {})
-    with pytest.raises(
-        ModelError, match=rf"^{contact.parent}: holds several models, net.json, toy.json: name the card"
-    ):
+    with pytest.raises(ModelError, match=rf"^{contact.parent}: holds several models, net.json, toy.json: name the"):
         find_card(contact.parent)
     (contact.parent / "net.json").unlink()
     contact.write_text("{")

@@ -62,9 +62,8 @@ class Session:
         self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
 
     def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
-        times = {
-            key: stamp(getattr(interval(number), key) if touched else 0) for key in ("start", "contact", "release")
-        }
+        when = interval(number)
+        times = {key: stamp(getattr(when, key) if touched else 0) for key in ("start", "contact", "release")}
         message = SimpleNamespace(grasp_id=name or f"g-{number}", success=success, **times)
         self.assembler.add("executed", message, received_ns=0, now_s=0.0)
 
@@ -148,10 +147,8 @@ def test_labels_and_contacts_without_a_report() -> None:
     session = Session(0, watch_sensors=True)
     for number in (0, 1):
         session.plan(number)
-    _, text = session.assembler.matcher.add_label(
-        Label(grasp_id="g-1", object="cup", discard=True, outcome="failure"), 0.0
-    )
-    assert text == "waits for its contact"
+    label = Label(grasp_id="g-1", object="cup", discard=True, outcome="failure")
+    assert session.assembler.matcher.add_label(label, 0.0)[1] == "waits for its contact"
     for reading in stream(2):
         session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
     assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}

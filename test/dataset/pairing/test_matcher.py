@@ -51,9 +51,8 @@ class Session:
         return stamp
 
     def report(self, number: int, name: str | None = None, when: Interval | None = None) -> None:
-        self.matcher.add_executed(
-            ExecutedGrasp(grasp_id=name or f"g-{number}", interval=when or interval(number), success=True), 0.0
-        )
+        executed = ExecutedGrasp(grasp_id=name or f"g-{number}", interval=when or interval(number), success=True)
+        self.matcher.add_executed(executed, 0.0)
 
     def reasons(self) -> list[str]:
         results = self.matcher.poll(10.0)

@@ -78,9 +78,7 @@ def test_ids_of_a_source_are_kept_and_given_once(tmp_path: Path) -> None:
     assert_clean(tmp_path / "ds")
 
 
-def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_path: Path, monkeypatch) -> None:
     write_dataset(tmp_path / "ds", 1)
     other = Identity(hand={**IDENTITY.hand, "serial": "9"}, camera={"name": "D435"})
     with pytest.raises(FileError) as caught:
@@ -258,9 +256,7 @@ def test_a_disk_that_is_almost_full_ends_the_session_cleanly(tmp_path: Path) -> 
     assert (counts.received, counts.written, dict(counts.dropped)) == (2, 1, {"disk full": 1})
 
 
-def test_a_failing_write_ends_the_session_with_what_was_acknowledged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_write_ends_the_session_with_what_was_acknowledged(tmp_path: Path, monkeypatch) -> None:
     """Half of the sample's bytes get through before the device fails: they must be gone afterwards."""
 
     def check(code: int) -> None:
@@ -281,9 +277,7 @@ def test_a_failing_write_ends_the_session_with_what_was_acknowledged(
     every_case((errno.EIO, errno.ENOSPC, errno.EROFS), check)
 
 
-def test_a_disk_that_fails_at_the_start_or_when_waited_for_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fails_at_the_start_or_when_waited_for_is_named(tmp_path: Path, monkeypatch) -> None:
     with monkeypatch.context() as patch:
         fail_writes(patch, 2, errno.ENOSPC)  # magic and header, then the metadata
         with pytest.raises(FileError, match=r"session-0001.mcap: No space left on device \(errno 28\)"):

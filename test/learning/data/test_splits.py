@@ -14,9 +14,8 @@ from foretouch.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, _labe
 
 
 def facts(objects: int = 6, each: int = 20, unlabelled: int = 7) -> list[SampleFacts]:
-    labelled = [
-        SampleFacts(f"o{o}/{k:06d}", f"o{o}", 1000 * o + k, labelled=True) for k in range(each) for o in range(objects)
-    ]
+    numbers = [(k, o) for k in range(each) for o in range(objects)]
+    labelled = [SampleFacts(f"o{o}/{k:06d}", f"o{o}", 1000 * o + k, labelled=True) for k, o in numbers]
     return labelled + [SampleFacts(f"o0/9{k:05d}", "o0", k, labelled=False) for k in range(unlabelled)]
 
 
@@ -87,11 +86,7 @@ def test_an_id_on_two_sides_and_other_files_are_refused(tmp_path: Path) -> None:
         (tmp_path / SPLITS_FILE).write_text(text)
         read_splits(tmp_path)
 
-    cases = (
-        ("is no list of splits", "{"),
-        ("is no list", "[]"),
-        ("schema_version: 2 is not 1", '{"schema_version": 2}'),
-    )
+    cases = (("is no list of", "{"), ("is no list", "[]"), ("schema_version: 2 is not 1", '{"schema_version": 2}'))
     every_refusal(FileError, cases, read)
     with pytest.raises(FileError, match="No such file"):
         read_splits(tmp_path / "none.json")

@@ -37,9 +37,8 @@ def test_object_time_trees_are_blind_and_geometry_trees_find_what_geometry_tells
         dataclasses.replace(sample, cloud=Cloud(np.ones((1, 3), np.float32)), grasp=samples[0].grasp, touch=None)
         for sample in samples[40:]
     ]
-    assert_allclose(
-        object_time_trees(samples[:40], labels, blind, 1), object_time_trees(samples[:40], labels, samples[40:], 1)
-    )
+    one, other = (object_time_trees(samples[:40], labels, asked, 1) for asked in (blind, samples[40:]))
+    assert_allclose(one, other)
     train, test = samples[:45], samples[45:]
     labels, actual = labels_of(train), labels_of(test)
     predicted = geometry_trees(train, labels, test, 1)

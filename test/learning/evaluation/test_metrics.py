@@ -43,9 +43,8 @@ def test_pools_as_the_metrics_do_and_those_agree_with_scikit_learn(rng) -> None:
     actual, predicted = (rng.normal(2500.0, 100.0, (30, 50)) for _ in range(2))
     mean = np.tile(actual.mean(axis=0), (30, 1))
     names = np.array(["a", "b", "c"])[rng.integers(0, 3, 30)]
-    parts = [
-        (str(names[k]), 1.0, (predicted[k] - actual[k]) ** 2, (mean[k] - actual[k]) ** 2) for k in rng.permutation(30)
-    ]
+    squared, reference = (predicted - actual) ** 2, (mean - actual) ** 2
+    parts = [(str(names[k]), 1.0, squared[k], reference[k]) for k in rng.permutation(30)]
     ours, theirs = skills(ObjectErrors.total(parts)), score(predicted, actual, mean)
     assert_allclose([ours[name].value for name in MODALITIES], [theirs[name].skill for name in MODALITIES])
     assert ours[MEAN].value == pytest.approx(mean_skill(theirs))

@@ -107,9 +107,8 @@ def test_every_object_weighs_the_same_and_each_modality_has_its_own_cut() -> Non
     factor = regime.half_width / np.sqrt(regime.spread)
     for modality in MODALITIES:
         scores = np.abs(labels[:, columns([modality])]) / np.sqrt(regime.spread[columns([modality])])
-        assert_allclose(
-            factor[columns([modality])], np.sort(scores.reshape(-1))[int(0.9225 * scores.size) - 1], rtol=0.02
-        )
+        cut = np.sort(scores.reshape(-1))[int(0.9225 * scores.size) - 1]
+        assert_allclose(factor[columns([modality])], cut, rtol=0.02)
 
 
 @pytest.mark.parametrize(("kept", "found"), [(0.0, 0.0), (0.4, 0.4), (1.0, 1.0), (1.7, 1.0), (-0.5, 0.0)])
@@ -128,10 +127,8 @@ def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
     known, new = fit_group(held_out), fit_group(held_out, new=True)
     assert_allclose(new.difference_shrinkage, known.difference_shrinkage * 10 / 40)
     assert (new.within > known.within).all()  # differences that count for less explain less
-    assert_allclose(
-        make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].groups["new"].difference_shrinkage,
-        new.difference_shrinkage,
-    )
+    made = make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].groups["new"]
+    assert_allclose(made.difference_shrinkage, new.difference_shrinkage)
 
 
 def test_covariances_are_found_with_many_objects_and_few_tell_not_what_errs_together() -> None:

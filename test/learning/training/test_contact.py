@@ -77,10 +77,8 @@ def test_forests_and_kernel_are_scikit_learn_s(monkeypatch) -> None:
         assert_allclose(estimator.forests[name].predict(inputs), wanted, atol=2e-3)
     deviation = inputs.std(axis=0)
     standard = (inputs - inputs.mean(axis=0)) / np.where(deviation > 1e-9, deviation, 1.0)
-    ridge = KernelRidge(alpha=0.3, kernel="laplacian", gamma=generalisation.DECAY / inputs.shape[1]).fit(
-        standard, scaled
-    )
-    assert_allclose(estimator.kernel.predict(inputs), ridge.predict(standard), atol=1e-5)
+    ridge = KernelRidge(alpha=0.3, kernel="laplacian", gamma=generalisation.DECAY / inputs.shape[1])
+    assert_allclose(estimator.kernel.predict(inputs), ridge.fit(standard, scaled).predict(standard), atol=1e-5)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:

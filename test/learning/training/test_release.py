@@ -85,9 +85,8 @@ def test_a_calibration_changes_no_weight_and_is_that_of_a_release(folder: Path, 
     assert set(one) == set(two)
     for name, array in one.items():
         assert_array_equal(array, two[name])
-    assert load_model(tmp_path / "plain").card["limits"] == [
-        "Bounds are null: the model was trained with calibrate=false."
-    ]
+    limits = load_model(tmp_path / "plain").card["limits"]
+    assert limits == ["Bounds are null: the model was trained with calibrate=false."]
 
 
 def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path, tmp_path, capsys) -> None:
@@ -100,17 +99,12 @@ def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path,
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_known_failures_are_one_line_and_status_one_and_no_folder_is_wrong_usage(
-    folder: Path, config: Path, tmp_path, capsys
-) -> None:
+def test_known_failures_are_one_line_and_no_folder_is_wrong_usage(folder: Path, config: Path, tmp_path, capsys) -> None:
     assert train(config, tmp_path / "absent", "--compare", "random") == 1
     assert f"{tmp_path / 'absent'}: " in capsys.readouterr().err
     for words, message in (
         (["train.epoch=2"], "train.epoch: unknown setting"),
-        (
-            ["model.outputs=[PDC_TH]", "release=true"],
-            "RunConfig.release: model.outputs: ['PDC_TH'] are not all modalities",
-        ),
+        (["model.outputs=[PDC_TH]", "release=true"], "RunConfig.release: model.outputs: ['PDC_TH'] are not all"),
         (["split=random/random 0", "release=true"], "RunConfig.release: trains on all samples"),
         (["method=trees"], "RunConfig.method: 'trees' is none of supervised, srgan, contact"),
     ):

@@ -17,7 +17,7 @@ from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file, save_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
-from foretouch.learning.data import Dataset
+from foretouch.learning.data import Dataset, labels_of
 from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
 from foretouch.learning.training.run import train_run
@@ -69,9 +69,8 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
     assert result["samples"] == len(part.test)
     assert set(result["scores"]) == {"model", "training_mean", "object_mean", "object_time_trees", "geometry_trees"}
     assert set(result["scores"]["model"]) == {"PDC_TH"}
-    train, test = (
-        np.array([data.samples[k].touch.vector() for k in data.index(ids)]) for ids in (part.train, part.test)
-    )
+    labels = labels_of(data.samples)
+    train, test = (labels[data.index(ids)] for ids in (part.train, part.test))
     mean = np.tile(train.mean(0), (len(test), 1))
     assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(score(mean, test, mean)["PDC_TH"].rmse)
     assert card["skill"]["labels/T30"] == result["scores"]["model"]

@@ -47,9 +47,7 @@ def test_settings_of_another_method_and_clouds_that_cannot_be_described_are_refu
 
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])
-def test_one_object_cannot_be_kept_apart_and_without_any_label_there_is_nothing_to_learn(
-    data, tmp_path, method: str
-) -> None:
+def test_one_object_cannot_be_kept_apart_and_without_a_label_nothing_is_learned(data, tmp_path, method: str) -> None:
     one = load_dataset(write_store(tmp_path / "one", (sample for sample in data.samples if sample.object == "box0")))
     rule = r"one: split: 'object' cannot be made of these samples: folds: all samples are of box0; .* takes 2"
     with pytest.raises(DatasetError, match=rule):

@@ -133,7 +133,6 @@ def test_copies_of_half_the_points_are_learnt_too() -> None:
     labels, objects = labels_of(SAMPLES), [one.object for one in SAMPLES]
     rows = describe_samples(SAMPLES)
     copies = thinned_samples(SAMPLES, config)
-    assert copies is not None
     assert thinned_samples(SAMPLES, FEW_TREES) is None
     for copy, one in zip(copies, SAMPLES, strict=True):
         assert copy.cloud.size == round(0.5 * one.cloud.size)

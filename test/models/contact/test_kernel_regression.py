@@ -39,9 +39,8 @@ def test_kernel_and_predictions_are_scikit_learns_and_constant_columns_are_found
     a, b = rng.normal(size=(5, 7)), rng.normal(size=(4, 7))
     assert_allclose(laplacian(a, b, DECAY), laplacian_kernel(a, b, gamma=DECAY / 7), rtol=1e-12)
     asked = rows.mean(axis=0) + 1.5 * rows.std(axis=0) * rng.normal(size=(40, 7))
-    theirs = KernelRidge(alpha=RIDGE, kernel="laplacian", gamma=DECAY / 7).fit(
-        (rows - kernel.centre) / kernel.scale, target
-    )
+    theirs = KernelRidge(alpha=RIDGE, kernel="laplacian", gamma=DECAY / 7)
+    theirs.fit((rows - kernel.centre) / kernel.scale, target)
     wanted = theirs.predict((asked - kernel.centre) / kernel.scale)
     # Known rows and weights are rounded to float32, 6e-8 each, and 60 of them are summed.
     assert_allclose(kernel.predict(asked), wanted, atol=1e-5)

@@ -23,9 +23,7 @@ def cans(can: Cloud, rng: np.random.Generator) -> Fallback:
     return Fallback.fit(sizes, np.arange(1000.0, 2000.0).reshape(20, 50))
 
 
-def test_predictions_fade_to_the_mean_of_the_labels_as_an_object_leaves_the_distribution(
-    make_net, small, can, cans, make_grasps
-) -> None:
+def test_predictions_fade_to_the_mean_as_an_object_leaves_training(make_net, small, can, cans, make_grasps) -> None:
     """The score is 1 at the can's own distance, whatever points were drawn, and 0 at that of one a fifth larger."""
     grasps, view = make_grasps(3), can.take(np.arange(600))
 

@@ -77,8 +77,7 @@ def test_force_of_a_bed_under_a_paraboloid_is_the_closed_form_and_beds_in_series
     solution = solve_winkler(problem, Command(force_n=0.5))
     overlap = np.maximum(solution.depth_m - problem.gap, 0.0)
     assert_allclose(solution.displacement.sum(axis=0), overlap, atol=1e-15)
-    assert_allclose(
-        solution.displacement[0] * bed_stiffness(skin()), solution.displacement[1] * bed_stiffness(soft), rtol=1e-9
-    )
+    first, second = solution.displacement
+    assert_allclose(first * bed_stiffness(skin()), second * bed_stiffness(soft), rtol=1e-9)
     with pytest.raises(ContactError, match="a half-space has no Winkler bed"):
         solve_winkler(paraboloid(8, 0.01, half_space()), Command(force_n=1.0))

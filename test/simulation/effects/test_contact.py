@@ -12,9 +12,7 @@ def level(*objects: dict[str, object], **groups: object) -> set[str]:
     return {p.name for p in explain_scene(scene(*objects, **groups)) if p.runs and p.name.startswith("contact_")}
 
 
-def test_the_level_follows_the_object_and_a_solver_that_does_not_converge_is_counted_apart(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_level_follows_the_object_and_a_solver_that_fails_is_counted_apart(monkeypatch) -> None:
     assert level(CAN) == {"contact_winkler"}
     assert level(SPONGE) == {"contact_layer"}
     assert level(CAN, SPONGE) == {"contact_winkler", "contact_layer"}

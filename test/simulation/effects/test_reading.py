@@ -31,10 +31,7 @@ def test_a_timeline_rests_closes_holds_and_releases() -> None:
 
 def test_a_session_moves_tare_and_touch_of_one_object_alike() -> None:
     """Slots 0 and 2 show one object, slot 1 the other."""
-    plain, moved = (
-        scene(CAN, CAN | {"name": "tin"}, **HELD),
-        scene(CAN, CAN | {"name": "tin"}, fingers={"sessions": {}}, **HELD),
-    )
+    plain, moved = (scene(CAN, CAN | {"name": "tin"}, fingers=fingers, **HELD) for fingers in ({}, {"sessions": {}}))
     shifts = [(run(moved, *SERIES, slot=k).series - run(plain, *SERIES, slot=k).series) for k in range(3)]
     for shift in shifts:
         np.testing.assert_allclose(shift[0], shift[1], atol=1e-9)

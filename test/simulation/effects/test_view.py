@@ -90,7 +90,6 @@ def test_the_cloud_lies_on_the_object_and_colours_are_darker_where_it_turns_away
     np.testing.assert_allclose(pixel, np.column_stack([columns, rows]), atol=1e-3)
     state = run(scene(CAN | {"colour": [200, 100, 0]}), "cloud")
     rgb = state.cloud.rgb
-    assert rgb is not None
     assert rgb[:, 0].max() > 190
     assert rgb[:, 0].min() < 0.8 * rgb[:, 0].max()
     assert (rgb[:, 2] == 0).all()

@@ -107,9 +107,7 @@ def test_a_scene_with_a_mesh_gives_samples_of_its_size(tmp_path: Path, block: Tr
     assert state.touch is not None
 
 
-def test_the_hash_of_a_scene_covers_the_content_of_the_mesh_and_not_its_path(
-    tmp_path: Path, block: TriangleMesh
-) -> None:
+def test_the_hash_of_a_scene_covers_the_mesh_and_not_its_path(tmp_path: Path, block: TriangleMesh) -> None:
     def scene(path: str, **more: str) -> SceneConfig:
         item = {"name": "thing", "shape": "mesh", "file": path, "size_m": [0.06, 0.05, 0.09], **more}
         return SceneConfig.from_mapping({"objects": [item]})
