@@ -111,9 +111,7 @@ def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera
             continue
         included = description.entities[len(module.ARGUMENTS) + 1]
         assert included.source.parts[1:] == ["launch", "perception.launch.py"]
-        given = {
-            key: getattr(value, "perform", lambda _, v=value: v)(context) for key, value in included.launch_arguments
-        }
+        given = {key: getattr(one, "perform", lambda _, v=one: v)(context) for key, one in included.launch_arguments}
         own = {"camera": "false", "namespace": "/left", "params_file": ""}
         assert given == {**own, "model": "m.json", "rviz": "true"}
     module, _, context = describe("replay", path="recording/")

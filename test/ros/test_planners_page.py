@@ -48,9 +48,7 @@ def test_the_parameters_and_commands_of_the_page_are_those_of_the_node_and_those
 
 
 @pytest.mark.slow
-def test_the_example_planners_rank_grasps_and_print_poses_in_the_frame_of_the_robot(
-    lone_graph, scene_cloud, model_card
-):
+def test_the_example_planners_print_poses_in_the_frame_of_the_robot(lone_graph, scene_cloud, model_card):
     graph, published = lone_graph, itertools.count(1)
     publisher = graph.talk(PointCloud2, "points")
     graph.add(*PERCEPTION, model=model_card, **PARAMETERS | {"hand_eye": str(ROOT / PARAMETERS["hand_eye"])})

@@ -98,7 +98,7 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
         decode_grasp(message)
 
 
-def test_planes_are_received_to_the_last_bit_or_refused(rng):
+def test_planes_are_received_to_the_last_bit_or_refused_with_a_reason(rng):
     for plane in (Plane.from_coefficients(rng.normal(size=4)) for _ in range(50)):
         np.testing.assert_array_equal(plane_from_msg(plane_to_msg(plane)).coefficients, plane.coefficients)
     message = plane_to_msg(None)
@@ -109,8 +109,21 @@ def test_planes_are_received_to_the_last_bit_or_refused(rng):
     with pytest.raises(CloudError, match="not four finite numbers"):
         plane_from_msg(message)
 
+    def check(status, reason, refused_as, text):
+        with pytest.raises(RefusalError) as refusal:
+            read_table(TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason), HEADER)
+        assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
 
-def test_a_prediction_puts_each_electrode_in_its_place_and_a_refusal_holds_no_number():
+    cases = [
+        (Status.NO_PLANE, "no plane", Status.NO_PLANE, "no plane"),
+        (Status.NO_PLANE, "", Status.NO_PLANE, "table: status no_plane without a reason"),
+        (250, "", Status.BAD_REQUEST, "table: status 250 is unknown"),
+        (Status.NO_OBJECT, "a\nb", Status.NO_OBJECT, r"a\nb"),
+    ]
+    every_case(cases, check)
+
+
+def test_a_prediction_puts_each_electrode_in_its_place_as_its_constructor_would_and_a_refusal_none():
     vector = np.arange(50.0) + 100.0
     value, lower = Touch.from_vector(vector), Touch.from_vector(vector - 10)
     prediction = TouchPrediction(UNIT, value, lower=lower, flags=("unfamiliar",), reference="tare")
@@ -122,9 +135,6 @@ def test_a_prediction_puts_each_electrode_in_its_place_and_a_refusal_holds_no_nu
     message = refusal_to_msg(grasp_to_msg(UNIT), Header(), Status.NO_MODEL, "absent")
     assert (message.status, message.reason) == (Status.NO_MODEL, "absent")
     assert all(math.isnan(i.value) for i in (message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf))
-
-
-def test_a_message_without_constructor_equals_the_constructed_one():
     value, low, high = (Touch.from_vector(np.arange(50.0) + shift) for shift in (0.5, -10.0, 10.0))
     full = TouchPrediction(UNIT, value, low, high, "touches", ("late",), evidence=Evidence(2, 3.5, 4, 1.0))
     for one in (full, TouchPrediction(UNIT, value)):
@@ -166,21 +176,6 @@ def test_many_grasps_are_decoded_as_one_by_one():
 
 
 HEADER = header_to_msg("camera", 5)
-
-
-def test_a_table_that_was_not_found_is_refused_with_a_reason():
-    def check(status, reason, refused_as, text):
-        with pytest.raises(RefusalError) as refusal:
-            read_table(TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason), HEADER)
-        assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
-
-    cases = [
-        (Status.NO_PLANE, "no plane", Status.NO_PLANE, "no plane"),
-        (Status.NO_PLANE, "", Status.NO_PLANE, "table: status no_plane without a reason"),
-        (250, "", Status.BAD_REQUEST, "table: status 250 is unknown"),
-        (Status.NO_OBJECT, "a\nb", Status.NO_OBJECT, r"a\nb"),
-    ]
-    every_case(cases, check)
 
 
 def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():

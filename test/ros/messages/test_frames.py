@@ -72,16 +72,13 @@ def test_an_orientation_of_zeros_stays_a_request_to_compute_it_and_what_is_not_f
         decode_grasp(moved)
 
 
-def test_a_plane_has_the_same_points(rng):
+def test_a_plane_has_the_same_points_and_a_cloud_its_other_fields_and_byte_order(rng):
     normal = np.array([0.6, 0.0, 0.8])
     moved = np.asarray(TRANSFORM.plane(PlaneMsg(coef=np.append(normal, -0.5))).coef)
     within = rng.normal(size=(20, 3))
     within -= np.outer(within @ normal - 0.5, normal)
     assert_allclose(to_base(within) @ moved[:3] + moved[3], 0.0, atol=1e-14)
     assert_array_equal(TRANSFORM.plane(PlaneMsg()).coef, np.zeros(4))
-
-
-def test_a_cloud_keeps_its_other_fields_and_its_byte_order(rng):
     xyz = rng.normal(size=(4, 5, 3)).astype(np.float32)
     xyz[1, 2] = np.nan
     rgb = rng.integers(0, 255, (4, 5, 3), np.uint8)

@@ -53,7 +53,7 @@ def test_fingertips_are_rotations_whose_pads_face_each_other_in_a_closed_or_turn
         assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
 
 
-def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
+def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_takes_g1():
     markers = drawn(np.full(24, 3000.0), np.full(24, 3000.0))
     thumb, finger = points(markers["thumb"][0]), points(markers["middle_finger"][0])
     assert thumb.shape == finger.shape == (24, 3)
@@ -66,9 +66,6 @@ def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
     counts[5], counts[6] = low, (low + high) / 2
     colours = drawn(counts, counts)["thumb"][0].colors
     assert [(colours[k].r, colours[k].g) for k in (0, 5, 6)] == [(0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
-
-
-def test_contacts_and_hand_axes_are_where_the_grasp_is():
     markers = drawn(np.ones(24), np.ones(24))
     balls = [[m.pose.position.x, m.pose.position.y, m.pose.position.z] for m in markers["contacts"]]
     np.testing.assert_array_equal(balls, [GRASP.g1, GRASP.g2])

@@ -134,8 +134,7 @@ def test_the_layout_shows_topics_of_the_graph_and_both_fingers():
     text = (Path(__file__).parents[3] / "config" / "foxglove.json").read_text(encoding="utf-8")
     thumb, middle = (FINGER_ORDER.index(name) for name in ("TH", "MF"))
     read = {f"{TACTILE_TOPIC}.tactiles[{index}].pdc" for index in (thumb, middle)}
-    predicted = {
-        f"{TOUCH}.predictions[0].pdc_{name}.{key}" for name in ("th", "mf") for key in ("value", "lower", "upper")
-    }
+    keys = ("value", "lower", "upper")
+    predicted = {f"{TOUCH}.predictions[0].pdc_{name}.{key}" for name in ("th", "mf") for key in keys}
     shown = set(re.findall(r'"(/[^"]*)"', json.dumps(json.loads(text))))
     assert shown == {POINTS, MARKERS, TOUCH, full_name(CLOUD_TOPIC), *read, *predicted}

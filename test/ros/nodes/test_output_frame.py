@@ -107,9 +107,7 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     assert monitor.last_drawables() == []  # a prediction in another frame than its cloud is not drawn
 
 
-def test_a_moving_camera_is_looked_up_at_the_stamp_and_a_missing_transform_is_named(
-    graph, scene_cloud, model_card, tf2
-):
+def test_a_moving_camera_is_looked_up_at_its_stamp_and_a_missing_transform_named(graph, scene_cloud, model_card, tf2):
     """The camera turns by 90 degrees in a second; the cloud of a later time finds no transform."""
     turns = Rotation.from_euler("z", [[0.0], [90.0]], degrees=True).as_quat()
     begin = 1_700_000_000_000_000_000
@@ -135,9 +133,7 @@ def ask(graph, *arguments, **fields):
     return graph.call(PredictTouch, "predict_touch", PredictTouch.Request(*arguments, **fields)).touch
 
 
-def test_requests_and_goals_are_answered_in_the_frame_of_the_robot_from_either_frame(
-    graph, truth, model_card, in_robot
-):
+def test_requests_and_goals_from_either_frame_are_answered_in_that_of_the_robot(graph, truth, model_card, in_robot):
     (node,) = graph.add("touch_predictor", model=model_card, **in_robot)
     target, plan = truth
     cloud, table = objects_to_msg([target], CAMERA, 5), plane_to_msg(target.plane)
@@ -189,9 +185,7 @@ def test_objects_in_the_frame_of_a_link_are_refused_by_name(graph, truth, model_
         assert message.reason.startswith("cloud: frame 'camera_link': not_optical: ")
 
 
-def test_a_header_alone_asks_about_the_latest_object_and_before_the_first_is_refused(
-    graph, cloud, truth, model_card, in_robot, tf2
-):
+def test_a_header_alone_asks_about_the_latest_object(graph, cloud, truth, model_card, in_robot, tf2):
     header = {"cloud": PointCloud2(header=header_to_msg("base_link", 0))}
     (node,) = graph.add("touch_predictor", model=model_card, output_frame="base_link")
     target, plan = truth

@@ -78,7 +78,7 @@ def test_the_type_is_a_parameter_and_without_its_package_the_action_is_not_offer
     assert planner_action_class("nowhere_msgs/Other") is None
 
 
-def test_grasps_without_a_finite_cost_are_left_out_and_none_is_a_refusal():
+def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     poses = [PoseStamped() for _ in range(3)]
     for number, pose in enumerate(poses):
         pose.pose.position.x = float(number)
@@ -88,9 +88,6 @@ def test_grasps_without_a_finite_cost_are_left_out_and_none_is_a_refusal():
     result.costs = [math.inf] * 3
     with pytest.raises(RefusalError, match="no grasp has a finite cost"):
         planner_feedback(SampleGrasps, result)
-
-
-def test_costs_by_each_rule():
     ranges = TactileRanges()
     (low_th, high_th), (low_mf, high_mf) = ranges.of("PDC_TH"), ranges.of("PDC_MF")
     pdc_th, pdc_mf = low_th + 0.25 * (high_th - low_th), low_mf + 0.75 * (high_mf - low_mf)

@@ -197,11 +197,8 @@ def test_a_folder_that_was_moved_keeps_its_samples(graph, tmp_path):
 def test_bytes_that_are_no_message_are_counted_and_the_recording_continues(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
     robot.record("before", 0)
-    for publisher, topic in (
-        (robot.hand, "/rh/tactile"),
-        (robot.grasps, "/foretouch/grasps"),
-        (robot.told, "/foretouch/executed_grasp"),
-    ):
+    topics = {"/rh/tactile": robot.hand, "/foretouch/grasps": robot.grasps, "/foretouch/executed_grasp": robot.told}
+    for topic, publisher in topics.items():
         publisher.publish(b"\0\1\0\0" + b"\xff" * 60)
         graph.until(lambda topic=topic: f"unreadable {topic}" in node.session_status().anomalies)
     robot.record("after", 1)

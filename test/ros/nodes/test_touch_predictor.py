@@ -71,9 +71,7 @@ def without_orientation(message):
     return message
 
 
-def test_grasps_are_answered_in_order_with_the_models_own_numbers_and_posed_on_the_table_if_need_be(
-    planner, model_card
-):
+def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_be(planner, model_card):
     answer = planner.ask(planner.request(10))
     expected = load_model(model_card).predict(planner.target.cloud, planner.grasps)
     assert len(answer.predictions) == len(planner.grasps) > 1
@@ -96,7 +94,7 @@ def test_grasps_are_answered_in_order_with_the_models_own_numbers_and_posed_on_t
     assert (refused.status, "no orientation" in refused.reason) == (Status.BAD_GRASP, True)
 
 
-def test_a_request_that_cannot_be_answered_is_refused_with_the_reason_and_the_next_one_answered(planner):
+def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_and_the_others_are_not(planner):
     def check(reason, status, spoil):
         request = planner.request()
         spoil(request)
@@ -129,8 +127,6 @@ def test_a_request_that_cannot_be_answered_is_refused_with_the_reason_and_the_ne
     every_case(cases, check)
     assert not planner.node.internal_errors.counts()
 
-
-def test_one_bad_grasp_does_not_spoil_the_others(planner):
     def shift(grasp):
         grasp.g1.y, grasp.g2.y = grasp.g1.y + 50.0, grasp.g2.y + 50.0
 
@@ -148,9 +144,7 @@ def test_one_bad_grasp_does_not_spoil_the_others(planner):
         assert math.isnan(answer.predictions[1].pdc_th.value)
 
 
-def test_a_damaged_model_is_named_and_the_node_stays_up_or_uses_the_fallback(
-    graph, model_card, tmp_path, target, grasps
-):
+def test_a_damaged_model_is_named_and_the_fallback_used(graph, model_card, tmp_path, target, grasps):
     data = Path(model_card).with_suffix(".safetensors").read_bytes()
     (tmp_path / "small.json").write_bytes(Path(model_card).read_bytes())
     (tmp_path / "small.safetensors").write_bytes(data[:-1] + bytes([data[-1] ^ 0xFF]))
@@ -217,13 +211,26 @@ def test_a_goal_that_cannot_be_met_and_too_many_grasps_are_refused_with_the_reas
     assert planner.ask(planner.request(5)).status == Status.OK
 
 
-def test_cleaning_up_and_configuring_again_restores_service_and_action(graph, planner):
+def test_an_internal_error_is_a_status_and_configuring_again_restores_service_and_action(graph, planner, monkeypatch):
     assert planner.ask().status == Status.OK
     assert graph.change("touch_predictor", "deactivate", "cleanup")
     graph.until(lambda: not graph.probe.count_services("/foretouch/predict_touch"))
     assert graph.change("touch_predictor", "configure", "activate")
     assert planner.ask().status == Status.OK
     assert planner.sample().grasp_state == "success"
+
+    def fail(*_, **__):
+        raise FloatingPointError("overflow")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(planner.node._predictor), "array", fail)
+        answer = planner.ask()
+        assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
+        assert answer.header.frame_id == "cam"
+        result = planner.sample()
+        assert (result.status, result.grasp_state) == (Status.FAILED, "failed: FloatingPointError: overflow")
+    assert planner.node.internal_errors.counts() == {"predict_touch": 1, "sample_grasps": 1}
+    assert planner.ask().status == Status.OK
 
 
 def test_reach_and_limits_of_objects_are_those_of_the_parameters(graph, tmp_path, target, grasps):
@@ -252,21 +259,6 @@ def test_reach_and_limits_of_objects_are_those_of_the_parameters(graph, tmp_path
     points = np.concatenate([target.cloud.xyz, target.cloud.xyz + np.float32([2.0, 0.0, 0.0])])
     request.cloud = cloud_to_msg(Cloud(points, frame_id="cam"))
     assert planner.ask(request).status == Status.OK
-
-
-def test_an_internal_error_becomes_a_status_with_a_reason(planner, monkeypatch):
-    def fail(*_, **__):
-        raise FloatingPointError("overflow")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(type(planner.node._predictor), "array", fail)
-        answer = planner.ask()
-        assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
-        assert answer.header.frame_id == "cam"
-        result = planner.sample()
-        assert (result.status, result.grasp_state) == (Status.FAILED, "failed: FloatingPointError: overflow")
-    assert planner.node.internal_errors.counts() == {"predict_touch": 1, "sample_grasps": 1}
-    assert planner.ask().status == Status.OK
 
 
 def test_a_cancel_takes_effect_within_a_hundred_grasps(graph, planner, monkeypatch):

@@ -70,9 +70,8 @@ def test_the_segment_of_a_started_process_is_as_large_as_the_profile_demands(bar
 
 def test_the_profile_offers_64_mb_reaches_other_machines_and_announces_often():
     space, root = {"d": "http://www.eprosima.com"}, ET.parse(SHARED_MEMORY_PROFILE).getroot()
-    kinds = {
-        one.findtext("d:transport_id", None, space): one for one in root.iterfind(".//d:transport_descriptor", space)
-    }
+    found = root.iterfind(".//d:transport_descriptor", space)
+    kinds = {one.findtext("d:transport_id", None, space): one for one in found}
     assert sorted(one.text for one in root.iterfind(".//d:userTransports/d:transport_id", space)) == sorted(kinds)
     assert {one.findtext("d:type", None, space) for one in kinds.values()} == {"SHM", "UDPv4"}
     assert int(root.findtext(".//d:segment_size", None, space)) == 64 * 1024 * 1024

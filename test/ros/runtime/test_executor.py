@@ -65,7 +65,7 @@ def make(depth=3):
     return StampSynchronizer(frozenset({"cloud", "table"}), depth, receive, drop), drops
 
 
-def test_a_set_is_complete_in_either_order_and_keeps_its_first_arrival():
+def test_a_set_is_complete_in_either_order_and_the_oldest_incomplete_one_makes_room():
     sets, drops = make()
     assert sets.add("cloud", 7, "c7") is None
     assert sets.add("table", 8, "t8") is None
@@ -74,9 +74,6 @@ def test_a_set_is_complete_in_either_order_and_keeps_its_first_arrival():
     assert (dict(drops), len(sets._waiting)) == ({}, 0)
     sets.add("cloud", 1_000_000_000_000_000_000, "c")
     assert sets.add("table", 1_000_000_000_000_000_001, "t") is None  # a nanosecond apart
-
-
-def test_the_oldest_incomplete_set_and_the_first_of_a_stamp_make_room_and_are_counted():
     sets, drops = make(depth=3)
     for stamp in range(5):
         sets.add("cloud", stamp, stamp)

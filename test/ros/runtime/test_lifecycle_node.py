@@ -57,9 +57,8 @@ def test_a_best_effort_camera_is_heard_and_diagnostics_hold_counts_ages_and_late
 
 
 def test_qos_can_be_overridden_and_a_mismatch_is_reported_in_diagnostics(graph):
-    inputs, outputs = (
-        f"qos_overrides./foretouch/{topic}.reliability" for topic in ("points.subscription", "objects.publisher")
-    )
+    ends = ("points.subscription", "objects.publisher")
+    inputs, outputs = (f"qos_overrides./foretouch/{end}.reliability" for end in ends)
     graph.add("segmentation", **{inputs: "reliable", outputs: "best_effort"})
     graph.listen(ObjectArray, "objects", reliable=False)
     graph.matched("objects")

@@ -49,7 +49,7 @@ def test_items_are_worked_on_in_order_in_another_thread_and_a_full_queue_drops_i
     assert worker.done == [(item, "w") for item in (0, 3, 4)]
 
 
-def test_stopping_drops_what_waits_and_what_comes_later_and_starting_again_works():
+def test_stopping_drops_what_waits_and_comes_later_of_one_worker_of_a_thread_alone():
     Recorded().stop()  # never started
     worker, begun, go = blocked(5)
     worker.put("a")
@@ -66,6 +66,15 @@ def test_stopping_drops_what_waits_and_what_comes_later_and_starting_again_works
     worker.put("c")
     until(lambda: worker.items == ["a", "c"])
     worker.stop()
+    thread = WorkerThread("shared")
+    one, other = Recorded(thread=thread), Recorded(thread=thread)
+    one.start()
+    other.start()
+    one.stop()
+    other.put(1)
+    until(lambda: other.items == [1])
+    other.stop()
+    assert "shared" not in [running.name for running in threading.enumerate()]
 
 
 def chained(thread, begun=None):
@@ -88,18 +97,6 @@ def test_what_one_worker_hands_to_another_of_its_thread_comes_before_all_that_wa
     one.stop()
     last.stop()
     assert order == [(item, "shared") for item in (1, 1, 2, 2, 3, 3)]
-
-
-def test_stopping_one_worker_of_a_thread_leaves_the_other_working():
-    thread = WorkerThread("shared")
-    one, other = Recorded(thread=thread), Recorded(thread=thread)
-    one.start()
-    other.start()
-    one.stop()
-    other.put(1)
-    until(lambda: other.items == [1])
-    other.stop()
-    assert "shared" not in [running.name for running in threading.enumerate()]
 
 
 def test_a_helper_works_on_an_item_and_on_all_that_follows_from_it_and_the_thread_on_the_rest():

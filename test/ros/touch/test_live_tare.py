@@ -27,7 +27,7 @@ def test_it_is_renewed_after_the_release_and_follows_drift():
     np.testing.assert_allclose(found.vector() - REST, 0.02 * (300 - 30 - 25), atol=0.3)  # the middle of the window
 
 
-def test_it_ages_and_a_stream_that_began_in_contact_gives_none():
+def test_it_ages_is_none_of_a_stream_that_began_in_contact_and_repeated_stamps_fill_no_memory():
     tare = LiveTare(ContactConfig())
     assert tare.tare(0.0, 60.0) is None
     hold = interval(0)
@@ -39,9 +39,6 @@ def test_it_ages_and_a_stream_that_began_in_contact_gives_none():
         tare.update(stamp, true_counts(hold.contact, 1), stamp * 1e-9)
     tare.exclude(hold.contact, stamp)
     assert tare.tare(stamp * 1e-9, 60.0) is None
-
-
-def test_stamps_that_repeat_do_not_fill_the_memory():
     tare = LiveTare(ContactConfig(window_s=0.05, lag_s=0.0))
     for k in range(30_000):
         tare.update(T0, REST, k * 0.01)

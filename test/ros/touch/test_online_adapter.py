@@ -210,14 +210,8 @@ def test_what_cannot_be_paired_is_counted_and_changes_nothing(card):
     hand.see("two of its stamp")
     hand.report("one", times)
     time.sleep(0.25)
-    assert hand.counts() == {
-        "taken_in": 1,
-        "refused.grasp_unknown": 1,
-        "refused.grasp_failed": 1,
-        "refused.overlap": 1,
-        "refused.no_tactile": 1,
-        "refused.cloud_ambiguous": 1,
-    }
+    reasons = ("grasp_unknown", "grasp_failed", "overlap", "no_tactile", "cloud_ambiguous")
+    assert hand.counts() == {"taken_in": 1, **{f"refused.{reason}": 1 for reason in reasons}}
     assert (hand.reference(), hand.notes()["touches"]) == ("touches", "1")
 
 
@@ -264,7 +258,7 @@ def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(card):
     assert (hand.reference(), hand.notes()["touches"]) == ("history", "0")
 
 
-def test_a_stamp_in_the_far_future_neither_freezes_the_tare_nor_fills_the_memory(card):
+def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back_is_reported_once(card):
     hand = DirectHand(card, use_tare=True)
     hand.feel(REST, 120)
     now, hand.now = hand.now, hand.now + 3600 * 1000 * MS
@@ -274,9 +268,6 @@ def test_a_stamp_in_the_far_future_neither_freezes_the_tare_nor_fills_the_memory
     hand.feel(REST, 300)
     assert float(hand.notes()["tare_age_s"]) < 0.9
     assert len(hand.adapter._tare._recent) < 100
-
-
-def test_a_clock_that_was_set_back_is_reported_once(card):
     hand = DirectHand(card, use_tare=True)
     start, tare = hand.now, Touch.from_vector(TOUCH_REST)
     hand.keeper.history.add_tare(start, tare)
@@ -316,9 +307,8 @@ class Hand(CanRobot):
         times = self.grasp(name, number)
         self.wait()
         self.graph.until(lambda: len(self.heard) > count)  # the cloud has arrived too
-        self.graph.until(
-            lambda: {"touches.waiting", "touches.taken_in"} & {k for k, v in self.notes().items() if v != "0"}
-        )
+        keys = {"touches.waiting", "touches.taken_in"}
+        self.graph.until(lambda: keys & {key for key, value in self.notes().items() if value != "0"})
         return times
 
     def ask(self):
@@ -343,9 +333,8 @@ def test_a_node_adapts_to_its_hand_and_its_parameters_and_services_undo_it(graph
     history = HandHistory(model)
     history.add_touch(hand.now, hand.cloud, hand.planned[0], hand.cut(times).touch)
     found, (wanted, _) = hand.ask(), expected(hand, history, model)
-    rows = np.array(
-        [(one.value, one.lower, one.upper) for one in (found.pdc_th, found.pdc_mf, *found.e_th, *found.e_mf)]
-    )
+    values = (found.pdc_th, found.pdc_mf, *found.e_th, *found.e_mf)
+    rows = np.array([(one.value, one.lower, one.upper) for one in values])
     exact = np.stack([touch.vector() for touch in (wanted.value, wanted.lower, wanted.upper)], axis=1)
     np.testing.assert_allclose(rows, exact, rtol=0.0, atol=0.05)  # but for the drift within some seconds
     assert (found.reference, found.touches, found.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
