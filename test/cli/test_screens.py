@@ -35,14 +35,9 @@ def on_a_terminal(width: int, environment: dict[str, str], *words: object) -> st
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", HEIGHT, width, 0, 0))
     environment = {name: text for name, text in environment.items() if name not in {"COLUMNS", "LINES"}}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "foretouch.cli.main", *map(str, words)],
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        env={**environment, "TERM": "xterm-256color"},
-        start_new_session=True,
-    )
+    command = [sys.executable, "-m", "foretouch.cli.main", *map(str, words)]
+    options = {"env": {**environment, "TERM": "xterm-256color"}, "start_new_session": True}
+    process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, **options)
     os.close(slave)
     written = b""
     while True:

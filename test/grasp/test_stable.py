@@ -160,11 +160,8 @@ def test_recorded_objects_hold_still(real_data, top_view: Plane, rng: np.random.
         xyz = read_cloud(path).xyz.reshape(-1, 3)
         before = contacts(plan_grasps(Cloud(xyz), top_view, STABLE))
         xyz_turned, turn = turned(xyz, 1.0)
-        others = [
-            xyz[rng.permutation(len(xyz))],
-            *(xyz + rng.normal(0.0, s, xyz.shape) for s in (1e-6, 1e-4)),
-            xyz_turned,
-        ]
+        shuffled = xyz[rng.permutation(len(xyz))]
+        others = [shuffled, *(xyz + rng.normal(0.0, s, xyz.shape) for s in (1e-6, 1e-4)), xyz_turned]
         after = np.stack([contacts(plan_grasps(Cloud(one.astype(np.float32)), top_view, STABLE)) for one in others])
         after[3] = after[3] @ turn
         moved.append(np.linalg.norm(after - before, axis=2).max(axis=1) * 1e3)

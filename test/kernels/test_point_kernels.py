@@ -133,11 +133,7 @@ def test_plans_of_hard_objects() -> None:
         axis: {"voxel_grid": voxels},
         ranking: {"normals_and_curvature": reference.normals_and_curvature, "voxel_grid": voxels},
         preprocessing: {"_canonical_order": reference.canonical_order},
-        stable: {
-            "_node_sums": reference.node_sums,
-            "_local_planes": reference.local_planes,
-            "_onto_surface": reference.onto_surface,
-        },
+        stable: {f"_{name}": getattr(reference, name) for name in ("node_sums", "local_planes", "onto_surface")},
     }
 
     def check(cloud: Cloud, plane: Plane) -> None:

@@ -49,27 +49,15 @@ def test_of_equal_objects_the_previous_or_most_central_then_the_leftmost_is_sele
     def check(reason: str, objects: list[ObjectSegment], config: TargetConfig, chosen: int) -> None:
         found, why = select_targets(objects, config)
         assert [obj.id for obj in found] == [chosen]
-        assert why == f"ambiguous_target: {reason}; object {chosen} is nearest to the optical axis"
+        assert why == f"ambiguous_target: objects {reason}; object {chosen} is nearest to the optical axis"
 
+    beside, at_point = _object(2, (0.05, 0.0, 0.8), 500), TargetConfig(mode="point", point=(0.025, 0.0, 0.8))
+    aside, behind = _object(1, (0.05, 0.0, 0.8), 500), _object(2, (0.0, 0.0, 0.802), 500)
+    larger, by_size = _object(2, (0.05, 0.0, 0.9), 510), TargetConfig(mode="largest")
     cases = [
-        (
-            "objects 1 and 2 are equally near to the point (0.025, 0, 0.8), 0.005 and 0.005 m",
-            [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)],
-            TargetConfig(mode="point", point=(0.025, 0.0, 0.8)),
-            1,
-        ),
-        (
-            "objects 1 and 2 are equally near to the camera, 0.802 and 0.802 m",
-            [_object(1, (0.05, 0.0, 0.8), 500), _object(2, (0.0, 0.0, 0.802), 500)],
-            TargetConfig(),
-            2,
-        ),
-        (
-            "objects 2 and 1 are equally large, 510 and 500 points",
-            [OBJECTS[0], _object(2, (0.05, 0.0, 0.9), 510)],
-            TargetConfig(mode="largest"),
-            1,
-        ),
+        ("1 and 2 are equally near to the point (0.025, 0, 0.8), 0.005 and 0.005 m", [OBJECTS[0], beside], at_point, 1),
+        ("1 and 2 are equally near to the camera, 0.802 and 0.802 m", [aside, behind], TargetConfig(), 2),
+        ("2 and 1 are equally large, 510 and 500 points", [OBJECTS[0], larger], by_size, 1),
     ]
     every_case(cases, check)
     pair = [_object(1, (0.1, 0.0, 0.8), 500), _object(2, (-0.1, 0.0, 0.8), 500)]
