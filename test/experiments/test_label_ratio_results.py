@@ -66,12 +66,14 @@ def test_the_interval_holds_no_difference_in_19_of_20_worlds(rng) -> None:
     worlds = 200
     for _ in range(worlds):
         hard = rng.gamma(2.0, 50.0, 60)
-        runs = [(model, *one) for model in ("pointnet", "srgan") for one in enumerate(rng.normal(1.0, 0.1, 3))]
-        errors = [(model, seed, hard * rng.gamma(20.0, 1 / 20.0, 60) * luck) for model, seed, luck in runs]
-        rows = [row(model, seed, {"a": squared.tolist()}) for model, seed, squared in errors]
+        rows = [
+            row(model, seed, {"a": (hard * rng.gamma(20.0, 1 / 20.0, 60) * luck).tolist()})
+            for model in ("pointnet", "srgan")
+            for seed, luck in enumerate(rng.normal(1.0, 0.1, 3))
+        ]
         (told,) = compare_models(rows, P2_RANGES, draws=400)
         held += told["verdict"] == "tie"
-    assert 0.92 * worlds <= held  # wider than it must be where runs share their samples, never narrower
+    assert held >= (0.95 - 4.0 * np.sqrt(0.95 * 0.05 / worlds)) * worlds  # four standard errors
 
 
 def test_what_p2_tells_agrees_with_its_own_count() -> None:
