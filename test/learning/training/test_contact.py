@@ -83,9 +83,8 @@ def test_forests_and_kernel_are_scikit_learn_s(monkeypatch) -> None:
 
 def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:
     rows, labels = describe_samples(SAMPLES), labels_of(SAMPLES)
-    one, again, other = (
-        fit_contact(rows, labels, OBJECTS, FEW_TREES.replace(seed=seed)).to_tensors() for seed in (1, 1, 2)
-    )
+    configs = (FEW_TREES.replace(seed=seed) for seed in (1, 1, 2))
+    one, again, other = (fit_contact(rows, labels, OBJECTS, config).to_tensors() for config in configs)
     assert set(one) == set(again)
     for name, array in one.items():
         assert_array_equal(array, again[name])

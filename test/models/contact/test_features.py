@@ -112,10 +112,8 @@ def test_every_point_twice_changes_the_spacing_alone_and_thinning_only_within_th
     sizes = [name for name in SEEN if not name.startswith(("g1_slope", "g2_slope", "oblique", "along"))]
     assert_allclose(named(after, *sizes), named(before, *sizes), atol=1.5e-3)
     surface = cylinder(0.033, HERE)
-    before, after = (
-        slopes(describe(points, Grasp(here(0.033, 0.0, 0.0), here(-0.3, 0.0, 0.0), HAND))[0])
-        for points in (surface, surface[rng.random(len(surface)) < 0.5])
-    )
+    across, half = Grasp(here(0.033, 0.0, 0.0), here(-0.3, 0.0, 0.0), HAND), rng.random(len(surface)) < 0.5
+    before, after = (slopes(describe(points, across)[0]) for points in (surface, surface[half]))
     assert_allclose(after[1:], before[1:], atol=0.05)
 
 
@@ -163,10 +161,9 @@ def test_slopes_of_a_cylinder_and_of_a_sphere_are_their_radii_and_do_not_jump_ac
     every_case(cases, check)
     # Its normal's sign turns there; the column passes through zero.
     grasp = Grasp(HERE, here(-0.3, 0.0, 0.0), HAND)
-    found = [
-        slopes(describe(patch(np.array([np.cos(a), np.sin(a), 0.0]), HERE), grasp)[0]) for a in np.radians([89.9, 90.1])
-    ]
-    assert_allclose(found[0], found[1], atol=0.01)
+    normals = (np.array([np.cos(angle), np.sin(angle), 0.0]) for angle in np.radians([89.9, 90.1]))
+    one, other = (slopes(describe(patch(normal, HERE), grasp)[0]) for normal in normals)
+    assert_allclose(one, other, atol=0.01)
 
 
 def test_a_grasp_is_described_alike_alone_and_among_others(lump, rng) -> None:

@@ -79,9 +79,6 @@ def test_layers_computed_at_the_winners_alone(monkeypatch, precision: torch.dtyp
     monkeypatch.setattr(pooling, "_ENOUGH_VALUES", 1)
     from_winners = pooling.pool(layers, points, precision)
     torch.testing.assert_close(from_winners, alone, rtol=1e-5, atol=1e-6)
-    for one, two in zip(
-        torch.autograd.grad(from_winners.square().sum(), inputs),
-        torch.autograd.grad(alone.square().sum(), inputs),
-        strict=True,
-    ):
+    gradients = (torch.autograd.grad(one.square().sum(), inputs) for one in (from_winners, alone))
+    for one, two in zip(*gradients, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-5)

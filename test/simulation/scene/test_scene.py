@@ -35,15 +35,10 @@ def test_the_scene_that_models_are_trained_on_is_frozen_and_others_are_what_they
 
 def test_the_hash_covers_every_setting_and_a_scene_survives_the_way_through_plain_data() -> None:
     plain, random = scene(CAN), scene(CAN | {"shape": "random"})
-    others = [
-        scene(CAN, fingers={"sessions": {}}),
-        scene(CAN, camera={"holes": {}}),
-        scene(CAN, campaign={}),
-        scene(CAN, grasps={"geograsp": {"method": "stable"}}),
-        scene(CAN, seed=1),
-        random,
-        scene(CAN | {"shape": "random", "first_variant": 1}),
-    ]
+    groups = {"fingers": {"sessions": {}}, "camera": {"holes": {}}, "campaign": {}, "seed": 1}
+    groups["grasps"] = {"geograsp": {"method": "stable"}}
+    others = [scene(CAN, **{name: group}) for name, group in groups.items()]
+    others += [random, scene(CAN | {"shape": "random", "first_variant": 1})]
     assert len({one.sha256() for one in (plain, *others)}) == 1 + len(others)
     fingers = {"timeline": {"hold_s": 1.0}, "scan": {}, "thumb": {"electrode_rest": 3000}}
     config = scene(CAN, SPONGE, camera={"noise": {}}, fingers=fingers)
@@ -71,8 +66,8 @@ def test_contradictions_are_named() -> None:
         ({"objects": [CAN | {"pose": {"x_m": [0.6, 0.65]}}]}, r"objects\[0\] can.pose: may lie outside of the view"),
         ({"objects": [CAN | {"pose": {"x_m": [0.1, 0.0]}}]}, r"PoseConfig.x_m: \[0.1, 0.0\] is not \[low, high\]"),
         (
-            {"objects": [CAN | {"pose": {"x_m": [0.75, 0.8]}}], "camera": {"distance_m": 3}},
-            r"objects\[0\] can.pose: may lie beside the table of \[1.4, 1.0\] m",
+            {"objects": [CAN | {"pose": {"x_m": [0.7, 0.8]}}], "camera": {"distance_m": 3}},
+            r"can.pose: may lie beside the t",
         ),
         ({"camera": {"noise": {"sub_pixel": -0.1}}}, r"sub_pixel: -0.1 is below 0"),
         ({"gravity": {}}, r"mass_kg: absent, but the scene has gravity"),
@@ -87,10 +82,7 @@ def test_contradictions_are_named() -> None:
         ({"campaign": {"days": [0, 2, 1]}}, r"session 2 starts -1 days after session 1, which may take"),
         ({"campaign": {"days": [0, 0.01]}}, r"session 1 starts 0.01 days after session 0, which may take 0.0986 days"),
         ({"campaign": {"exchanges": [{"session": 3}]}}, r"exchanges\[0\].session: 3, but the last session is 0"),
-        (
-            {"campaign": {"days": [0, 1], "exchanges": [{}, {}]}},
-            r"exchanges\[1\]: the thumb is exchanged twice at session 1",
-        ),
+        ({"campaign": {"days": [0, 1], "exchanges": [{}, {}]}}, r"exchanges\[1\]: the thumb is exchanged twice at s"),
         ({"campaign": {"exchanges": [{"finger": "ring"}]}}, r"finger: 'ring' is none of thumb, middle"),
         ({"campaign": {"drift": [{"memory_days": 0}]}}, r"memory_days: 0.0 is below 0.05 days"),
         ({"campaign": {"drift": [{"counts": 1}]}}, r"campaign.drift\[0\].counts: unknown setting"),
