@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
+from foretouch.checked_files import write_text
 from foretouch.errors import DatasetError
 from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
@@ -22,7 +23,7 @@ from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import RunFolder
-from foretouch.models.card import card_text, read_card, write_text
+from foretouch.models.card import card_text, read_card
 from foretouch.types import Float64
 
 Report = Callable[[Mapping[str, Any]], None]
