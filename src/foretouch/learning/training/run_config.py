@@ -40,7 +40,7 @@ class RunConfig(Settings):
             network with only some of the modalities is to be calibrated or released.
     """
 
-    name: str = setting("touchnet", "Name of the model and of its files")
+    name: str = setting("", "Name of the model and of its files; by default that of the run's folder")
     data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
     method: str = setting(
         "supervised",
@@ -144,7 +144,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
     path = Path(config)
     shipped = Path(str(resources.files("foretouch.learning"))) / _RECIPES / f"{config}.yaml"
     if not path.exists() and str(config) in METHODS:
-        mapping: dict[str, Any] = {"name": str(config), "method": str(config)}
+        mapping: dict[str, Any] = {"method": str(config)}
     else:
         file = shipped if shipped.is_file() and not path.exists() else path
         mapping = _with_network(load_yaml(file), file.parent)
