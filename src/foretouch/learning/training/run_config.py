@@ -41,7 +41,7 @@ class RunConfig(Settings):
             network with only some of the modalities is to be calibrated or released.
     """
 
-    name: str = setting("touchnet", "Name of the model and of its files: letters, digits, '.', '_' and '-'")
+    name: str = setting("", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the run folder's")
     data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
     method: str = setting(
         "supervised",
@@ -73,7 +73,7 @@ class RunConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}", self.name):
+        if self.name and not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}", self.name):
             rule = "is not 1 to 100 letters, digits, '.', '_' or '-', the first one no '.'"
             raise ConfigError(f"RunConfig.name: {quoted(self.name)} {rule}")
         if self.calibrate is None:
@@ -148,7 +148,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
     path = Path(config)
     shipped = Path(str(resources.files("foretouch.learning"))) / _RECIPES / f"{config}.yaml"
     if not path.exists() and str(config) in METHODS:
-        mapping: dict[str, Any] = {"name": str(config), "method": str(config)}
+        mapping: dict[str, Any] = {"method": str(config)}
     else:
         file = shipped if shipped.is_file() and not path.exists() else path
         mapping = _with_network(load_yaml(file), file.parent)
