@@ -41,7 +41,9 @@ class RunConfig(Settings):
             network with only some of the modalities is to be calibrated or released.
     """
 
-    name: str = setting("", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the run folder's")
+    name: str = setting(
+        "", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the run folder's"
+    )
     data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
     method: str = setting(
         "supervised",
