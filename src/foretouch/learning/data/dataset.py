@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,6 +85,10 @@ class Dataset:
             raise DatasetError(f"{self.name}: split: {split!r} is none of {known}")
         return parts
 
+    def hashes(self, index: Indices) -> list[str]:
+        """`sample_hash` of the samples with these indices."""
+        return [sample_hash(self.samples[k]) for k in index]
+
     def index(self, ids: Sequence[str]) -> Indices:
         """(S,) indices of the samples with these ids, in order of the ids.
 
@@ -124,6 +129,18 @@ class Dataset:
         if validation > 0.0 and not len(chosen):
             raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
         return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+
+
+def sample_hash(sample: GraspSample) -> str:
+    """What identifies a recorded grasp in any dataset, by whatever name: 16 hexadecimal digits.
+
+    They cover the finite points, the contacts and the reading as float32, which every format keeps; not the rotation,
+    whose last bits depend on the processor.
+    """
+    xyz = sample.cloud.xyz.reshape(-1, 3)
+    reading = np.empty(0) if sample.touch is None else sample.touch.vector()
+    parts = (xyz[np.isfinite(xyz).all(axis=1)].ravel(), sample.grasp.g1, sample.grasp.g2, reading)
+    return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()[:16]
 
 
 def load_dataset(path: str | Path) -> Dataset:
