@@ -93,7 +93,7 @@ def test_an_unknown_setting_is_refused_with_the_nearest_of_any_group() -> None:
         (r"sun.mode: 'fra' is none of near, far; did you mean far\?", {"sun.mode": "fra"}),
         ("xyz: unknown setting; known: items, light, sun, limit$", {"xyz": 3}),
     )
-    every_refusal(ConfigError, cases, lambda mapping: Scene.from_mapping(mapping))
+    every_refusal(ConfigError, cases, Scene.from_mapping)
 
 
 def test_lists_of_groups_absent_groups_and_a_field_without_setting() -> None:
