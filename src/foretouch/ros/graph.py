@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.errors import ConfigError
 from foretouch.interrupts import uninterrupted
-from foretouch.ros.executables import make_nodes
-from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.ros.executables import begin, make_nodes
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.hand import HandNode
@@ -53,7 +52,7 @@ class Graph:
         monitor: Mapping[str, Any] | None = None,
     ) -> None:
         self._parameters = nodes
-        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
+        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": checked_namespace(namespace)}
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
         self._thread: threading.Thread | None = None
@@ -63,7 +62,7 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        start_rclpy(self._arguments)
+        begin(self._arguments, list(self._parameters), **self._namespace)
         from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
@@ -177,7 +176,7 @@ class Graph:
                 node.autostart()
 
 
-def _checked(namespace: str) -> str:
+def checked_namespace(namespace: str) -> str:
     """A namespace that ROS accepts, or a `ConfigError`."""
     if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise ConfigError(f"namespace: {namespace!r} is not words of letters, digits and _ with / between them")
