@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from foretouch.errors import FileError
 
@@ -31,8 +31,8 @@ _AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
 _BLOCK: Final = 1 << 20
 _SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
 
-_Version = tuple[int, int, int, int, int]
-_hashes: dict[Path, tuple[_Version, str]] = {}
+Version: TypeAlias = tuple[int, int, int, int, int]
+_hashes: dict[Path, tuple[Version, str]] = {}
 
 
 @contextmanager
@@ -105,6 +105,7 @@ class FileBytes:
         self.path = Path(path)
         self._file = open_regular(path)
         self._size = os.fstat(self._file.fileno()).st_size
+        self.version = version_of(self._file)
         self._near: tuple[int, bytes] = (0, b"")  # the last bytes that were read ahead, and their offset
 
     def __len__(self) -> int:
@@ -281,13 +282,20 @@ def file_sha256(path: str | Path) -> str:
     """
     path = Path(path).absolute()
     with open_regular(path) as file:
-        info = os.fstat(file.fileno())
-        version = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+        version = version_of(file)
         known = _hashes.get(path)
         if known is not None and known[0] == version:
             return known[1]
         with _named(path):
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) > _SETTLED_NS:
+    if version is not None:
         _hashes[path] = (version, digest)
     return digest
+
+
+def version_of(file: BufferedReader) -> Version | None:
+    """What differs after every change of an open file; None if it was changed just now, and may be so again unseen."""
+    info = os.fstat(file.fileno())
+    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) <= _SETTLED_NS:
+        return None
+    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns
