@@ -25,6 +25,8 @@ from foretouch.errors import FileError
 TEXT_LIMIT: Final = 64_000_000
 """Largest size of a JSON file [bytes]: the manifest of the largest store has a thousandth of it."""
 
+PICTURE_SUFFIXES: Final = (".png", ".pdf", ".svg", ".jpg")
+
 _DEPTH: Final = 64  # levels of lists and objects; no file of the package has more than 8
 _KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
 _AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
@@ -208,12 +210,14 @@ def require_existing(path: str | Path) -> Path:
     return Path(path)
 
 
-def require_writable(path: str | Path) -> None:
+def require_writable(path: str | Path, *suffixes: str) -> None:
     """Refuse a file that cannot be written, before the work whose result it is to hold; its folder is created.
 
     Raises:
-        FileError: If it is a folder, or neither exists nor can be created.
+        FileError: If its name ends with none of the suffixes, it is a folder, or neither exists nor can be created.
     """
+    if Path(path).suffix.lower() not in suffixes:
+        raise FileError(path, f"the extension is none of {', '.join(suffixes)}")
     existed = Path(path).exists()
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
