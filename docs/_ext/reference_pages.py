@@ -299,6 +299,7 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "markers": "all results, for RViz",
     "replay_status": "state and counts of a replay, latched",
     "/diagnostics": "rates, latencies and dropped messages of each node",
+    "heartbeat": "name and state of each node, every 0.4 s",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
     "start_recording": "start a recording",
     "stop_recording": "end the recording",
