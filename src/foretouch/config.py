@@ -25,7 +25,7 @@ from foretouch.checked_files import read_bytes
 from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, shown
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
-_YAML_VALUES: Final = 100_000
+_YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least
 
 EMPTY: Final = "\0"
 """Stands for the value of `key:` in YAML and of `key=`, which has none; no setting accepts this text."""
@@ -127,14 +127,18 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     return infos
 
 
-def load_yaml(path: str | Path) -> dict[str, Any]:
-    """Load one YAML mapping safely; a `ConfigError` if the file cannot be read or is not a mapping."""
+def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
+    """Load one YAML mapping safely, of at most so many bytes and values.
+
+    Raises:
+        ConfigError: If the file cannot be read, is larger or is not a mapping.
+    """
     try:
-        content = read_bytes(path, 100_000)  # the largest file of the package has 5000
+        content = read_bytes(path, limit)
     except FileError as err:
         raise ConfigError(str(err)) from err
     try:
-        document = _parse_yaml(content.decode("utf-8"))
+        document = _parse_yaml(content.decode("utf-8"), limit)
     except ValueError as err:
         raise ConfigError(f"{shown(path)}: not YAML: {shown(' '.join(str(err).split()), 500)}") from err
     if document is None:
@@ -144,16 +148,16 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     return document
 
 
-def _parse_yaml(text: str) -> Any:
+def _parse_yaml(text: str, limit: int = _YAML_BYTES) -> Any:
     """The document in a YAML text, loaded safely; a ValueError if it is no YAML or exceeds a limit of `_check_events`."""
     try:
-        _check_events(yaml.parse(text, Loader=_Loader))
+        _check_events(yaml.parse(text, Loader=_Loader), limit)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader, in C where it is installed
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as err:
         raise ValueError(str(err) or type(err).__name__) from err  # constructors of numbers and dates raise them
 
 
-def _check_events(events: Iterable[yaml.Event]) -> None:
+def _check_events(events: Iterable[yaml.Event], limit: int) -> None:
     """Count levels and values before anything is made of them; a YAMLError at the first that exceeds a limit.
 
     The values that aliases repeat are counted each time.
@@ -179,8 +183,8 @@ def _check_events(events: Iterable[yaml.Event]) -> None:
                 sizes[event.anchor] = 1
         if len(groups) > _YAML_DEPTH:
             raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
-        if count > _YAML_VALUES:
-            raise yaml.YAMLError(f"more than {_YAML_VALUES} values, aliases included")
+        if count > limit:
+            raise yaml.YAMLError(f"more than {limit} values, aliases included")
 
 
 def flattened(values: Any, name: str = "") -> dict[str, Any]:
