@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
-from foretouch.dataset.store import content_sha256
+from foretouch.dataset.store import Store, content_sha256, is_store
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError
@@ -27,6 +27,7 @@ _VISION2TACTILE: Final = {
         "Skills are averages; whether they differ significantly is reported in docs/results.",
     ],
 }
+_SIMULATED: Final = "Made for the simulated hand only: trained on simulated grasps, it knows no real fingertip and no real camera."
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ class Dataset:
         splits: The parts of each kind of split.
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
-        origin: `source`, `licence` and known `limits` of public data, for a card.
+        origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
     """
 
     name: str
@@ -169,5 +170,15 @@ def load_dataset(path: str | Path) -> Dataset:
         splits.parts,
         (folder_sha256(path),) if public else (),
         splits.omitted,
-        _VISION2TACTILE if public else {},
+        _VISION2TACTILE if public else _simulated(path),
     )
+
+
+def _simulated(path: Path) -> dict[str, Any]:
+    """The origin of a store that `foretouch simulate` wrote; nothing of another dataset."""
+    about = Store(path).manifest.get("about", {}) if is_store(path) else {}
+    if "scene_sha256" not in about:
+        return {}
+    return {"source": "foretouch simulate", "limits": [_SIMULATED]} | {
+        name: about[name] for name in ("scene_file", "scene_sha256") if name in about
+    }

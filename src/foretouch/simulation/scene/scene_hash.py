@@ -76,6 +76,7 @@ _OFF: Final = {
     **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration")),
     "method": "original",
     "first_variant": 0,
+    "hand": 0,
     "file_sha256": "",
     "slow_share": 0.0,
     "slow_s": 30.0,
