@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads of files that nobody vouches for: regular files of a bounded size, and JSON of a bounded depth.
+"""Reads of files that nobody vouches for, and writes beside them.
 
-A FIFO would block its reader for ever, a device has no end, and a text of a few kilobytes can nest deeper than any
-parser returns from. Every reader of the package opens files here.
+What is read is a regular file of a bounded size, and JSON of a bounded depth: a FIFO would block its reader for ever, a
+device has no end, and a text of a few kilobytes can nest deeper than any parser returns from. What is written under a
+name that the package chose, in a folder that may come from elsewhere, goes through no link. Every reader and writer of
+the package opens files here.
 """
 
 import hashlib
@@ -10,8 +12,8 @@ import json
 import os
 import stat
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, Final
@@ -46,14 +48,91 @@ def open_regular(path: str | Path) -> BufferedReader:
     Raises:
         FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
     """
+    return os.fdopen(_descriptor(path, os.O_RDONLY), "rb")
+
+
+def open_own(path: Path, flags: int) -> int:
+    """Open a file that the package keeps beside others, such as a lock or a log, and create it if it is absent.
+
+    Args:
+        path: The file; its name is the package's choice, its folder may be anyone's.
+        flags: Of `os.open`, besides `O_CREAT`.
+
+    Returns:
+        The descriptor.
+
+    Raises:
+        FileError: If it is a link, has a second name, is no regular file, or cannot be opened.
+    """
+    if path.is_symlink():
+        raise FileError(path, "is a link, and nothing is written through links")
+    descriptor = _descriptor(path, flags | os.O_CREAT | os.O_NOFOLLOW)
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        raise FileError(path, "has another name too (a hard link), and what is written would change that file")
+    return descriptor
+
+
+def _descriptor(path: str | Path, flags: int) -> int:
+    """A descriptor of a regular file, without waiting for the other end of a FIFO."""
     with _named(path):
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO is opened without its writer
+        descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
         kind = next((name for test, name in _KINDS if test(mode)), "device")
         raise FileError(path, f"is a {kind}, not a regular file")
-    return os.fdopen(descriptor, "rb")
+    return descriptor
+
+
+def replace_files(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together, such as weights and the card with their hash.
+
+    All are written under temporary names before the first is renamed, so that a full disk leaves all of the old files.
+    Only a crash between two renames leaves a new file beside an old one, which the hash in the card reveals.
+
+    Args:
+        contents: By file, in the order in which they are renamed; missing folders are made.
+
+    Raises:
+        FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is no file
+            left by a crash, but a link or a folder.
+    """
+    parts: dict[Path, Path] = {}
+    path = Path()
+    try:
+        for path, content in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = path.with_name(path.name + ".part")
+            _remove_left_over(part)
+            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            parts[path] = part
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for path, part in parts.items():
+            part.replace(path)
+    except (OSError, FileError) as err:
+        for part in parts.values():
+            with suppress(OSError):  # the error to report is the first one
+                part.unlink()
+        if isinstance(err, FileError):
+            raise
+        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
+
+
+def _remove_left_over(part: Path) -> None:
+    """Remove a temporary file that a crash left; a `FileError` for anything else of this name."""
+    with suppress(FileNotFoundError):
+        if not stat.S_ISREG(part.lstat().st_mode):
+            raise FileError(part, "is a link or no regular file, and is in the way of a temporary file")
+        part.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically; `FileError` if it cannot be written, and the file before is kept."""
+    replace_files({path: text.encode()})
 
 
 def require_existing(path: str | Path) -> Path:

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Atomic replacement of files, and arrays in safetensors files that are verified against a SHA-256.
-
-A reader sees the old or the new file, never a part. Safetensors files hold numbers and no code.
-"""
+"""Arrays in safetensors files that are verified against a SHA-256; such files hold numbers and no code."""
 
 import hashlib
-import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -19,36 +14,6 @@ from safetensors.numpy import load_file, save
 
 from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, ModelError, shown
-
-
-def replace_files(contents: Mapping[Path, bytes]) -> None:
-    """Write files that belong together, such as weights and the card with their hash.
-
-    All are written under temporary names before the first is renamed, so that a full disk leaves all of the old files.
-    Only a crash between two renames leaves a new file beside an old one, which the hash in the card reveals.
-
-    Args:
-        contents: By file, in the order in which they are renamed; missing folders are made.
-
-    Raises:
-        FileError: Names the file that cannot be written, such as on a full disk.
-    """
-    parts = {path: path.with_name(path.name + ".part") for path in contents}
-    path = Path()
-    try:
-        for path, content in contents.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with parts[path].open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-        for path, part in parts.items():
-            part.replace(path)
-    except OSError as err:
-        for part in parts.values():
-            with suppress(OSError):  # the error to report is the first one
-                part.unlink()
-        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
 
 
 def file_beside(card_path: Path, name: Any, field: str) -> Path:

@@ -14,7 +14,15 @@ SCENES = {path.stem: path for path in sorted((Path(__file__).parents[3] / "confi
 
 
 def test_every_scene_of_the_repository_loads_and_can_be_explained() -> None:
-    assert set(SCENES) >= {"deformables", "rigid", "clutter", "lookalikes", "clean", "unseen_objects"}
+    assert set(SCENES) >= {
+        "deformables",
+        "deformables_wide",
+        "rigid",
+        "clutter",
+        "lookalikes",
+        "clean",
+        "unseen_objects",
+    }
     for path in SCENES.values():
         plans = {plan.name: plan for plan in explain_scene(load_scene(path))}
         assert plans["grasp"].runs
@@ -38,6 +46,7 @@ def test_the_hash_covers_every_setting_and_a_scene_survives_the_way_through_plai
     groups = {"fingers": {"sessions": {}}, "camera": {"holes": {}}, "campaign": {}, "seed": 1}
     groups["grasps"] = {"geograsp": {"method": "stable"}}
     others = [scene(CAN, **{name: group}) for name, group in groups.items()]
+    others.append(scene(CAN, fingers={"thumb": {"pdc_span": 620.0}}))
     others += [random, scene(CAN | {"shape": "random", "first_variant": 1})]
     assert len({one.sha256() for one in (plain, *others)}) == 1 + len(others)
     fingers = {"timeline": {"hold_s": 1.0}, "scan": {}, "thumb": {"electrode_rest": 3000}}

@@ -15,7 +15,18 @@ import numpy.typing as npt
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch.experiments.shared.scores import interval_columns
-from foretouch.experiments.shared.tables import ALL_OBJECTS, findings, grouped, pivot, select, short, unique, with_notes
+from foretouch.experiments.shared.tables import (
+    ALL_OBJECTS,
+    SIGNS,
+    findings,
+    grouped,
+    listed,
+    pivot,
+    select,
+    short,
+    unique,
+    with_notes,
+)
 from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
 from foretouch.learning.evaluation.prequential import CLOCK_S, Recording, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
@@ -189,10 +200,17 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
         for sources in (one for one in SOURCES if one in scored.counts):
-            errors = _errors(recording, scored.counts[sources], reference, chosen)
-            found, versus = skills(errors, config), None
-            if constant is not None and constant is not scored:
-                versus = compare(errors, _errors(recording, constant.counts[sources], reference, chosen), config)
+            errors, without = (
+                ObjectErrors.of_predictions(
+                    recording.objects[chosen],
+                    one.counts[sources][chosen],
+                    recording.readings[chosen],
+                    reference[chosen],
+                )
+                for one in (scored, constant or scored)
+            )
+            found = skills(errors, config)
+            versus = None if constant is None or constant is scored else compare(errors, without, config)
             place: Row = {"sources": sources, "regime": regime}
             for modality in MODALITIES:
                 row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
@@ -206,15 +224,6 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
                     row = {**place, "object": name, "modality": modality, "skill": skill[modality].value}
                     rows.append(row | _interval_scores(scored, sources, modality, where))
     return rows
-
-
-def _errors(recording: Recording, values: Float64, reference: Float64, chosen: npt.NDArray[np.bool_]) -> ObjectErrors:
-    parts = []
-    for name in np.unique(recording.objects[chosen]):
-        own = chosen & (recording.objects == name)
-        squared, base = ((recording.readings[own] - other[own]) ** 2 for other in (values, reference))
-        parts.append((str(name), float(own.sum()), squared.sum(axis=0), base.sum(axis=0)))
-    return ObjectErrors.total(parts)
 
 
 def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: npt.NDArray[np.bool_]) -> Row:
@@ -248,11 +257,8 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     tables = [findings(_sentences(together))]
     for regime in REGIMES:
         own = select(together, regime=regime)
-        lines = [{**row, "line": f"{row['sources']}{_SIGHTED[row['vision'] != CONSTANT]}"} for row in own]
-        lines.sort(key=lambda row: SOURCES.index(row["sources"]))
         title = f"{regime}: {own[0]['grasps']} grasps"
-        body = pivot(lines, "line", _skill)
-        tables.append(Table(title, ["known", *MODALITIES], body))
+        tables.append(Table(title, ["known", *MODALITIES], pivot(_with_lines(own), "line", _skill)))
     scored = [row for row in together if row["interval_score"] is not None]
     for vision, own in grouped(scored, "vision"):
         body = [
@@ -271,7 +277,10 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     return with_notes(tables, notes)
 
 
-_SIGHTED: Final = ("", " + vision")
+def _with_lines(rows: Rows) -> list[Row]:
+    """Rows with the name of their `line` in tables and figure, those of each of the sources together."""
+    named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
+    return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 
 
 def _sentences(rows: Sequence[Row]) -> list[str]:
@@ -281,17 +290,13 @@ def _sentences(rows: Sequence[Row]) -> list[str]:
         known = dict(grouped(own, "sources"))
         best = known[max(known, key=SOURCES.index)]
         words = "the mean of earlier readings" if vision == CONSTANT else f"vision ({vision})"
-        text = f"{regime}, with {words}: {_listed(known[NOTHING])} alone, {_listed(best)} with {best[0]['sources']}"
+        text = f"{regime}, with {words}: {listed(known[NOTHING], 'skill')} alone, {listed(best, 'skill')} with {best[0]['sources']}"
         found.append(text)
     return found
 
 
-def _listed(rows: Sequence[Row]) -> str:
-    return " ".join(short(row["skill"]) for row in rows)
-
-
 def _skill(row: Row) -> str:
-    sign = {"better": " ▲", "worse": " ▼", "tie": " ="}.get(row["vs_constant_verdict"] or "", "")
+    sign = f" {SIGNS[row['vs_constant_verdict']]}" if row["vs_constant_verdict"] in SIGNS else ""
     ends = "" if row["skill_low"] is None else f" [{short(row['skill_low'])}, {short(row['skill_high'])}]"
     return f"{short(row['skill'])}{sign}{ends}"
 
@@ -303,9 +308,7 @@ def _four(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     """Draw `sources.png`: for each regime and modality, the skill of all sources, without vision and with it."""
-    together = select(rows, object=ALL_OBJECTS)
-    named = [{**row, "line": f"{row['sources']}{_SIGHTED[row['vision'] != CONSTANT]}"} for row in together]
-    named.sort(key=lambda row: SOURCES.index(row["sources"]))
+    named = _with_lines(select(rows, object=ALL_OBJECTS))
     lines = unique(named, "line")
 
     def colour(row: Mapping[str, Any]) -> str:

@@ -37,6 +37,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
@@ -160,6 +161,17 @@ class ObjectErrors:
             squared[row[name]] += own
             reference[row[name]] += mean
         return cls(names, counts, squared, reference)
+
+    @classmethod
+    def of_predictions(
+        cls, objects: npt.NDArray[np.str_], predicted: Float64, labels: Float64, reference: Float64
+    ) -> Self:
+        """From (S,) names of objects, (S, 50) predictions and labels, and a (S, 50) or (50,) reference [counts]."""
+        squared, base = (predicted - labels) ** 2, (reference - labels) ** 2
+        each = [(str(name), objects == name) for name in np.unique(objects)]
+        return cls.total(
+            [(name, float(own.sum()), squared[own].sum(axis=0), base[own].sum(axis=0)) for name, own in each]
+        )
 
     @classmethod
     def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> Self:

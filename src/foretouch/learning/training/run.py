@@ -4,6 +4,7 @@
 With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
+from foretouch.checked_files import write_text
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
@@ -22,7 +24,7 @@ from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import STATE_FILE, RunFolder
-from foretouch.models.card import card_text, read_card, write_text
+from foretouch.models.card import card_text, read_card
 from foretouch.types import Float64
 
 Report = Callable[[Mapping[str, Any]], None]
@@ -60,7 +62,8 @@ def train_run(
         DatasetError: If the dataset does not fit the settings, or a loss becomes infinite or NaN. The last good state
             stays.
     """
-    config = config.replace(name=config.name or out.resolve().name)
+    own = re.sub(r"[^A-Za-z0-9._-]+", "_", out.resolve().name).lstrip(".")[:100]
+    config = config.replace(name=config.name or own or "model")
     if f"{config.name}.safetensors" == STATE_FILE:
         raise ConfigError(f"name: {config.name!r} is that of the training's own file; give name=NAME")
     learner = make_learner(config, data)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.config import Settings, load_yaml, parse_overrides, setting
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, quoted
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.learning.training.supervised import TrainConfig
@@ -40,7 +41,9 @@ class RunConfig(Settings):
             network with only some of the modalities is to be calibrated or released.
     """
 
-    name: str = setting("", "Name of the model and of its files; by default that of the run's folder")
+    name: str = setting(
+        "", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the run folder's"
+    )
     data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
     method: str = setting(
         "supervised",
@@ -72,6 +75,9 @@ class RunConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.name and not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}", self.name):
+            rule = "is not 1 to 100 letters, digits, '.', '_' or '-', the first one no '.'"
+            raise ConfigError(f"RunConfig.name: {quoted(self.name)} {rule}")
         if self.calibrate is None:
             object.__setattr__(self, "calibrate", not self.has_network)
         for group, methods in GROUPS.items():

@@ -13,6 +13,7 @@ The state is one safetensors file, tensors and JSON with their checksum, that is
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -23,12 +24,18 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from foretouch.checked_files import open_regular, parse_json
+from foretouch.checked_files import (
+    TEXT_LIMIT,
+    open_own,
+    open_regular,
+    parse_json,
+    read_bytes,
+    replace_files,
+    write_text,
+)
 from foretouch.config import flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.card import write_text
-from foretouch.models.files import replace_files
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"
@@ -132,8 +139,8 @@ class RunFolder:
         if not file.exists():
             return
         try:
-            lines = file.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as err:
+            lines = read_bytes(file, TEXT_LIMIT).decode().splitlines()
+        except UnicodeDecodeError as err:
             raise FileError(file, f"cannot be read: {err}") from err
         write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
 
@@ -141,8 +148,8 @@ class RunFolder:
         """Append an epoch's line; raises `FileError` if it cannot be written, such as on a full disk."""
         file = self.path / LOG_FILE
         try:
-            with file.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(record) + "\n")
+            with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as lines:
+                lines.write(json.dumps(record).encode() + b"\n")
         except OSError as err:
             raise FileError(file, f"cannot be written: {err.strerror or err}") from err
 

@@ -136,6 +136,9 @@ class CampaignConfig(Settings):
     )
     objects: int = setting(6, "Number of objects in a session", minimum=1, maximum=1000)
     grasps: int = setting(10, "Number of grasps of an object in succession", minimum=1, maximum=1000)
+    repeat_every: int | None = setting(
+        None, "Every so many grasps of an object, the one before is executed again", minimum=2, maximum=1000
+    )
     tares: str = setting(
         "grasp",
         "Which grasps have a tare: each, the first of an object or of a session, none",
@@ -174,6 +177,10 @@ class CampaignConfig(Settings):
                 raise ConfigError(
                     f"CampaignConfig.exchanges[{k}]: the {finger} is exchanged twice at session {session}"
                 )
+
+    def repeats(self, slot: int) -> bool:
+        """Whether a slot repeats the grasp of the slot before it."""
+        return self.repeat_every is not None and (slot % self.grasps + 1) % self.repeat_every == 0
 
     @property
     def longest_session_s(self) -> float:
