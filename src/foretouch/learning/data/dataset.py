@@ -27,7 +27,6 @@ _VISION2TACTILE: Final = {
         "Skills are averages; whether they differ significantly is reported in docs/results.",
     ],
 }
-_SIMULATED: Final = "Made for the simulated hand only: trained on simulated grasps, it knows no real fingertip and no real camera."
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +178,9 @@ def _simulated(path: Path) -> dict[str, Any]:
     about = Store(path).manifest.get("about", {}) if is_store(path) else {}
     if "scene_sha256" not in about:
         return {}
-    return {"source": "foretouch simulate", "limits": [_SIMULATED]} | {
-        name: about[name] for name in ("scene_file", "scene_sha256") if name in about
+    scene = about.get("scene_file", "a scene")
+    return {
+        "source": f"foretouch simulate {scene}",
+        "scene_sha256": about["scene_sha256"],
+        "limits": [f"For the simulated hand only: it knows no real fingertip or camera, and no other objects than {scene} has."],
     }
