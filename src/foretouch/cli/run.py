@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from foretouch.checked_files import require_writable
+from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     3 if the camera never sent a cloud.
     """
     if arguments.picture:
-        require_writable(arguments.picture)
+        require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
     if arguments.json:

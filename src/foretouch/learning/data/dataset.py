@@ -13,7 +13,7 @@ from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, content_sha256, is_store
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
-from foretouch.errors import DatasetError
+from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch.types import GraspSample
@@ -78,11 +78,11 @@ class Dataset:
         if kind in self.omitted:
             raise DatasetError(f"{self.name}: split: {kind!r} cannot be made of these samples: {self.omitted[kind]}")
         if kind not in self.splits:
-            raise DatasetError(f"{self.name}: split: {kind!r} is none of {', '.join(self.splits) or 'none'}")
+            raise DatasetError(f"{self.name}: split: {none_of(kind, self.splits)}")
         parts = [part for part in self.splits[kind] if name in ("", part.name)]
         if not parts:
-            known = ", ".join(f"{kind}/{part.name}" for part in self.splits[kind])
-            raise DatasetError(f"{self.name}: split: {split!r} is none of {known}")
+            known = [f"{kind}/{part.name}" for part in self.splits[kind]]
+            raise DatasetError(f"{self.name}: split: {none_of(split, known)}")
         return parts
 
     def hashes(self, index: Indices) -> list[str]:
