@@ -122,3 +122,10 @@ def test_weights_are_of_the_nearest_electrodes_and_depend_on_neither_grid_nor_wi
     weights = weights_at(0.0, 0.9, wide)
     assert np.isfinite(weights).all()
     assert not weights[:, ~np.isfinite(pad_window(wide, pad_direction(0.0, 0.9)).depth).ravel()].any()
+
+
+def test_fingertips_are_those_of_the_hand_whatever_the_seed_of_the_scene() -> None:
+    first, seeded, other = (World.of(SceneConfig.from_mapping(one)) for one in ({}, {"seed": 7}, {"fingers": {"hand": 1}}))
+    for k in range(2):
+        np.testing.assert_array_equal(first.fingers[k].electrode_gain, seeded.fingers[k].electrode_gain)
+        assert not np.isclose(first.fingers[k].electrode_rest, other.fingers[k].electrode_rest).any()

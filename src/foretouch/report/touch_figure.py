@@ -24,7 +24,7 @@ from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPred
 _FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _SHEET_COLUMNS = 2  # samples side by side
 _ROW_INCH = 2.2  # height of a grasp
-_SCALE_INCH = 0.7  # height of the scale of colours
+_SCALE_INCH = 0.85  # height of the scale of colours
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 _TARGET_COLOUR = "#ff8000"
 
@@ -33,8 +33,8 @@ _TARGET_COLOUR = "#ff8000"
 class DrawnGrasp:
     """One grasp to draw: its object, its prediction, and what was read where it was executed."""
 
-    target: FoundObject  # the object
     prediction: TouchPrediction  # a refused one is drawn without its electrodes
+    target: FoundObject | None = None  # the object; None draws neither scene nor contacts
     scene: Cloud | None = None  # the whole cloud; None if there is only the object
     rest: Touch | None = None  # reading without contact; electrodes are then coloured by their drop from it
     read: Touch | None = None  # reading of the executed grasp
@@ -61,18 +61,20 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
         for grasp in grasps
     ]
     most = max(map(len, panels))
-    figure = new_figure(4.5 + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
+    left = [2.6, 1.9] if any(one.target for one in grasps) else []  # scene and contacts
+    figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     scale = _Scale([(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     for part, one, row in zip(parts, grasps, panels, strict=True):
-        part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=11)
-        axes = part.subplots(1, 2 + most, squeeze=False, width_ratios=[1.3, 1.1] + [1.0] * most)[0]
-        _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
-        _draw_front(axes[1], one.target.cloud, one.prediction.grasp)
-        for panel in axes[2 + len(row) :]:
+        part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=10)
+        axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
+        if one.target is not None:
+            _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+            _draw_front(axes[1], one.target.cloud, one.prediction.grasp)
+        for panel in [*axes[: len(left) if one.target is None else 0], *axes[len(left) + len(row) :]]:
             panel.set_axis_off()
-        for panel, (name, what, touch) in zip(axes[2:], row, strict=False):
+        for panel, (name, what, touch) in zip(axes[len(left) :], row, strict=False):
             scale.draw(panel, touch, one.rest, name, size=100, outside=_outside(one, name) if what == "read" else None)
             half = _half_width(one.prediction, name) if what == "predicted" else ""
             title = f"{FINGER_NAMES[name]} {what}\nPDC {finger_parts(touch, name)[0]:.0f}{half}"
@@ -105,12 +107,12 @@ def _agreement(one: DrawnGrasp) -> str:
         return f"not predicted: {one.prediction.reason}"
     if read is None:
         return ""
-    text = f"{np.mean(np.abs(value.vector() - read.vector())[2:]):.0f} counts between an electrode as predicted and as read"
+    text = f"mean difference {np.mean(np.abs(value.vector() - read.vector())[2:]):.0f} counts an electrode"
     if one.prediction.lower is None or one.prediction.upper is None:
         return text
     inside = (read.vector() >= one.prediction.lower.vector()) & (read.vector() <= one.prediction.upper.vector())
-    electrodes = f"{inside[2:].sum()} of {inside[2:].size} electrodes{', others ringed' * (not inside[2:].all())}"
-    return f"{text}; within their 90 % intervals: {electrodes}; {inside[:2].sum()} of 2 pressures"
+    of = f"{inside[2:].sum()} of {inside[2:].size} electrodes, {inside[:2].sum()} of 2 pressures"
+    return f"{text}; within their 90 % intervals: {of}"
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
@@ -195,7 +197,7 @@ class _Scale:
     def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
         """Add the bar of colours below some axes, or alone to a figure without any."""
         what = "drop of an electrode from rest [counts]" if self._tared else "electrode [counts]"
-        label = f"{what}; across: around the core, up: towards the tip"
+        label = f"{what}\nacross: around the core; up: towards the tip; ringed: outside of its 90 % interval"
         own = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}

@@ -182,5 +182,7 @@ def _simulated(path: Path) -> dict[str, Any]:
     return {
         "source": f"foretouch simulate {scene}",
         "scene_sha256": about["scene_sha256"],
-        "limits": [f"For the simulated hand only: it knows no real fingertip or camera, and no other objects than {scene} has."],
+        "limits": [
+            f"For the simulated hand only: it knows no real fingertip or camera, and no other objects than {scene} has."
+        ],
     }

@@ -149,6 +149,16 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         """Why the model could not be loaded."""
         return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
 
+    def warnings(self) -> tuple[str, ...]:
+        """Whether the model is made for the simulated hand, and other readings come in."""
+        model = self._predictor.model if self._predictor else None
+        if model is None or not model.simulated:
+            return super().warnings()
+        topic = self.resolve_topic_name(self.config.tactile_topic)
+        others = sorted({end.node_name for end in self.get_publishers_info_by_topic(topic)} - {"hand"})
+        text = f"the model {model.name} is made for the simulated hand only, but {topic} comes from {', '.join(others)}"
+        return (*super().warnings(), *[text] * bool(others))
+
     def notes(self) -> dict[str, str]:
         """The model's name and hash, and the state of online adaptation too."""
         predictor, found = self._predictor, super().notes()
