@@ -17,6 +17,8 @@ from every_case import every_case
 
 from foretouch.cli.main import COMMANDS
 from foretouch.config import setting_infos
+from foretouch.simulation.objects import SHAPES
+from foretouch.simulation.scene.objects import MESH
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -34,22 +36,29 @@ def reference() -> Iterator[ModuleType]:
     sys.path.remove(str(DOCS / "_ext"))
 
 
-def anchors(page: Path, reference: ModuleType) -> set[str]:
-    """Anchors of the headings of a page, as GitHub and MyST make them, and of its generated nodes and messages."""
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as GitHub and MyST make them."""
     text = page.read_text(encoding="utf-8")
     titles = re.findall(r"^#+ (.*)$", FENCED.sub("", text), re.MULTILINE)
-    found = {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
-    generated = re.findall(r"^```\{generated\} (\w+)$", text, re.MULTILINE)
-    if "parameters" in generated:
-        found |= set(reference.node_configs())
-    if "messages" in generated:
-        found |= {one.name.lower() for kind in ("msg", "srv", "action") for one in reference.interfaces(kind)}
-    return found
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-def test_links_lead_to_files_and_headings(reference) -> None:
+@pytest.mark.ros
+def test_reference_pages_are_those_of_the_code() -> None:
+    """If not: make reference."""
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
+    done = run_python(
+        "import sys, reference_pages as r; sys.argv += ['--check']; sys.exit(r.main())", cwd=DOCS / "_ext"
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {"commands", "messages", "parameters", "settings", "topics"} <= {page.stem for page in reference_pages()}
 
+
+def reference_pages() -> list[Path]:
+    return [page for page in DOCS.rglob("*.md") if "<!-- generated" in page.read_text(encoding="utf-8")]
+
+
+def test_links_lead_to_files_and_headings() -> None:
     def check(page: Path) -> None:
         broken = []
         for match in LINK.finditer(FENCED.sub("", page.read_text(encoding="utf-8"))):
@@ -57,7 +66,7 @@ def test_links_lead_to_files_and_headings(reference) -> None:
                 continue  # of the web
             target = page.parent / match["target"] if match["target"] else page
             in_page = match["anchor"] and target.suffix == ".md"
-            if not target.exists() or (in_page and match["anchor"] not in anchors(target, reference)):
+            if not target.exists() or (in_page and match["anchor"] not in anchors(target)):
                 broken.append(match[0])
         assert not broken, broken
 
@@ -78,7 +87,7 @@ def test_no_retired_word_is_used() -> None:
     pairs = (line.split("|") for line in lines if line.strip() and not line.startswith("#"))
     words = {word.strip(): term.strip() for word, term in pairs}
     pattern = re.compile(rf"\b({'|'.join(map(re.escape, sorted(words, key=len, reverse=True)))})\b")
-    pages = [path for path in MARKDOWN if not {"results", "benchmarks"} & set(path.parts)]
+    pages = [path for path in MARKDOWN if not {"results", "benchmarks", "reference"} & set(path.parts)]
     sources = [path for name in ("src", "launch", "examples", "docs/_ext") for path in (ROOT / name).rglob("*.py")]
     found = [
         f"{path.relative_to(ROOT)}:{number}: {match[1]!r} is retired; use {words[match[1]]!r}"
@@ -178,6 +187,17 @@ def test_lists_of_groups_and_optional_groups_are_listed(reference) -> None:
     assert "| `seeds` |" in reference.experiments()
     assert "| `grasp.method` |" in reference.pipeline()
     assert reference.cell("a | b\n<c> *d*") == "a \\| b &lt;c> \\*d\\*", "a cell is one line and breaks no table"
+
+
+def test_the_page_of_scenes_has_the_example_every_shape_and_every_field(reference) -> None:
+    page = (DOCS / "scenes.md").read_text(encoding="utf-8")
+    example = (ROOT / "examples" / "data" / "objects.yaml").read_text(encoding="utf-8").partition("\n")[2]
+    assert f"```yaml\n{example}```" in page
+    assert len(example.splitlines()) == 15
+    assert all(f"| `{shape}` |" in page for shape in (*SHAPES, MESH))
+    assert all(
+        f"| `{field}` |" in page for field in ("seed", "families[].count", "objects[].pose.rest", "fingers.dead.thumb")
+    )
 
 
 def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> None:
