@@ -198,7 +198,7 @@ class _Scale:
         """Add the bar of colours below some axes, or alone to a figure without any."""
         what = "drop of an electrode from rest [counts]" if self._tared else "electrode [counts]"
         label = f"{what}\nacross: around the core; up: towards the tip; ringed: outside of its 90 % interval"
-        own = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
+        own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}
         figure.colorbar(self.drawn, label=label, **own)
