@@ -189,7 +189,7 @@ class _Scale:
         style: dict[str, Any] = {"vmin": low, "vmax": high, "edgecolors": _FINGER_COLOURS[name]}
         self.drawn = axes.scatter(around, x, s=size, c=levels, cmap=colours, **style)
         if outside is not None:
-            ring = {"s": 2.2 * size, "facecolors": "none", "edgecolors": "black", "linewidths": 1.3}
+            ring: dict[str, Any] = {"s": 2.2 * size, "facecolors": "none", "edgecolors": "black", "linewidths": 1.3}
             axes.scatter(around[outside], x[outside], **ring)
         axes.set(xticks=[], yticks=[])
         axes.margins(0.15)
