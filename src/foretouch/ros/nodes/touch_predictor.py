@@ -161,7 +161,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             others = {end.node_name for end in self.get_publishers_info_by_topic(topic)} - {"hand"}
             if others:
                 senders = ", ".join(sorted(others))
-                found.append(f"model {model.name} is made for the simulated hand only, but {topic} comes from {senders}")
+                found.append(
+                    f"model {model.name} is made for the simulated hand only, but {topic} comes from {senders}"
+                )
         return tuple(found)
 
     def notes(self) -> dict[str, str]:
