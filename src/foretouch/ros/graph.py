@@ -12,9 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import begin, make_nodes
+from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.hand import HandNode
@@ -52,7 +54,7 @@ class Graph:
         monitor: Mapping[str, Any] | None = None,
     ) -> None:
         self._parameters = nodes
-        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": checked_namespace(namespace)}
+        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
         self._thread: threading.Thread | None = None
@@ -181,7 +183,34 @@ class Graph:
                 node.autostart()
 
 
-def checked_namespace(namespace: str) -> str:
+def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
+    """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
+
+    Raises:
+        ForetouchError: If there is no such service or no answer within the time.
+    """
+    namespace = _checked(namespace or NAMESPACE)
+    start_rclpy([])
+    import rclpy
+    from std_srvs.srv import Trigger
+
+    name = f"{namespace.rstrip('/')}/{service}"
+    node = rclpy.create_node("caller", namespace=namespace)
+    try:
+        client = node.create_client(Trigger, name)  # type: ignore[var-annotated]
+        if not client.wait_for_service(timeout_sec=wait_s):
+            raise ForetouchError(f"{name}: no such service within {wait_s:g} s: is the graph running?")
+        future = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(node, future, timeout_sec=wait_s)
+        if (answer := future.result()) is None:
+            raise ForetouchError(f"{name}: no answer within {wait_s:g} s")
+        return answer.success, answer.message
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _checked(namespace: str) -> str:
     """A namespace that ROS accepts, or a `ConfigError`."""
     if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise ConfigError(f"namespace: {namespace!r} is not words of letters, digits and _ with / between them")
