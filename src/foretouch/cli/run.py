@@ -111,6 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
+    monitor["count"] = arguments.count
     if arguments.json:
         monitor["on_touch"] = arguments.printer = _Printer()
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
@@ -120,6 +121,8 @@ def run(arguments: argparse.Namespace) -> int:
             states = [(name, node.state_name) for name, node in graph.nodes.items()]
             listed = "; ".join(f"{name}: {state}" for name, state in states if state != "active")
             raise ForetouchError(f"a node did not start; see its log ({listed})")
+        if graph.replay is not None:
+            graph.default("touch_predictor", late_after_s=0.0)  # the stamps are those of the recording
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
         return _finish(graph, arguments, complete=_watch(graph, arguments))
@@ -224,7 +227,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
         graph.stop_source()
     graph.wait_for_hand(timeout_s=10.0)
     # A live source does not wait for answers: the nodes count what they had to drop.
-    return replay is None or graph.wait_for_answers(graph.played())
+    return replay is None or graph.wait_for_answers(min(graph.played(), arguments.count or graph.played()))
 
 
 def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:

@@ -73,6 +73,7 @@ class MonitorNode(GuardedCallbacks, Node):
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
         with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
         on_touch: Called with each `touch` message, in the executor's thread; must not call the monitor.
+        count: Number of `touch` messages after which the view is closed; None for any number.
     """
 
     def __init__(
@@ -82,12 +83,13 @@ class MonitorNode(GuardedCallbacks, Node):
         with_clouds: bool = False,
         with_hand: bool = False,
         on_touch: Callable[[TouchPredictionArray], None] | None = None,
+        count: int | None = None,
         **options: Any,
     ) -> None:
         super().__init__("monitor", namespace=namespace, **options)
         self._lock = threading.Lock()
         self._view = View()
-        self._on_touch = on_touch
+        self._on_touch, self._count = on_touch, count
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
@@ -155,6 +157,7 @@ class MonitorNode(GuardedCallbacks, Node):
             if self._closed:
                 return
             self._view.answers[status_name(message.status)] += 1
+            self._closed = self._view.answers.total() == self._count
             if message.reason:
                 self._view.reasons[message.reason] += 1
             self._view.last = message

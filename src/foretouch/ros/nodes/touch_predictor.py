@@ -150,6 +150,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         fault = (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
         return (*fault, *super().errors())
 
+    def warnings(self) -> tuple[str, ...]:
+        """Why the model does not adapt to readings."""
+        model = self._predictor.model if self._predictor else None
+        if model is None or model.calibration is not None:
+            return ()
+        reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
+        return (f"model {model.name} gives no intervals and does not adapt to readings: {reason}",)
+
     def notes(self) -> dict[str, str]:
         """The model's name and hash, and the state of online adaptation too."""
         predictor, found = self._predictor, super().notes()
