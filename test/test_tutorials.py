@@ -84,7 +84,7 @@ def prepare(folder: Path, files: dict[str, str]) -> dict[str, str]:
     for name, content in files.items():
         (clone / name).write_text(content, encoding="utf-8")
     (clone / ".venv" / ".runtime").touch()
-    (clone / ".venv" / "bin" / "activate").touch()
+    (clone / ".venv" / "bin" / "activate").write_text(f"export VIRTUAL_ENV={sys.prefix}\n", encoding="utf-8")
     scripts = {
         "git": f'[ "$1" = clone ] && mv {clone} "$(basename "$2")"',
         "foretouch": f'exec {sys.executable} -m foretouch "$@"',
