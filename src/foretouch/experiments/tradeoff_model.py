@@ -24,6 +24,8 @@ from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, Tradeo
 from foretouch.experiments.shared.scores import error_rows, labelled, load
 from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.learning.evaluation.prequential import Recording, replay
+from foretouch.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch.learning.training.contact import (
     ContactConfig,
     describe_objects,
@@ -32,6 +34,7 @@ from foretouch.learning.training.contact import (
     fit_forests,
     thinned_samples,
 )
+from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.card import read_card
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import ContactEstimator
@@ -39,6 +42,7 @@ from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator
+from foretouch.models.tracker import SensorTracker
 from foretouch.report.panels import new_figure, save_small
 from foretouch.tactile import MODALITIES
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
@@ -49,6 +53,7 @@ if TYPE_CHECKING:
 SHIPPED: Final = "contact-v2"
 NETWORK: Final = "touchnet-v1"
 _PAPERS: Final = "papers' four networks"
+_MEAN, _OBJECT = "mean of labels", "mean of the object"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out", "random": "random folds"}
 _CONTACT: Final = "contact"
 
@@ -83,7 +88,10 @@ def _variants(settings: ModelSettings) -> Iterator[Variant]:
     every = settings.detail == "all"
     yield _contact("shipped", SHIPPED)
     yield Variant(_PAPERS, "reference", {"kind": "papers"})
-    yield Variant("mean of labels", "part", {"kind": "mean"})
+    yield Variant(_MEAN, "part", {"kind": "mean"})
+    yield Variant(_OBJECT, "part", {"kind": "object"})
+    for name, vision in ((_MEAN, False), (SHIPPED, True)):
+        yield Variant(f"{name} + readings", "readings", {"kind": "readings", "vision": vision})
     for count in (2, 5, 10, 20, 30):
         yield _contact("trees", f"{count} trees", trees=count)
     for part in ("no surroundings", "forests alone", "kernel alone"):
@@ -184,6 +192,50 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     return _OnePart(**fields, forests_alone=values["part"] == "forests alone")
 
 
+# What is known without the cloud: the object by name, and what the hand has read.
+
+
+def _without_the_cloud(data: Described, fold: Fold, vision: Float64, seed: int) -> Iterator[tuple[str, Float64]]:
+    """Predictions of the test side from the mean of the object, and from all readings before each grasp.
+
+    Args:
+        data: All samples.
+        fold: Which of them are tested.
+        vision: (T, 50) predictions of the test side by the shipped recipe [counts].
+        seed: Of the trees.
+    """
+    labels, objects = data.labels[fold.train], np.array(data.objects)
+    means = np.tile(labels.mean(axis=0), (len(objects), 1))
+    others, seen = means.copy(), means.copy()
+    for name in np.unique(objects):
+        own = objects[fold.train] == name
+        if own.any():
+            means[objects == name] = labels[own].mean(axis=0)
+            others[objects == name] = labels[~own].mean(axis=0)
+            without = _fitted(data, fold.train[~own], seed)({})
+            seen[fold.train[own]] = without.predict_rows(data.rows()[fold.train[own]])[0]
+    seen[fold.test] = vision
+    yield _OBJECT, means[fold.test]
+    for name, expected in ((_MEAN, others), (SHIPPED, seen)):
+        yield f"{name} + readings", _read_before(data, fold, expected)[fold.test]
+
+
+def _read_before(data: Described, fold: Fold, expected: Float64) -> Float64:
+    """(S, 50) predictions by a tracker of what was expected and of all earlier readings [counts].
+
+    Its parameters are fitted to the training side, in which `expected` does not know the object of the grasp.
+    """
+    order = np.argsort([sample.stamp_ns for sample in data.samples], kind="stable")
+    recording = Recording.of_samples(
+        data.samples, data.labels, expected, rest_level([data.samples[k] for k in fold.train])[0]
+    )
+    train = recording.take(np.array([k for k in order if k in set(fold.train)]))
+    group = fit_group(HeldOutPredictions(train.expected, train.readings, train.objects, train.objects), new=True)
+    found = np.empty_like(expected)
+    found[order] = replay(SensorTracker(fit_tracker(train, group, group)), recording.take(order)).counts
+    return found
+
+
 # Networks; torch is imported where one is needed.
 
 
@@ -276,8 +328,9 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
         fitted = _fitted(described, fold.train, seed)
         contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT]
         rows = {one.name: described.rows(one.values.get("points", "whole"))[fold.test] for one in contact}
-        found = [("mean of labels", np.tile(mean, (len(tested), 1)))]
+        found = [(_MEAN, np.tile(mean, (len(tested), 1)))]
         found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
+        found += _without_the_cloud(described, fold, dict(found)[SHIPPED], seed) if split != "random" else []
     else:
         found = list(_trained(described, fold, settings))
     return [
