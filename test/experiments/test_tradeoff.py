@@ -124,7 +124,7 @@ def test_an_area_gives_table_picture_and_sentences(lab: Path, run) -> None:
     assert short["difference"] == pytest.approx(0.350, abs=0.001)  # of its answers to those of the shipped one
     summary = (lab / "out/summary.md").read_text()
     for text in (
-        "Most skilful: long", "Fastest: short", "shipped (shipped) is on the frontier",
+        "Most skilful on the frontier: long", "Fastest: short", "shipped (shipped) is on the frontier",
         "Skipped: other library: fast_pi is not installed.", "other processes used",
     ):  # fmt: skip
         assert text in summary

@@ -6,10 +6,12 @@ All contact models of a fold share what is described and fitted alike. Networks 
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from itertools import product
+from functools import lru_cache, partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,8 +22,8 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row
 from foretouch.experiments.framework.frontier import Panel, frontier, name_points, of_request, time_column
-from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, skill_columns
-from foretouch.experiments.shared.scores import error_rows, labelled, load
+from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
+from foretouch.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
 from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording, replay
@@ -35,14 +37,16 @@ from foretouch.learning.training.contact import (
     thinned_samples,
 )
 from foretouch.learning.training.tracker import fit_tracker
+from foretouch.models.budget import PAUSE_S, levels_of
 from foretouch.models.card import read_card
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model
-from foretouch.models.touch_model import Estimator
+from foretouch.models.touch_model import Estimate, Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
+from foretouch.processes import one_thread_each
 from foretouch.report.panels import new_figure, save_small
 from foretouch.tactile import MODALITIES
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
@@ -56,10 +60,11 @@ _PAPERS: Final = "papers' four networks"
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out", "random": "random folds"}
 _CONTACT: Final = "contact"
+_SERVED: Final = ("clouds", "processes")  # factors that change the time alone
 
 _BUDGET_MS: Final = 10.0  # of the overview
 _POINTS: Final = (64, 128, 256, 512, 1024, 2048)
-_SAMPLERS: Final = ("random", "voxel", "farthest")
+_CLOUDS: Final = (4, 16)  # in one request, beside the usual one
 _REFITTED: Final = {"depth": (2, 4, 6, 8, 12), "feature_share": (0.1, 0.25, 1.0), "leaf": (1, 10), "trees": (120, 240)}
 _FEW_REFITTED: Final = {"depth": (4, 8), "feature_share": (0.1, 1.0)}
 _TEXTS: Final = {"depth": "depth {}", "feature_share": "share {:g} of features", "leaf": "leaf {}", "trees": "{} trees"}
@@ -105,11 +110,14 @@ def _variants(settings: ModelSettings) -> Iterator[Variant]:
         yield _contact("trees x part", f"{count} trees, {part}", trees=count, part=part)
     yield _contact("trees x part", "10 trees, cloud of 500", trees=10, points=500)
     yield Variant(NETWORK, "model", {"kind": "network"})
-    few = [*product(_SAMPLERS[:1], _POINTS), *product(_SAMPLERS[1:], (256,))]
-    for sampler, count in product(_SAMPLERS, _POINTS) if every else few:
+    for sampler, count in (*(("random", count) for count in _POINTS), ("voxel", 256), ("farthest", 256)):
         network = {"kind": "network", "changes": {"n_points": count, "sampler": sampler}}
         yield Variant(f"{sampler} {count}", f"net: {sampler}", network)
     yield Variant("net bf16", "net: precision", {"kind": "network", "precision": "bfloat16"}, NETWORK)
+    for name, kind in ((SHIPPED, _CONTACT), (NETWORK, "network")):
+        for count in _CLOUDS:
+            yield Variant(f"{name}, {count} clouds", "clouds", {"kind": kind, "clouds": count})
+        yield Variant(f"{name}, 2 processes", "processes", {"kind": kind, "processes": 2})
 
 
 def _contact(factor: str, name: str, **values: Any) -> Variant:
@@ -260,7 +268,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
     net = train_network(TrainingSet.build(train, run.model), np.arange(len(train)), run.train.replace(seed=0))
     fallback = Fallback.fit(describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):
-        if variant.values["kind"] == "network":
+        if variant.values["kind"] == "network" and variant.factor not in _SERVED:
             estimator = _network(variant.values, net, fallback)
             yield variant.name, np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in tested])
 
@@ -326,7 +334,7 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
     tested = [described.samples[k] for k in fold.test]
     if model == _CONTACT:
         fitted = _fitted(described, fold.train, seed)
-        contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT]
+        contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT and one.factor not in _SERVED]
         rows = {one.name: described.rows(one.values.get("points", "whole"))[fold.test] for one in contact}
         found = [(_MEAN, np.tile(mean, (len(tested), 1)))]
         found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
@@ -350,11 +358,16 @@ def _tabulate(settings: ModelSettings, rows: Sequence[Row]) -> list[Row]:
     touchnet-v1 has the skills of its card where it was not trained here.
     """
     result = []
-    for name in dict.fromkeys([*(row["variant"] for row in rows), NETWORK]):
+    names = dict.fromkeys([*(row["variant"] for row in rows), NETWORK])
+    found: dict[str, dict[str, list[Row]]] = {split: {name: [] for name in names} for split in settings.splits}
+    for one in rows:
+        found[one["split"]][one["variant"]].append(one)
+    equal = {split: equal_columns(split, own, settings.bootstrap) for split, own in found.items()}
+    for name in names:
         row: Row = {"variant": name}
         for split in settings.splits:
-            own = [one for one in rows if (one["variant"], one["split"]) == (name, split)]
-            row |= skill_columns(split, own, settings.bootstrap)
+            own = found[split][name]
+            row |= skill_columns(split, own, settings.bootstrap) | equal[split].get(name, {})
             if name == NETWORK and not own:
                 skill = read_card(find_card(NETWORK))["skill"][split]
                 row[split] = float(np.mean([skill[one]["skill"] for one in MODALITIES]))
@@ -368,24 +381,91 @@ def _tabulate(settings: ModelSettings, rows: Sequence[Row]) -> list[Row]:
 
 
 def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
-    """See `Area.timed`: predicts the touch of K grasps on the cloud of one real grasp; answers are (K, 50) counts."""
-    cloud, grasps = _scene(data, max(settings.requests))
+    """See `Area.timed`: predicts the touch of K grasps on each cloud of a request; answers are (K, 50) counts for each."""
     values, kind = variant.values, variant.values["kind"]
+    scenes = _scenes(data, max(settings.requests), values.get("clouds", 1))
+    estimator, size = _timed_estimator(values, data, scenes[0][0])
     if kind == "papers":
-        return Timed(_papers(cloud, grasps))
-    shipped: Any = load_model(SHIPPED).estimator
-    if kind == "mean":
-        return Timed(lambda count: np.tile(shipped.mean, (count, 1)), 8.0 * TOUCH_SIZE / 1e6)
-    if kind == "network":
-        network = _timed_network(values)
-        size = find_card(NETWORK).with_suffix(".safetensors").stat().st_size / 1e6 if len(values) == 1 else None
-        return Timed(lambda count: network.estimate(cloud, grasps[:count]).counts, size)
-    fitted = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
-    points = values.get("points")
-    return Timed(
-        lambda count: fitted.estimate(_thin(cloud, points) if points else cloud, grasps[:count]).counts,
-        len(packed(fitted.to_tensors())[0]) / 1e6,
+        return Timed(_papers(scenes[0][0].cloud, scenes[0][1]))
+    answer = partial(_answer, estimator, [(one.cloud, grasps) for one, grasps in scenes], values.get("points"))
+    return Timed(_in_two_processes(answer) if "processes" in values else answer, size)
+
+
+def _answer(
+    estimator: Estimator, scenes: Sequence[tuple[Cloud, list[Grasp]]], points: int | None, count: int
+) -> Answer:
+    return np.concatenate(
+        [
+            estimator.estimate(_thin(cloud, points) if points else cloud, grasps[:count]).counts
+            for cloud, grasps in scenes
+        ]
     )
+
+
+def _timed_estimator(values: Mapping[str, Any], data: Dataset, sample: GraspSample) -> tuple[Any, float | None]:
+    """The estimator of a variant, and its size on disk [MB]; the object is that of a sample."""
+    kind, levels = values["kind"], {one.name: one.model for one in levels_of(load_model(SHIPPED))}
+    if kind == "network":
+        size = find_card(NETWORK).with_suffix(".safetensors").stat().st_size / 1e6 if "changes" not in values else None
+        return _timed_network(values), size
+    if kind == "readings":
+        return _AfterReading.of(levels[SHIPPED if values["vision"] else _MEAN], sample), None
+    if kind in ("mean", "object"):
+        own = [one for one in labelled(data) if kind == "mean" or one.object == sample.object]
+        mean: Any = levels[_MEAN].estimator
+        return replace(mean, mean=labels_of(own).mean(axis=0)), 8.0 * TOUCH_SIZE / 1e6
+    if kind == "papers":
+        return None, None
+    shipped: Any = levels[SHIPPED].estimator
+    fitted = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
+    return fitted, len(packed(fitted.to_tensors())[0]) / 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class _AfterReading:
+    """Predicts by a model and a tracker right after one more reading, which it adds in each call."""
+
+    model: TouchModel
+    tracker: SensorTracker
+    reading: Float64  # (50,) [counts]
+    expected: Float64  # (50,) prediction of the grasp that was read [counts]
+
+    @classmethod
+    def of(cls, model: TouchModel, sample: GraspSample) -> _AfterReading:
+        expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
+        tracker = model.new_tracker()
+        tracker.start_object()
+        return cls(model, tracker, labels_of([sample])[0], expected)
+
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+        tracker, found = self.tracker.copy(), self.model.estimator.estimate(cloud, grasps)
+        tracker.add_touch(1, self.reading, self.expected)
+        return replace(found, counts=History(tracker, 2).adapt(found)[0])
+
+
+def _in_two_processes(answer: Callable[[int], Answer]) -> Callable[[int], Answer]:
+    """Answers here and in another process at the same time, and returns when both are done."""
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    with one_thread_each():
+        context.Process(target=_serve, args=(there, answer), daemon=True).start()
+
+    def both(count: int) -> Answer:
+        here.send(count)
+        found = answer(count)
+        here.recv()
+        return found
+
+    return both
+
+
+def _serve(requests: Any, answer: Callable[[int], Answer]) -> None:
+    """Answer requests until the process that sends them ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(EOFError):
+        while True:
+            answer(requests.recv())
+            requests.send(None)
 
 
 @lru_cache(maxsize=1)
@@ -394,17 +474,24 @@ def _refitted(data: Dataset) -> Callable[[Mapping[str, Any]], ContactEstimator]:
     return _fitted(described, np.arange(len(described.samples)), 0)
 
 
-@lru_cache(maxsize=1)
-def _scene(data: Dataset, count: int) -> tuple[Cloud, list[Grasp]]:
-    """A real cloud of median size, its grasp, and others between random points of it with the hand of its own grasp."""
+@lru_cache(maxsize=4)
+def _scenes(data: Dataset, count: int, clouds: int) -> list[tuple[GraspSample, list[Grasp]]]:
+    """Samples whose clouds are evenly spread in size, one the median, each with its grasp and others.
+
+    The others are between random points of the cloud, with the hand of its own grasp.
+    """
     samples = sorted(labelled(data), key=lambda one: one.cloud.size)
-    sample = samples[len(samples) // 2]
+    places = np.linspace(0, len(samples), 2 * clouds + 1)[1::2].astype(int)
+    return [(samples[k], _grasps_on(samples[k], count)) for k in places]
+
+
+def _grasps_on(sample: GraspSample, count: int) -> list[Grasp]:
     xyz = sample.cloud.xyz.reshape(-1, 3)
     xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
     pairs = np.random.default_rng(0).integers(0, len(xyz), (50 * count, 2))
     width = np.linalg.norm(xyz[pairs[:, 0]] - xyz[pairs[:, 1]], axis=1)
     near = pairs[(width > 0.02) & (width < 0.1)][: count - 1]
-    return sample.cloud, [sample.grasp, *(Grasp(xyz[a], xyz[b], sample.grasp.rotation) for a, b in near)]
+    return [sample.grasp, *(Grasp(xyz[a], xyz[b], sample.grasp.rotation) for a, b in near)]
 
 
 def _draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -446,15 +533,15 @@ EXPERIMENT = Area(
     module=__name__,
     settings=ModelSettings,
     presets={
-        "small": {"timing_s": 45.0, "splits": ["time", "object"], "detail": "few"},
-        "full": {"timing_s": 200.0, "seeds": [0, 1], "networks": True},
+        "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "splits": ["time", "object"], "detail": "few"},
+        "full": {"timing_s": 420.0, "pause_s": PAUSE_S, "seeds": [0, 1], "networks": True},
     },
     load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,
     figure=_draw_overview,
-    resumable_settings=("splits", "seeds", "networks", "bootstrap", "timing_s", "requests"),
+    resumable_settings=("splits", "seeds", "networks", "bootstrap", "timing_s", "pause_s", "requests"),
     data_folder="vision2tactile",
     variants=_variants,
     timed=_timed,
