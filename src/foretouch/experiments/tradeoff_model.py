@@ -203,45 +203,50 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
 # What is known without the cloud: the object by name, and what the hand has read.
 
 
-def _without_the_cloud(data: Described, fold: Fold, vision: Float64, seed: int) -> Iterator[tuple[str, Float64]]:
+def _without_the_cloud(
+    data: Described, folds: Sequence[Fold], fold: Fold, vision: Float64, seed: int
+) -> Iterator[tuple[str, Float64]]:
     """Predictions of the test side from the mean of the object, and from all readings before each grasp.
+
+    A tracker compares readings with what was expected without them: by the mean of the labels or by the shipped recipe,
+    fitted without the part of the data that is predicted. Its parameters are fitted to the training side.
 
     Args:
         data: All samples.
-        fold: Which of them are tested.
+        folds: Of all parts of the data.
+        fold: Of the part that is tested.
         vision: (T, 50) predictions of the test side by the shipped recipe [counts].
         seed: Of the trees.
     """
-    labels, objects = data.labels[fold.train], np.array(data.objects)
-    means = np.tile(labels.mean(axis=0), (len(objects), 1))
-    others, seen = means.copy(), means.copy()
-    for name in np.unique(objects):
-        own = objects[fold.train] == name
-        if own.any():
-            means[objects == name] = labels[own].mean(axis=0)
-            others[objects == name] = labels[~own].mean(axis=0)
-            without = _fitted(data, fold.train[~own], seed)({})
-            seen[fold.train[own]] = without.predict_rows(data.rows()[fold.train[own]])[0]
-    seen[fold.test] = vision
-    yield _OBJECT, means[fold.test]
-    for name, expected in ((_MEAN, others), (SHIPPED, seen)):
-        yield f"{name} + readings", _read_before(data, fold, expected)[fold.test]
-
-
-def _read_before(data: Described, fold: Fold, expected: Float64) -> Float64:
-    """(S, 50) predictions by a tracker of what was expected and of all earlier readings [counts].
-
-    Its parameters are fitted to the training side, in which `expected` does not know the object of the grasp.
-    """
-    order = np.argsort([sample.stamp_ns for sample in data.samples], kind="stable")
-    recording = Recording.of_samples(
-        data.samples, data.labels, expected, rest_level([data.samples[k] for k in fold.train])[0]
+    names, sessions, mean = (
+        np.array(data.objects),
+        np.empty(len(data.samples), object),
+        data.labels[fold.train].mean(axis=0),
     )
-    train = recording.take(np.array([k for k in order if k in set(fold.train)]))
-    group = fit_group(HeldOutPredictions(train.expected, train.readings, train.objects, train.objects), new=True)
-    found = np.empty_like(expected)
-    found[order] = replay(SensorTracker(fit_tracker(train, group, group)), recording.take(order)).counts
-    return found
+    own, plain, seen = np.tile(mean, (3, len(names), 1))
+    for name in np.unique(names[fold.train]):
+        own[names == name] = data.labels[fold.train][names[fold.train] == name].mean(axis=0)
+    yield _OBJECT, own[fold.test]
+    for part in folds:
+        sessions[part.test] = [f"{name}/{part.name}" for name in names[part.test]]
+        rest = np.setdiff1d(fold.train, part.test)
+        if part.name != fold.name:
+            plain[part.test] = data.labels[rest].mean(axis=0)
+            seen[part.test] = _fitted(data, rest, seed)({}).predict_rows(data.rows()[part.test])[0]
+    seen[fold.test] = vision
+    order = np.argsort([sample.stamp_ns for sample in data.samples], kind="stable")
+    train = order[np.isin(order, fold.train)]
+    level, _ = rest_level([data.samples[k] for k in train])
+    for name, expected in ((_MEAN, plain), (SHIPPED, seen)):
+        recording = Recording.of_samples(data.samples, data.labels, expected, level)
+        held_out = HeldOutPredictions(
+            expected[train], data.labels[train], names[train], sessions[train].astype(np.str_)
+        )
+        group = fit_group(held_out, new=not np.isin(names[fold.test], names[train]).any())
+        tracker = SensorTracker(fit_tracker(recording.take(train), group, group))
+        counts = np.empty_like(expected)
+        counts[order] = replay(tracker, recording.take(order)).counts
+        yield f"{name} + readings", counts[fold.test]
 
 
 # Networks; torch is imported where one is needed.
@@ -329,7 +334,8 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
     """Errors of all variants of a model on one fold."""
     model, split, part, seed = (cell.values[key] for key in ("model", "split", "part", "seed"))
     described = describe(data)
-    fold = next(one for one in make_folds(described.samples, split, seed) if one.name == part)
+    folds = make_folds(described.samples, split, seed)
+    fold = next(one for one in folds if one.name == part)
     labels, mean = described.labels[fold.test], described.labels[fold.train].mean(axis=0)
     tested = [described.samples[k] for k in fold.test]
     if model == _CONTACT:
@@ -338,7 +344,8 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
         rows = {one.name: described.rows(one.values.get("points", "whole"))[fold.test] for one in contact}
         found = [(_MEAN, np.tile(mean, (len(tested), 1)))]
         found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
-        found += _without_the_cloud(described, fold, dict(found)[SHIPPED], seed) if split != "random" else []
+        if split != "random":  # which has no order of time
+            found += _without_the_cloud(described, folds, fold, dict(found)[SHIPPED], seed)
     else:
         found = list(_trained(described, fold, settings))
     return [

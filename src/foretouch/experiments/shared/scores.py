@@ -2,6 +2,7 @@
 """Squared errors of predictors by object, and the table of their skills with comparisons."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,7 @@ def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: Boots
     def errors(name: str, common: set[tuple[Any, Any]]) -> ObjectErrors:
         return ObjectErrors.of_rows([row for row in rows[name] if (row["part"], row.get("seed")) in common])
 
+    @cache
     def less(one: str, other: str) -> Estimate:
         common = cells[one] & cells[other]
         return compare(errors(one, common), errors(other, common), bootstrap)[MEAN]
