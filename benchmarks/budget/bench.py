@@ -86,9 +86,9 @@ def publish(number: int, rate_hz: float, begin: Any) -> None:
     cloud, grasps = profile_scene(max(COUNTS))
     message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", 1)
     posed = [grasp_to_msg(one) for one in grasps]
-    limit = time.monotonic() + 120.0
+    until = time.monotonic() + 120.0
     while not all(one.get_subscription_count() for one in outputs):
-        if time.monotonic() > limit:
+        if time.monotonic() > until:
             raise SystemExit("the node does not subscribe to object_cloud and grasps")
         time.sleep(0.05)
     time.sleep(0.5)
@@ -157,7 +157,7 @@ class Waits(threading.local):
 def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
     """Record each answer of the topic as it is published."""
     budget, publisher, sets = node._predictor.budget, node._touch, node._synchronizer  # noqa: SLF001
-    begin, original, first = budget.begin, publisher.publish, sets.on_first  # noqa: SLF001
+    begin, original, first = budget.begin, publisher.publish, sets.on_first
     waits, begun, received = Waits(), {}, {}
 
     def receive() -> float:
