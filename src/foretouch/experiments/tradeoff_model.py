@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,16 +20,7 @@ import numpy.typing as npt
 from foretouch.config import setting
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row, Table
-from foretouch.experiments.framework.frontier import (
-    Panel,
-    best_state,
-    frontier,
-    interval,
-    known,
-    name_points,
-    of_request,
-    time_column,
-)
+from foretouch.experiments.framework.frontier import Panel, best_state, interval, time_column
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
 from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
@@ -53,10 +43,9 @@ from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model
-from foretouch.models.touch_model import Estimate, Estimator, History, TouchModel
+from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.processes import one_thread_each
-from foretouch.report.panels import new_figure, save_small
 from foretouch.tactile import MODALITIES
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
 
@@ -78,7 +67,6 @@ _SHOWN: Final = (
 """Variants of the table of models, in this order."""
 
 _BUDGET_MS: Final = 10.0  # of the answer
-_LOWEST_SKILL: Final = -0.05  # in the picture
 _POINTS: Final = (64, 128, 256, 512, 1024, 2048)
 _CLOUDS: Final = (4, 16)  # in one request, beside the usual one
 _REFITTED: Final = {"depth": (2, 4, 6, 8, 12), "feature_share": (0.1, 0.25, 1.0), "leaf": (1, 10), "trees": (120, 240)}
@@ -111,7 +99,7 @@ def _variants(settings: ModelSettings) -> Iterator[Variant]:
     yield Variant(_PAPERS, "reference", {"kind": "papers"})
     yield Variant(_MEAN, "part", {"kind": "mean"})
     yield Variant(_OBJECT, "part", {"kind": "object"})
-    for name in (_MEAN, SHIPPED) if every else (_MEAN,):
+    for name in (_MEAN, SHIPPED):
         yield Variant(f"{name} + readings", "readings", {"kind": "readings", "of": name})
     for count in (2, 5, 10, 20, 30):
         yield _contact("trees", f"{count} trees", trees=count)
@@ -216,50 +204,36 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     return _OnePart(**fields, forests_alone=values["part"] == "forests alone")
 
 
-# What is known without the cloud: the object by name, and what the hand has read.
+# The object by name, and what the hand has read.
 
 
-def _without_the_cloud(
-    data: Described, folds: Sequence[Fold], fold: Fold, vision: Float64 | None, seed: int
+def _with_readings(
+    data: Described, folds: Sequence[Fold], fold: Fold, vision: Float64, seed: int
 ) -> Iterator[tuple[str, Float64]]:
-    """Predictions of the test side from the mean of the object, and from all readings before each grasp.
+    """Predictions of the test side of a fold by the mean of the object, and by a tracker of all readings before each grasp.
 
-    A tracker compares readings with what was expected without them: by the mean of the labels or by the shipped recipe,
-    fitted without the part of the data that is predicted. Its parameters are fitted to the training side.
-
-    Args:
-        data: All samples.
-        folds: Of all parts of the data.
-        fold: Of the part that is tested.
-        vision: (T, 50) predictions of the test side by the shipped recipe [counts]; None: the mean of the labels alone.
-        seed: Of the trees.
+    The tracker compares readings with what was expected without them: by the mean of the labels or by the shipped recipe,
+    fitted without the part of the data that is predicted. Its parameters are fitted to the training side. `vision` are
+    (T, 50) predictions of the test side by that recipe [counts].
     """
-    names, sessions, mean = (
-        np.array(data.objects),
-        np.empty(len(data.samples), object),
-        data.labels[fold.train].mean(axis=0),
-    )
-    own, plain, seen = np.tile(mean, (3, len(names), 1))
+    names, sessions = np.array(data.objects), np.empty(len(data.samples), "U99")
+    own, plain, seen = np.tile(data.labels[fold.train].mean(axis=0), (3, len(names), 1))
     for name in np.unique(names[fold.train]):
         own[names == name] = data.labels[fold.train][names[fold.train] == name].mean(axis=0)
     yield _OBJECT, own[fold.test]
     for part in folds:
         sessions[part.test] = [f"{name}/{part.name}" for name in names[part.test]]
-        rest = np.setdiff1d(fold.train, part.test)
         if part.name != fold.name:
+            rest = np.setdiff1d(fold.train, part.test)
             plain[part.test] = data.labels[rest].mean(axis=0)
-            if vision is not None:
-                seen[part.test] = _fitted(data, rest, seed)({}).predict_rows(data.rows()[part.test])[0]
-    if vision is not None:
-        seen[fold.test] = vision
+            seen[part.test] = _fitted(data, rest, seed)({}).predict_rows(data.rows()[part.test])[0]
+    seen[fold.test] = vision
     order = np.argsort([sample.stamp_ns for sample in data.samples], kind="stable")
     train = order[np.isin(order, fold.train)]
     level, _ = rest_level([data.samples[k] for k in train])
-    for name, expected in ((_MEAN, plain), (SHIPPED, seen)) if vision is not None else ((_MEAN, plain),):
+    for name, expected in ((_MEAN, plain), (SHIPPED, seen)):
         recording = Recording.of_samples(data.samples, data.labels, expected, level)
-        held_out = HeldOutPredictions(
-            expected[train], data.labels[train], names[train], sessions[train].astype(np.str_)
-        )
+        held_out = HeldOutPredictions(expected[train], data.labels[train], names[train], sessions[train])
         group = fit_group(held_out, new=not np.isin(names[fold.test], names[train]).any())
         tracker = SensorTracker(fit_tracker(recording.take(train), group, group))
         counts = np.empty_like(expected)
@@ -363,8 +337,7 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
         found = [(_MEAN, np.tile(mean, (len(tested), 1)))]
         found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
         if split != "random":  # which has no order of time
-            vision = dict(found)[SHIPPED] if settings.detail == "all" else None
-            found += _without_the_cloud(described, folds, fold, vision, seed)
+            found += _with_readings(described, folds, fold, dict(found)[SHIPPED], seed)
     else:
         found = list(_trained(described, fold, settings))
     return [
@@ -410,63 +383,46 @@ def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
     """See `Area.timed`: predicts the touch of K grasps on each cloud of a request; answers are (K, 50) counts for each."""
     values, kind = variant.values, variant.values["kind"]
     scenes = _scenes(data, max(settings.requests), values.get("clouds", 1))
-    estimator, size = _timed_estimator(values, data, scenes[0][0])
+    (sample, grasps), size = scenes[0], None
     if kind == "papers":
-        return Timed(_papers(scenes[0][0].cloud, scenes[0][1]))
-    answer = partial(_answer, estimator, [(one.cloud, grasps) for one, grasps in scenes], values.get("points"))
+        return Timed(_papers(sample.cloud, grasps))
+    models = {one.name: one.model for one in levels_of(load_model(SHIPPED))}
+    if kind in ("mean", "object"):
+        own = [one for one in labelled(data) if kind == "mean" or one.object == sample.object]
+        mean = labels_of(own).mean(axis=0)
+        return Timed(lambda count: np.tile(mean, (count, 1)), 8.0 * TOUCH_SIZE / 1e6)
+    if kind == "readings":
+        return Timed(_after_reading(models[values["of"]], sample, grasps))
+    if kind == "network":
+        estimator = _timed_network(values)
+        size = find_card(NETWORK).with_suffix(".safetensors").stat().st_size / 1e6 if len(values) == 1 else None
+    else:
+        shipped: Any = models[SHIPPED].estimator
+        fitted = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
+        estimator, size = fitted, len(packed(fitted.to_tensors())[0]) / 1e6
+    answer = partial(_answer, estimator, [(one.cloud, own) for one, own in scenes], values.get("points"))
     return Timed(_in_two_processes(answer) if "processes" in values else answer, size)
 
 
 def _answer(
     estimator: Estimator, scenes: Sequence[tuple[Cloud, list[Grasp]]], points: int | None, count: int
 ) -> Answer:
-    return np.concatenate(
-        [
-            estimator.estimate(_thin(cloud, points) if points else cloud, grasps[:count]).counts
-            for cloud, grasps in scenes
-        ]
-    )
+    thinned = [(_thin(cloud, points) if points else cloud, grasps[:count]) for cloud, grasps in scenes]
+    return np.concatenate([estimator.estimate(*one).counts for one in thinned])
 
 
-def _timed_estimator(values: Mapping[str, Any], data: Dataset, sample: GraspSample) -> tuple[Any, float | None]:
-    """The estimator of a variant, and its size on disk [MB]; the object is that of a sample."""
-    kind, levels = values["kind"], {one.name: one.model for one in levels_of(load_model(SHIPPED))}
-    if kind == "network":
-        size = find_card(NETWORK).with_suffix(".safetensors").stat().st_size / 1e6 if "changes" not in values else None
-        return _timed_network(values), size
-    if kind == "readings":
-        return _AfterReading.of(levels[values["of"]], sample), None
-    if kind in ("mean", "object"):
-        own = [one for one in labelled(data) if kind == "mean" or one.object == sample.object]
-        mean: Any = levels[_MEAN].estimator
-        return replace(mean, mean=labels_of(own).mean(axis=0)), 8.0 * TOUCH_SIZE / 1e6
-    if kind == "papers":
-        return None, None
-    shipped: Any = levels[SHIPPED].estimator
-    fitted = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
-    return fitted, len(packed(fitted.to_tensors())[0]) / 1e6
+def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:
+    """Predictions right after one more reading of the hand, which is added to the tracker in each call."""
+    expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
+    reading, tracker = labels_of([sample])[0], model.new_tracker()
+    tracker.start_object()
 
+    def answer(count: int) -> Answer:
+        now = tracker.copy()
+        now.add_touch(1, reading, expected)
+        return History(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
 
-@dataclass(frozen=True, eq=False)
-class _AfterReading:
-    """Predicts by a model and a tracker right after one more reading, which it adds in each call."""
-
-    model: TouchModel
-    tracker: SensorTracker
-    reading: Float64  # (50,) [counts]
-    expected: Float64  # (50,) prediction of the grasp that was read [counts]
-
-    @classmethod
-    def of(cls, model: TouchModel, sample: GraspSample) -> _AfterReading:
-        expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
-        tracker = model.new_tracker()
-        tracker.start_object()
-        return cls(model, tracker, labels_of([sample])[0], expected)
-
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
-        tracker, found = self.tracker.copy(), self.model.estimator.estimate(cloud, grasps)
-        tracker.add_touch(1, self.reading, self.expected)
-        return replace(found, counts=History(tracker, 2).adapt(found)[0])
+    return answer
 
 
 def _in_two_processes(answer: Callable[[int], Answer]) -> Callable[[int], Answer]:
@@ -520,97 +476,43 @@ def _grasps_on(sample: GraspSample, count: int) -> list[Grasp]:
     return [sample.grasp, *(Grasp(xyz[a], xyz[b], sample.grasp.rotation) for a, b in near)]
 
 
-# Tables and the picture.
-
-
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    """The answer, the main models, and requests of several clouds or to two processes."""
+    """The answer, and the main models with requests of several clouds and to two processes."""
     rows = best_state(rows)
     requests = sorted({row["request"] for row in rows if row["request"]})
     found = {(row["variant"], row["request"]): row for row in rows}
-    wall = time_column(rows) == "ms_p50"
-    head = [f"{count} grasp{'s' * (count > 1)}" for count in requests]
+    keys = ("ms_p50", "ms_p95", "ms_p99") if (wall := time_column(rows) == "ms_p50") else ("cpu_ms",)
 
-    def line(name: str) -> list[str]:
-        return [_time_texts(found.get((name, count)), wall=wall) for count in requests]
+    def cell(name: str, count: int) -> str:
+        if (row := found.get((name, count))) is None:
+            return "–"
+        loop = "" if row["hot_cpu_ms"] is None else f" ({row['hot_cpu_ms']:.2g})"
+        return ", ".join(f"{row[key]:.2g}" for key in keys) + loop
 
-    shipped = [found[SHIPPED, count] for count in requests]
-    times = [", ".join(f"{row[key]:.2g}" for row in shipped) for key in (("ms_p95", "ms_p99") if wall else ("cpu_ms",))]
-    counts = f"{', '.join(map(str, requests))} grasps on one cloud"
-    answers = [row["request"] for row in shipped if row["ms_p95"] <= _BUDGET_MS]
-    answer = (
-        f"In {_BUDGET_MS:g} ms the default model, {SHIPPED}, answers requests of up to {max(answers, default=0)} grasps: {counts} "
-        f"take {times[0]} ms in 95 of 100 calls and {times[-1]} ms in 99."
+    p95, p99 = (" ".join(f"{found[SHIPPED, count][key]:.2g}" for count in requests) for key in ("ms_p95", "ms_p99"))
+    most = max((count for count in requests if found[SHIPPED, count]["ms_p95"] <= _BUDGET_MS), default=0)
+    text = (
+        f"In {_BUDGET_MS:g} ms the default model, {SHIPPED}, answers requests of up to {most} grasps on a cloud: requests of "
+        f"{' '.join(map(str, requests))} take {p95} ms in 95 of 100 calls, and {p99} ms in 99."
         if wall
-        else f"The machine was loaded, so that no answer within a time can be promised: of {SHIPPED}, {counts} take {times[0]} ms "
-        "of processor time."
+        else f"The machine was loaded, so that no time of an answer can be promised; {SHIPPED} uses the processor for "
+        f"{', '.join(cell(SHIPPED, count).partition(' ')[0] for count in requests)} ms for {', '.join(map(str, requests))} grasps on a cloud."
     )
-    shown = [name for name in _SHOWN if (name, requests[0]) in found]
     skills = [split for split in ("time", "object") if split in rows[0]]
-    body = []
-    for name in shown:
-        row = found[name, requests[0]]
-        body.append([name, *("–" if row[split] is None else interval(row, split) for split in skills), *line(name)])
-    served = dict.fromkeys([SHIPPED, NETWORK, *(row["variant"] for row in rows if row["factor"] in _SERVED)])
-    note = "Times after a pause of 20 ms: p50, p95, p99; in brackets the median in a loop without pauses [ms]."
-    if not wall:
-        note = "Median processor times after a pause of 20 ms; in brackets in a loop without pauses [ms]."
-    return [
-        Table("In short", [], [], [answer]),
-        Table("Models", ["", *(_SPLITS[one] for one in skills), *head], body, [note]),
-        Table(
-            "Several clouds a request, and two processes at once", ["", *head], [[one, *line(one)] for one in served]
-        ),
+    served = dict.fromkeys(row["variant"] for row in rows if row["factor"] in _SERVED)
+    body = [
+        [
+            name,
+            *("–" if row[one] is None else interval(row, one) for one in skills),
+            *(cell(name, count) for count in requests),
+        ]
+        for name in (*_SHOWN, *served)
+        if (row := found.get((name, requests[0]))) is not None
     ]
-
-
-def _time_texts(row: Row | None, *, wall: bool) -> str:
-    if row is None or row["ms_p50"] is None:
-        return "–"
-    names = ("ms_p50", "ms_p95", "ms_p99") if wall else ("cpu_ms",)
-    loop = "" if row.get("hot_cpu_ms") is None else f" ({row['hot_cpu_ms']:.2g})"
-    return ", ".join(f"{row[name]:.2g}" for name in names) + loop
-
-
-def _draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Draw `ten_milliseconds.png`: skill on known and new objects against the time of each number of grasps."""
-    rows = best_state(rows)
-    column = "ms_p95" if (wall := time_column(rows) == "ms_p50") else "cpu_ms"
-    splits = [split for split in ("time", "object") if known(rows, split)]
-    figure = new_figure(6.8 * len(splits), 4.8)
-    for axes, split in zip(figure.subplots(1, len(splits), squeeze=False)[0], splits, strict=True):
-        axes.axvline(_BUDGET_MS, color="black", linewidth=1.2)
-        for number, count in enumerate(sorted({row["request"] for row in known(rows, split)})):
-            own = [row for row in known(of_request(rows, count), split) if row[split] >= _LOWEST_SKILL]
-            label, line = f"{count} grasp{'s' * (count > 1)}", frontier(own, split)
-            for some, style in (
-                (own, {"marker": ".", "markersize": 4, "alpha": 0.5}),
-                (line, {"marker": "o", "markersize": 7, "markerfacecolor": "none", "label": label}),
-                ([row for row in own if row["factor"] == "shipped"], {"marker": "*", "markersize": 12}),
-            ):
-                axes.plot(
-                    [row[column] for row in some],
-                    [row[split] for row in some],
-                    "",
-                    linestyle="",
-                    color=f"C{number}",
-                    **style,
-                )
-        axes.set_xscale("log")
-        axes.set_xlabel(
-            "time of a prediction [ms], " + ("p95, idle machine" if wall else "processor time, loaded machine")
-        )
-        axes.set_ylabel(f"mean skill, {_SPLITS[split]}\n(0: mean of the labels, 1: perfect)")
-        axes.grid(visible=True, which="major", alpha=0.25)
-        named = {
-            row["variant"]: row[split]
-            for row in known(rows, split)
-            if row["variant"] in _SHOWN and row[split] >= _LOWEST_SKILL
-        }
-        right = axes.get_xlim()[1]
-        name_points(axes, {name: (right, named[name]) for name in sorted(named, key=named.__getitem__)}, 0.045)
-    figure.axes[0].legend(loc="center left", fontsize=8, title="★ default, ○ frontier")
-    return [save_small(figure, folder / "ten_milliseconds.png")]
+    head = ["", *(_SPLITS[one] for one in skills), *(f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests)]
+    kinds = "p50, p95, p99 of the wall time" if wall else "medians of the processor time"
+    note = f"Times: {kinds} after a pause of 20 ms; in brackets the processor time in a loop without pauses."
+    return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]
 
 
 EXPERIMENT = Area(
@@ -627,7 +529,6 @@ EXPERIMENT = Area(
     run=_run,
     tabulate=_tabulate,
     summarise=_summarise,
-    figure=_draw_overview,
     resumable_settings=("splits", "seeds", "networks", "bootstrap", "timing_s", "pause_s", "requests"),
     data_folder="vision2tactile",
     variants=_variants,

@@ -135,27 +135,26 @@ def interval_columns(name: str, estimate: Estimate | None) -> Row:
 
 
 def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) -> Row:
-    """Mean skill with its interval, its deviation over folds, and skill and error by modality, of `error_rows`.
+    """Mean skill with its interval, and skill and error by modality, of `error_rows`.
 
     Args:
         name: Column of the mean skill, and beginning of the names of the others.
-        rows: With the column `part`; without any, all columns are None.
+        rows: Without any, all columns are None.
         bootstrap: Of the interval.
     """
-    ends = ["", "_low", "_high", "_sd", *(f"_{one}" for one in MODALITIES), *(f"_rmse_{one}" for one in MODALITIES)]
+    ends = ["", "_low", "_high", *(f"_{one}" for one in MODALITIES), *(f"_rmse_{one}" for one in MODALITIES)]
     if not rows:
         return {f"{name}{end}": None for end in ends}
     errors = ObjectErrors.of_rows(rows)
     found, rmse = skills(errors, bootstrap), errors.rmse()
-    folds = {(one["part"], one.get("seed")) for one in rows}
-    quick = bootstrap.replace(draws=100)  # of which only the mean is used
-    each = [
-        skills(ObjectErrors.of_rows([one for one in rows if (one["part"], one.get("seed")) == fold]), quick)
-        for fold in folds
-    ]
     mean = found[MEAN]
-    values = [mean.value, mean.low, mean.high, float(np.std([one[MEAN].value for one in each]))]
-    values += [*(found[one].value for one in MODALITIES), *(rmse[one] for one in MODALITIES)]
+    values = [
+        mean.value,
+        mean.low,
+        mean.high,
+        *(found[one].value for one in MODALITIES),
+        *(rmse[one] for one in MODALITIES),
+    ]
     return {f"{name}{end}": value for end, value in zip(ends, values, strict=True)}
 
 
