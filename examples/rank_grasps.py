@@ -29,12 +29,15 @@ def receive(node: Node, topic: str, message_type: type) -> object:
     return message
 
 
-def candidates(xyz: np.ndarray, rng: np.random.Generator) -> list[Grasp]:
-    """Pairs of contacts left and right of the object [m]; the service computes the orientation as GeoGrasp does."""
+def candidates(xyz: np.ndarray, name: str, rng: np.random.Generator) -> list[Grasp]:
+    """Pairs of contacts left and right of the object [m]; the service computes the orientation as GeoGrasp does.
+
+    Their ids begin with a name, since reports of executed grasps refer to them: no two grasps may have the same.
+    """
     grasps = []
     for number, y in enumerate(rng.choice(xyz[:, 1], CANDIDATES)):
         band = xyz[np.abs(xyz[:, 1] - y) < BAND_M].astype(float)
-        grasp = Grasp(id=str(number))
+        grasp = Grasp(id=f"{name}/{number}")
         grasp.pose.orientation.w = 0.0  # four zeros request its computation
         for contact, point in ((grasp.g1, band[band[:, 0].argmin()]), (grasp.g2, band[band[:, 0].argmax()])):
             contact.x, contact.y, contact.z = point
@@ -56,7 +59,9 @@ def main() -> None:
         raise SystemExit(f"no object: {table.reason}")
     client = node.create_client(PredictTouch, "predict_touch")
     client.wait_for_service(TIMEOUT_S)
-    request = PredictTouch.Request(cloud=cloud, table=[table.plane], grasps=candidates(xyz, np.random.default_rng()))
+    name = f"rank_grasps/{node.get_clock().now().nanoseconds}"
+    grasps = candidates(xyz, name, np.random.default_rng())
+    request = PredictTouch.Request(cloud=cloud, table=[table.plane], grasps=grasps)
     response = client.call_async(request)
     rclpy.spin_until_future_complete(node, response, timeout_sec=TIMEOUT_S)
     if not response.done():
@@ -65,10 +70,12 @@ def main() -> None:
     if not predicted:
         raise SystemExit(f"no prediction: {response.result().touch.reason}")
     best = min(predicted, key=lambda p: p.pdc_th.value + p.pdc_mf.value)
-    print(f"{len(predicted)} of {CANDIDATES} grasps predicted; the gentlest is {best.grasp.id}:")
+    number = best.grasp.id.rpartition("/")[2]
+    print(f"{len(predicted)} of {CANDIDATES} grasps predicted; the gentlest is {number}:")
     print(f"PDC thumb {best.pdc_th.value:.0f}, middle finger {best.pdc_mf.value:.0f} counts, flags {list(best.flags)}")
     for name, point in (("g1", best.grasp.g1), ("g2", best.grasp.g2)):
         print(f"{name} = ({point.x:.3f}, {point.y:.3f}, {point.z:.3f}) m in {best.header.frame_id}")
+    print(f"report its execution as grasp {best.grasp.id}")  # as examples/report_grasp.py does
     rclpy.shutdown()
 
 

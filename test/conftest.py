@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test shares: where the recordings of others are, and a seed."""
 
+import errno
 import os
 import signal
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +45,23 @@ def reference(real_data: Path) -> Path:
     if not path.is_dir():
         pytest.skip(f"{path}: absent")
     return path
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], AbstractContextManager[None]]:
+    """Within `with full_disk(NAME):`, files of this name and their temporary ones do not fit on the disk."""
+
+    @contextmanager
+    def full(name: str) -> Iterator[None]:
+        def fsync(fd: int) -> None:
+            if Path(f"/proc/self/fd/{fd}").readlink().name in (name, f"{name}.part"):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "fsync", fsync)
+            yield
+
+    return full
 
 
 @pytest.fixture

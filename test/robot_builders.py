@@ -106,7 +106,7 @@ class RecordedRobot(Robot):
 
 def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, RecordedRobot, list[Any]]:
     told = graph.listen(RecorderStatus, "recorder_status")
-    (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
+    (node,) = graph.add("recorder", record=str(path), folder=str(path.parent), object="can", **{**QUICK, **parameters})
     assert node.state_name == "active"
     return node, RecordedRobot(graph, node), told
 

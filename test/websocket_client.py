@@ -17,14 +17,14 @@ Connection: Upgrade
 Sec-WebSocket-Key: {key}
 Sec-WebSocket-Version: 13
 Sec-WebSocket-Protocol: foxglove.sdk.v1
-
+{origin}
 """
 
 
 class WebSocketClient:
     """Connects, learns the channels, subscribes, and receives; a context manager. `receive_buffer` is in bytes."""
 
-    def __init__(self, url: str, receive_buffer: int | None = None, timeout_s: float = 20.0) -> None:
+    def __init__(self, url: str, receive_buffer: int | None = None, timeout_s: float = 20.0, origin: str = "") -> None:
         address = urlparse(url)
         self._socket = socket.socket()
         if receive_buffer is not None:
@@ -32,7 +32,9 @@ class WebSocketClient:
         self._socket.settimeout(timeout_s)
         self._socket.connect((address.hostname, address.port))
         key = base64.b64encode(os.urandom(16)).decode()
-        self._socket.sendall(_REQUEST.format(host=address.netloc, key=key).replace("\n", "\r\n").encode())
+        line = f"Origin: {origin}\n" if origin else ""
+        request = _REQUEST.format(host=address.netloc, key=key, origin=line)
+        self._socket.sendall(request.replace("\n", "\r\n").encode())
         self._file = self._socket.makefile("rb", buffering=1 << 20)
         status = self._file.readline()
         if b" 101 " not in status:

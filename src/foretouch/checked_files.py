@@ -1,32 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads of files that nobody vouches for: regular files of a bounded size, and JSON of a bounded depth.
+"""Reads of files that nobody vouches for, and writes beside them.
 
-A FIFO would block its reader for ever, a device has no end, and a text of a few kilobytes can nest deeper than any
-parser returns from. Every reader of the package opens files here.
+What is read is a regular file of a bounded size, and JSON of a bounded depth: a FIFO would block its reader for ever, a
+device has no end, and a text of a few kilobytes can nest deeper than any parser returns from. What is written under a
+name that the package chose, in a folder that may come from elsewhere, goes through no link. Every reader and writer of
+the package opens files here.
 """
 
 import hashlib
 import json
 import os
+import re
 import stat
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from foretouch.errors import FileError
 
 TEXT_LIMIT: Final = 64_000_000
 """Largest size of a JSON file [bytes]: the manifest of the largest store has a thousandth of it."""
 
+PICTURE_SUFFIXES: Final = (".png", ".pdf", ".svg", ".jpg")
+
 _DEPTH: Final = 64  # levels of lists and objects; no file of the package has more than 8
 _KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
+_AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
+_BLOCK: Final = 1 << 20
 _SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
 
-_Version = tuple[int, int, int, int, int]
-_hashes: dict[Path, tuple[_Version, str]] = {}
+Version: TypeAlias = tuple[int, int, int, int, int]
+_hashes: dict[Path, tuple[Version, str]] = {}
 
 
 @contextmanager
@@ -46,14 +54,150 @@ def open_regular(path: str | Path) -> BufferedReader:
     Raises:
         FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
     """
+    return os.fdopen(_descriptor(path, os.O_RDONLY), "rb")
+
+
+def open_own(path: Path, flags: int) -> int:
+    """Open a file that the package keeps beside others, such as a lock or a log, and create it if it is absent.
+
+    Args:
+        path: The file; its name is the package's choice, its folder may be anyone's.
+        flags: Of `os.open`, besides `O_CREAT`.
+
+    Returns:
+        The descriptor.
+
+    Raises:
+        FileError: If it is a link, has a second name, is no regular file, or cannot be opened.
+    """
+    if path.is_symlink():
+        raise FileError(path, "is a link, and nothing is written through links")
+    descriptor = _descriptor(path, flags | os.O_CREAT | os.O_NOFOLLOW)
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        raise FileError(path, "has another name too (a hard link), and what is written would change that file")
+    return descriptor
+
+
+def _descriptor(path: str | Path, flags: int) -> int:
+    """A descriptor of a regular file, without waiting for the other end of a FIFO."""
     with _named(path):
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO is opened without its writer
+        descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
         kind = next((name for test, name in _KINDS if test(mode)), "device")
         raise FileError(path, f"is a {kind}, not a regular file")
-    return os.fdopen(descriptor, "rb")
+    return descriptor
+
+
+class FileBytes:
+    """The bytes of a regular file, read when they are sliced, of which short slices share a read.
+
+    A file that is truncated after it was opened raises a `FileError`; a mapping of it would end the process.
+
+    Args:
+        path: The file; its size is the one that it has now.
+
+    Raises:
+        FileError: As `open_regular`; later, if bytes are not there any more or cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._file = open_regular(path)
+        self._size = os.fstat(self._file.fileno()).st_size
+        self.version = version_of(self._file)
+        self._near: tuple[int, bytes] = (0, b"")  # the last bytes that were read ahead, and their offset
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, end, _ = part.indices(self._size)
+        if end - start > _AHEAD:
+            return self._read(start, end)
+        at, near = self._near
+        if not at <= start <= end <= at + len(near):
+            at, near = self._near = start, self._read(start, min(start + _AHEAD, self._size))
+        return near[start - at : max(start, end) - at]
+
+    def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
+        """The bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
+        for at in range(start, end, _BLOCK):
+            yield at, self._read(at, min(at + _BLOCK + overlap, end))
+
+    def crc32(self, start: int, end: int) -> int:
+        """CRC-32 of the bytes between two offsets."""
+        crc = 0
+        for _, block in self.blocks(start, end):
+            crc = zlib.crc32(block, crc)
+        return crc
+
+    def find_all(self, pattern: re.Pattern[bytes], overlap: int, start: int, end: int) -> Iterator[int]:
+        """Offsets between two others at which a pattern of at most `overlap` bytes matches."""
+        for at, block in self.blocks(start, end, overlap):
+            yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
+
+    def _read(self, start: int, end: int) -> bytes:
+        parts = []
+        while start < end:
+            with _named(self.path):
+                parts.append(os.pread(self._file.fileno(), end - start, start))
+            if not parts[-1]:
+                raise FileError(self.path, "was truncated while it was read", field=f"byte {start}")
+            start += len(parts[-1])
+        return b"".join(parts)
+
+
+def replace_files(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together, such as weights and the card with their hash.
+
+    All are written under temporary names before the first is renamed, so that a full disk leaves all of the old files.
+    Only a crash between two renames leaves a new file beside an old one, which the hash in the card reveals.
+
+    Args:
+        contents: By file, in the order in which they are renamed; missing folders are made.
+
+    Raises:
+        FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is no file
+            left by a crash, but a link or a folder.
+    """
+    parts: dict[Path, Path] = {}
+    path = Path()
+    try:
+        for path, content in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = path.with_name(path.name + ".part")
+            _remove_left_over(part)
+            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            parts[path] = part
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for path, part in parts.items():
+            part.replace(path)
+    except (OSError, FileError) as err:
+        for part in parts.values():
+            with suppress(OSError):  # the error to report is the first one
+                part.unlink()
+        if isinstance(err, FileError):
+            raise
+        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
+
+
+def _remove_left_over(part: Path) -> None:
+    """Remove a temporary file that a crash left; a `FileError` for anything else of this name."""
+    with suppress(FileNotFoundError):
+        if not stat.S_ISREG(part.lstat().st_mode):
+            raise FileError(part, "is a link or no regular file, and is in the way of a temporary file")
+        part.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically; `FileError` if it cannot be written, and the file before is kept."""
+    replace_files({path: text.encode()})
 
 
 def require_existing(path: str | Path) -> Path:
@@ -66,12 +210,14 @@ def require_existing(path: str | Path) -> Path:
     return Path(path)
 
 
-def require_writable(path: str | Path) -> None:
+def require_writable(path: str | Path, *suffixes: str) -> None:
     """Refuse a file that cannot be written, before the work whose result it is to hold; its folder is created.
 
     Raises:
-        FileError: If it is a folder, or neither exists nor can be created.
+        FileError: If its name ends with none of the suffixes, it is a folder, or neither exists nor can be created.
     """
+    if Path(path).suffix.lower() not in suffixes:
+        raise FileError(path, f"the extension is none of {', '.join(suffixes)}")
     existed = Path(path).exists()
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -140,13 +286,20 @@ def file_sha256(path: str | Path) -> str:
     """
     path = Path(path).absolute()
     with open_regular(path) as file:
-        info = os.fstat(file.fileno())
-        version = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+        version = version_of(file)
         known = _hashes.get(path)
         if known is not None and known[0] == version:
             return known[1]
         with _named(path):
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) > _SETTLED_NS:
+    if version is not None:
         _hashes[path] = (version, digest)
     return digest
+
+
+def version_of(file: BufferedReader) -> Version | None:
+    """What differs after every change of an open file; None if it was changed just now, and may be so again unseen."""
+    info = os.fstat(file.fileno())
+    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) <= _SETTLED_NS:
+        return None
+    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns

@@ -63,7 +63,7 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
         (("replay", none), f"{none}: does not exist\n"),
         (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
         (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
-        (("run", "--source", none, "--model", "nope"), "nope: is no run folder, no card"),
+        (("run", "--source", none, "--model", "nope"), "nope: is no model folder, no card"),
         (("run", "--source", none, "--model", tmp_path / "a.json"), f"{tmp_path / 'a.json'}: no such"),
         (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),
     ]

@@ -19,6 +19,7 @@ from safetensors.numpy import load, save
 from foretouch.errors import CloudError, FileError, TactileError
 from foretouch.models.hand_history import HandHistory, HistoryFile, ObjectSignature, read_history
 from foretouch.models.touch_model import TouchModel
+from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.types import Cloud, GraspSample, Touch, TouchPrediction
 
 CARD = {"name": "small", "sha256": "0" * 64}
@@ -208,11 +209,25 @@ def test_one_process_at_a_time_uses_a_file(path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_readings_come_back_with_the_model_that_they_are_of_and_no_file_is_overwritten(tmp_path: Path) -> None:
+    models = [TouchModel(small_estimator(), {**CARD, "name": name}, make_tracked_calibration()) for name in "AB"]
+    for number in (0, 1, 0, 1, 0):
+        keeper = HistoryKeeper(models[number], "right", str(tmp_path), info=lambda _: None, warn=lambda _: None)
+        read(keeper.history, FIRST[:1])
+        keeper.changed()
+        keeper.close()
+    (kept,) = tmp_path.glob("*.unused*")
+    found = [
+        read_history(path, model) for path, model in zip((tmp_path / "right.safetensors", kept), models, strict=True)
+    ]
+    assert [history.tracker.evidence(0).readings for history in found] == [3, 2]
+
+
 def test_a_file_that_cannot_be_written_or_set_aside_is_named(tmp_path: Path, path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"file/right.safetensors: cannot be written: .*"):
         HistoryFile(tmp_path / "file" / "right.safetensors", "right")
     file = HistoryFile(path, "right")
-    (path.parent / f"{path.name}.unused").mkdir()
-    with pytest.raises(FileError, match=r"right\.safetensors: cannot be renamed: Is a directory"):
+    path.unlink()
+    with pytest.raises(FileError, match=r"right\.safetensors: cannot be renamed: No such file"):
         file.set_aside()

@@ -117,7 +117,7 @@ class Graph:
         if code.isidentifier():
             code = f"import sys; from foretouch.ros.executables import {code}; sys.exit({code}())"
         command = [sys.executable, "-c", code, *(["--ros-args", *ros_arguments] if ros_arguments else [])]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         self._processes.append(subprocess.Popen(command, env=self.environment(), **pipes))
         return self._processes[-1]
 

@@ -70,7 +70,7 @@ def test_namespace_and_topics_can_be_remapped_and_an_unknown_parameter_is_a_warn
 @pytest.mark.slow
 def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
     for name, parameter, message in (
-        ("segmentation", "target.mode:=prettiest", "foretouch: TargetConfig.mode: 'prettiest' is none of nearest"),
+        ("segmentation", "target.mode:=prettiest", "foretouch: mode: 'prettiest' is none of nearest"),
         ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
         ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
     ):

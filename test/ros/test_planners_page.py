@@ -43,6 +43,7 @@ def test_the_parameters_and_commands_of_the_page_are_those_of_the_node_and_those
         "foretouch run --source config/scenes/clean.yaml",
         "foretouch run --source config/scenes/clean.yaml --params examples/robot_frame.yaml",
         "python examples/rank_grasps.py",
+        "python examples/report_grasp.py",
         "python examples/sample_grasps.py",
     ]
 

@@ -104,6 +104,28 @@ def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:
         made(config, 9)
 
 
+def test_a_repeated_grasp_is_the_one_before_executed_again() -> None:
+    """On the same cloud and later, with other errors of the hand and the sensor; the others stay as they are."""
+    held: dict[str, Any] = {"grasps": {"insertion_m": 0.01, "error": {}}, "fingers": {"noise": {}}}
+    settings = {"days": [0, 1], "objects": 1, "grasps": 5, "drift": [{}]}
+    config = scene(CAN, campaign=settings | {"repeat_every": 3}, **held)
+    found, plain = made(config, 10), made(scene(CAN, campaign=settings, **held), 10)
+    for slot, (sample, other) in enumerate(zip(found, plain, strict=True)):
+        assert (sample.id, sample.stamp_ns) == (other.id, other.stamp_ns) == (f"can/{slot:06d}", sample.stamp_ns)
+        if slot not in (2, 7):
+            assert "repeat" not in sample.extra
+            np.testing.assert_array_equal(sample.touch.vector(), other.touch.vector())  # type: ignore[union-attr]
+            continue
+        before = found[slot - 1]
+        np.testing.assert_array_equal(sample.cloud.xyz, before.cloud.xyz)
+        np.testing.assert_array_equal(sample.grasp.g1, before.grasp.g1)
+        change = np.abs(sample.touch.vector() - before.touch.vector())  # type: ignore[union-attr]
+        assert 0.0 < change.mean() < np.abs(other.touch.vector() - before.touch.vector()).mean()  # type: ignore[union-attr]
+        key = SampleKey(0, *(int(sample.extra[name]) for name in ("slot", "attempt", "repeat")))
+        assert key.slot == slot - 1
+        np.testing.assert_array_equal(made_again(config, key).touch.vector(), sample.touch.vector())  # type: ignore[union-attr]
+
+
 LONG = {"days": [0, 5, 10, 20, 40], "objects": 1, "grasps": 1}
 
 

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contact_builders import press, rounded_edge
@@ -88,8 +90,11 @@ def test_pdc_is_linear_at_low_force_and_levels_off_near_two_newtons():
 
 
 def test_the_rim_responds_less_and_closer_skin_raises_the_impedance_exponentially():
-    middle, rim = (fingertip._pdc_counts(contact_frame(PAD, pad_direction(0.0, a)), 1e-9, 0.0) for a in (0.0, 1.0))
-    assert rim == pytest.approx(np.cos(1.0) ** fingertip.RIM_POWER * middle)
+    def rise_at(roll, finger=THUMB):
+        return fingertip._pdc_counts(contact_frame(PAD, pad_direction(0.0, roll)), 1e-9, finger) - finger.pdc_rest
+
+    assert rise_at(1.0) == pytest.approx(np.cos(1.0) ** fingertip.RIM_POWER * rise_at(0.0))
+    assert rise_at(0.0, replace(THUMB, pdc_span=3.0 * THUMB.pdc_span)) == pytest.approx(3.0 * rise_at(0.0))
     deep = np.full((2, 2), 10 * fingertip.BOTTOMING_M)
     assert fingertip._displaced_volume(deep, 1e-6) == pytest.approx(4e-6 * fingertip.BOTTOMING_M)
     assert fingertip._displaced_volume(-deep, 1e-6) == 0.0

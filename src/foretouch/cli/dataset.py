@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import require_writable
+from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.dataset import editing
@@ -224,7 +224,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 def _show(arguments: argparse.Namespace) -> int:
     from foretouch.report.touch_figure import save_contact_sheet
 
-    require_writable(arguments.out)
+    require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)
     selected = list(_selected(samples, arguments))
     if not selected:

@@ -22,7 +22,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--topic": {"help": "point cloud topic of a recording"},
     "--config": {"metavar": "YAML", "help": "pipeline settings"},
     "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "override one pipeline setting"},
-    "--model": {"help": "name of a model, or path of its card, weights or run folder"},
+    "--model": {"help": "name of a model, or path of its card, weights or model folder"},
     "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
     "--namespace": {"help": "namespace of the graph (default: /foretouch)"},
 }

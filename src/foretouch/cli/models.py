@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "models",
         metavar="MODEL",
         nargs="*",
-        help="names, or paths of cards, weights or run folders (default: the models of the package)",
+        help="names, or paths of cards, weights or model folders (default: the models of the package)",
     )
     parser.add_argument(
         "--json", action="store_true", help="one JSON object for each model: files, skill, calibration and its card"

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from foretouch.checked_files import require_writable
+from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
@@ -62,6 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
     parser.add_argument(
+        "--allow-origin",
+        action="append",
+        default=[],
+        metavar="ORIGIN",
+        help="let web pages of this origin read what is served, such as https://app.foxglove.dev (repeatable)",
+    )
+    parser.add_argument(
         "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
     )
 
@@ -101,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     3 if the camera never sent a cloud.
     """
     if arguments.picture:
-        require_writable(arguments.picture)
+        require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
     if arguments.json:
@@ -132,6 +139,8 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
+        if arguments.allow_origin:
+            nodes["bridge"]["allow_origin"] = arguments.allow_origin
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
         return nodes | {"replay": _replay_parameters(arguments)}

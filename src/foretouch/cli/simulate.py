@@ -67,7 +67,7 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
     changes = parse_overrides(arguments.set)
     if arguments.seed is not None:
         changes["seed"] = arguments.seed
-    return scene.updated(changes, arguments.scene) if changes else scene
+    return scene.updated(changes, "--set") if changes else scene
 
 
 def _explain(scene: SceneConfig, as_json: bool) -> int:

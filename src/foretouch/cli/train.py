@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.evaluate import show_scores
 from foretouch.cli.inputs import positive_number
-from foretouch.cli.output import print_json, print_table, progress_bar
+from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -81,8 +81,10 @@ def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset, *, q
     last = records[-1]
     epochs = f"{last['epochs']} epochs" if last["epochs"] else "fitted"
     print(f"{card}: {epochs} on {data.name}, sha256 {data.sha256[:12]}")
+    if not last["calibrated"]:
+        warn(f"the model gives no intervals and does not adapt to readings: {last['limits'][0]}")
     if "scores" in last:
-        show_scores(last, str(config.split))
+        show_scores(last)
     return 0
 
 

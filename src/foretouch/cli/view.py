@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import require_existing
+from foretouch.checked_files import require_existing, require_writable
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
@@ -47,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud could not be read."""
     path = require_existing(arguments.path)
+    for out, suffix in ((arguments.save, ".rrd"), (arguments.screenshot, ".png")):
+        if out is not None:
+            require_writable(out, suffix)
     steps = _Steps(arguments)
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         file = arguments.save or Path(folder) / "view.rrd"

@@ -87,7 +87,7 @@ class ModelSettings(TradeoffSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.splits or not self.seeds:
-            raise ConfigError("ModelSettings.splits, seeds: must hold at least one value")
+            raise ConfigError("splits, seeds: must hold at least one value")
 
 
 # Variants: one factor at a time around the shipped model, then pairs.

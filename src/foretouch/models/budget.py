@@ -26,9 +26,8 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
-from foretouch.checked_files import read_json
+from foretouch.checked_files import read_json, write_text
 from foretouch.errors import FileError
-from foretouch.models.card import write_text
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import by_modality
 from foretouch.models.registry import load_model

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from foretouch.checked_files import read_json
 from foretouch.errors import FileError, ModelError, quoted, shown
-from foretouch.models.files import replace_files
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 2
@@ -69,11 +68,6 @@ def read_card(path: str | Path) -> dict[str, Any]:
         if not isinstance(card[field], types):
             raise ModelError(f"{path}: {field}: {quoted(card[field])} is of type {type(card[field]).__name__}")
     return card
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically; `FileError` if it cannot be written, and the file before is kept."""
-    replace_files({path: text.encode()})
 
 
 def card_text(card: Mapping[str, Any]) -> str:

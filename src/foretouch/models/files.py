@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Atomic replacement of files, and arrays in safetensors files that are verified against a SHA-256.
-
-A reader sees the old or the new file, never a part. Safetensors files hold numbers and no code.
-"""
+"""Arrays in safetensors files that are verified against a SHA-256; such files hold numbers and no code."""
 
 import hashlib
-import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -15,40 +10,10 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import load, save
 
-from foretouch.checked_files import file_sha256
+from foretouch.checked_files import read_bytes
 from foretouch.errors import FileError, ModelError, shown
-
-
-def replace_files(contents: Mapping[Path, bytes]) -> None:
-    """Write files that belong together, such as weights and the card with their hash.
-
-    All are written under temporary names before the first is renamed, so that a full disk leaves all of the old files.
-    Only a crash between two renames leaves a new file beside an old one, which the hash in the card reveals.
-
-    Args:
-        contents: By file, in the order in which they are renamed; missing folders are made.
-
-    Raises:
-        FileError: Names the file that cannot be written, such as on a full disk.
-    """
-    parts = {path: path.with_name(path.name + ".part") for path in contents}
-    path = Path()
-    try:
-        for path, content in contents.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with parts[path].open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-        for path, part in parts.items():
-            part.replace(path)
-    except OSError as err:
-        for part in parts.values():
-            with suppress(OSError):  # the error to report is the first one
-                part.unlink()
-        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
 
 
 def file_beside(card_path: Path, name: Any, field: str) -> Path:
@@ -70,7 +35,7 @@ def packed(tensors: Mapping[str, npt.NDArray[Any]]) -> tuple[bytes, str]:
 
 
 def read_tensors(
-    path: Path, sha256: str, named_by: str, load: Callable[[Path], dict[str, Any]] = load_file
+    path: Path, sha256: str, named_by: str, load: Callable[[bytes], dict[str, Any]] = load
 ) -> dict[str, Any]:
     """Arrays by name.
 
@@ -78,20 +43,21 @@ def read_tensors(
         path: The file.
         sha256: Its expected hash.
         named_by: Name of the card that holds the hash, for the message.
-        load: Reads the file: `load_file` of `safetensors.numpy`, or of `safetensors.torch` for torch tensors.
+        load: Reads the bytes that were hashed: `load` of `safetensors.numpy`, or of `safetensors.torch` for tensors.
 
     Raises:
         ModelError: Names the file: absent, damaged, or with another hash.
     """
     try:
-        found = file_sha256(path)
+        content = read_bytes(path)
     except FileError as err:
         missing = isinstance(err.__cause__, FileNotFoundError)
         raise ModelError(f"{shown(path)}: no such weights; {named_by} names them" if missing else str(err)) from err
+    found = hashlib.sha256(content).hexdigest()
     if found != sha256:
         raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
-        return load(path)
+        return load(content)
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # or an unknown dtype
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 

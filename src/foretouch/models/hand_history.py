@@ -15,7 +15,9 @@ import fcntl
 import hashlib
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,10 +26,10 @@ import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
-from foretouch.checked_files import read_bytes
+from foretouch.checked_files import open_own, read_bytes, replace_files
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
-from foretouch.models.files import packed, replace_files
+from foretouch.models.files import packed
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import touch_faults
@@ -252,9 +254,9 @@ class HistoryFile:
         lock = path.with_name(path.name + ".lock")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as err:
             raise FileError(path, f"cannot be written: {err.strerror or err}") from err
+        self._lock = open_own(lock, os.O_RDWR)
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as err:
@@ -270,10 +272,19 @@ class HistoryFile:
     def read(self, model: TouchModel) -> HandHistory | None:
         """What was read before; None without a file.
 
+        If there is none, the newest file that was set aside and is of this hand and model becomes it again.
+
         Raises:
             FileError: If the file is damaged, or of another version, hand or model.
         """
-        return read_history(self.path, model, self._hand) if self.path.exists() else None
+        if self.path.is_symlink() or self.path.exists():
+            return read_history(self.path, model, self._hand)
+        for kept in sorted(self._set_aside(), key=lambda one: -one.lstat().st_mtime_ns):
+            with suppress(FileError, OSError):
+                history = read_history(kept, model, self._hand)
+                kept.rename(self.path)
+                return history
+        return None
 
     def write(self, history: HandHistory) -> None:
         """Replace the file.
@@ -284,17 +295,23 @@ class HistoryFile:
         replace_files({self.path: _content(history, self._hand)})
 
     def set_aside(self) -> Path:
-        """Rename a file that cannot be used, so that it is not overwritten, and return its new path.
+        """Rename a file that cannot be used to a name that no file has, and return its new path.
 
         Raises:
             FileError: If it cannot be renamed.
         """
-        kept = self.path.with_name(self.path.name + ".unused")
+        taken = {path.name for path in self._set_aside()}
+        names = (f"{self.path.name}.unused{'' if number == 1 else f'-{number}'}" for number in count(1))
+        kept = self.path.with_name(next(name for name in names if name not in taken))
         try:
-            self.path.replace(kept)
+            self.path.rename(kept)
         except OSError as err:
             raise FileError(self.path, f"cannot be renamed: {err.strerror or err}") from err
         return kept
+
+    def _set_aside(self) -> list[Path]:
+        start = f"{self.path.name}.unused"
+        return [path for path in self.path.parent.iterdir() if path.name.startswith(start)]
 
 
 def _content(history: HandHistory, hand: str) -> bytes:

@@ -11,10 +11,11 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.checked_files import replace_files
 from foretouch.errors import ModelError
 from foretouch.models.calibration import Calibration
 from foretouch.models.card import card_text, new_card
-from foretouch.models.files import file_beside, packed, read_part, read_tensors, replace_files
+from foretouch.models.files import file_beside, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
 
 CardCalibration: TypeAlias = tuple[Calibration, Mapping[str, Any]]

@@ -15,10 +15,11 @@ Innovation test. For each finger, of the innovations of its 25 values in units o
 square (a wrong pattern) and the squared mean (a common jump) are compared with limits: scaled chi-square variables for
 Gaussian noise; since recorded noise has heavier tails, each limit is above in one of 100 recorded touches. A touch that
 fails is not used. If the next one fails as well, the finger was exchanged or jumped: it is named, and all that was
-learned about it is forgotten. So a finger without fault is restarted at most once in 2500 touches, if these are
-independent. The first touch of an object has limits four times as high, since there a jump cannot be separated from an
-unusual object. A tare, which is the median of many readings, restarts a finger at once; its limit of the squared mean is
-that of one standard Gaussian variable at least, since what drifts may be common to all values of a finger.
+learned about it is forgotten. If touches were independent, a finger without fault would be restarted once in 2500 of
+them at most. They are not: of twelve simulated campaigns of 192 touches, one finger was restarted in four. The first
+touch of an object has limits four times as high, since there a jump cannot be separated from an unusual object. A tare,
+which is the median of many readings, restarts a finger at once; its limit of the squared mean is that of one standard
+Gaussian variable at least, since what drifts may be common to all values of a finger.
 
 Temperature. Electrodes follow the temperature of their finger, which TDC measures. Where the parameters have slopes, a
 reading with TDC is explained by its difference from the first TDC of the history, too; a prediction takes the latest
@@ -41,7 +42,7 @@ import numpy.typing as npt
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
-from foretouch.tactile import FULL_SCALE, MODALITIES, columns
+from foretouch.tactile import FULL_SCALE, MODALITIES, columns, is_tdc
 from foretouch.types import TOUCH_SIZE, Evidence, Float64
 
 MISS_RATE: Final = 0.1
@@ -253,7 +254,7 @@ class SensorTracker:
         reference, before = self._tdc
         if tdc is None or not self.parameters.thermal:
             return self._tdc, 0
-        latest = np.where((tdc > 0.0) & (tdc < FULL_SCALE), tdc, before)
+        latest = np.where(is_tdc(tdc), tdc, before)
         at_once, each_second, most = _TDC_JUMP
         limit = min(most, at_once + each_second * max(0, stamp_ns - self._tdc_ns) / 1e9)
         jumped = np.abs(latest - before) > limit  # not where there was none before
@@ -268,7 +269,7 @@ class SensorTracker:
 
     def _add_tdc(self, tdc: Float64 | None, stamp_ns: int) -> Float64 | None:
         """Take note of the temperature of a reading, and give it as `_change`."""
-        if tdc is not None and self.parameters.thermal and ((tdc > 0.0) & (tdc < FULL_SCALE)).any():
+        if tdc is not None and self.parameters.thermal and is_tdc(tdc).any():
             self._tdc, jumped = self._followed(tdc, stamp_ns)
             self._tdc_ns = stamp_ns
             self.tdc_readings += 1

@@ -67,6 +67,7 @@ class FingerConfig(Settings):
     electrode_rest: float = setting(
         3450.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
     )
+    pdc_span: float = setting(PDC_SPAN, "Rise of PDC where it levels off", unit="counts", minimum=1.0, maximum=4094.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +85,7 @@ class Finger:
     """One fingertip."""
 
     pdc_rest: float  # PDC without contact [counts]
+    pdc_span: float  # rise of PDC where it levels off [counts]
     electrode_rest: Float64  # (24,) float64 [counts]
     electrode_gain: Float64  # (24,) float64, factor on the approach of the skin
 
@@ -92,7 +94,7 @@ def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
     """One fingertip of a kind."""
     rest = config.electrode_rest + REST_SPREAD * rng.standard_normal(ELECTRODES)
     gain = np.exp(GAIN_SPREAD * rng.standard_normal(ELECTRODES))
-    return Finger(config.pdc_rest, np.clip(rest, *_REST_LIMITS), gain)
+    return Finger(config.pdc_rest, config.pdc_span, np.clip(rest, *_REST_LIMITS), gain)
 
 
 def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: ContactSolution) -> Float64:
@@ -113,7 +115,7 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
     volume = _displaced_volume(skin, pad.step_m**2)
     approach = _skin_approach(_electrode_weights(pad, window.frame, window.points), skin, volume)
     electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
-    return np.append(_pdc_counts(window.frame, volume, finger.pdc_rest), electrodes)
+    return np.append(_pdc_counts(window.frame, volume, finger), electrodes)
 
 
 def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
@@ -121,10 +123,10 @@ def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
     return max(float(np.minimum(displacement, BOTTOMING_M).sum()) * cell_m2, 0.0)
 
 
-def _pdc_counts(frame: ContactFrame, volume_m3: float, rest: float) -> float:
+def _pdc_counts(frame: ContactFrame, volume_m3: float, finger: Finger) -> float:
     """PDC in counts, not yet rounded, of a pad that is touched at a frame."""
     facing = math.pow(max(-float(frame.rotation[2, 2]), 0.0), RIM_POWER)
-    return rest + PDC_SPAN * facing * math.tanh(volume_m3 / SATURATION_M3)
+    return finger.pdc_rest + finger.pdc_span * facing * math.tanh(volume_m3 / SATURATION_M3)
 
 
 def _electrode_weights(

@@ -8,10 +8,10 @@ number of workers.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -62,7 +62,8 @@ class Simulation:
         """The first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
-        takes, targets and contacts of both fingers, and PAC, TAC and TDC where the scene calls for them.
+        takes, targets and contacts of both fingers, and PAC, TAC and TDC where the scene calls for them. Where a
+        campaign repeats a grasp, slot and attempt are those of the grasp that is repeated, and `repeat` is above 0.
 
         Args:
             count: How many.
@@ -118,23 +119,41 @@ def _make_block(engine: Engine, slots: range) -> _Block:
     failures: list[Failure] = []
     with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
         for slot in slots:
-            for attempt in range(scene.max_attempts):
-                key = SampleKey(scene.seed, slot, attempt)
-                try:
-                    state = engine.run(key)
-                except SimulationError as err:
-                    failures.append(Failure(key, err.reason, str(err)))
-                else:
-                    samples.append(_sample(scene, key, state))
-                    break
-            else:
+            made, failed = _first_success(engine, _tries(engine, slot))
+            failures += failed
+            if made is None:
                 return samples, engine.timings, failures, True
+            samples.append(_sample(scene, slot, *made))
     return samples, engine.timings, failures, False
 
 
-def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSample:
+def _tries(engine: Engine, slot: int) -> list[SampleKey]:
+    """What is tried in a slot, in this order."""
+    scene, attempts = engine.scene, range(engine.scene.max_attempts)
+    if scene.campaign is not None and scene.campaign.repeats(slot):
+        made, _ = _first_success(engine, _tries(engine, slot - 1))
+        if made is not None:
+            return [replace(made[0], repeat=1 + attempt) for attempt in attempts]
+    return [SampleKey(scene.seed, slot, attempt) for attempt in attempts]
+
+
+def _first_success(
+    engine: Engine, tries: Sequence[SampleKey]
+) -> tuple[tuple[SampleKey, SampleState] | None, list[Failure]]:
+    failures: list[Failure] = []
+    for key in tries:
+        try:
+            return (key, engine.run(key)), failures
+        except SimulationError as err:
+            failures.append(Failure(key, err.reason, str(err)))
+    return None, failures
+
+
+def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -> GraspSample:
     item = scene.objects[object_index(scene, key.slot)]
     extra = {"seed": float(key.seed), "slot": float(key.slot), "attempt": float(key.attempt)}
+    if key.repeat:
+        extra["repeat"] = float(key.repeat)
     for finger, target, contact in zip(("th", "mf"), state.targets, state.contacts, strict=True):
         extra[f"target_{finger}"] = float(target)
         extra[f"force_{finger}_n"] = contact.force_n
@@ -145,7 +164,7 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
     if hasattr(state, "others"):
         extra |= _other_values(state)
     return GraspSample(
-        id=f"{item.name}/{key.slot:06d}",
+        id=f"{item.name}/{slot:06d}",
         object=item.name,
         cloud=state.cloud,
         grasp=state.grasp,

@@ -11,7 +11,7 @@ from foretouch.tactile.channels import (
     electrode_positions,
     modality_size,
 )
-from foretouch.tactile.readings import FULL_SCALE, make_tare, offsets, restore, tdc_of, to_kohm, touch_faults
+from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, offsets, restore, tdc_of, to_kohm, touch_faults
 
 __all__ = [
     "FULL_SCALE",
@@ -22,6 +22,7 @@ __all__ = [
     "columns",
     "electrode_normals",
     "electrode_positions",
+    "is_tdc",
     "make_tare",
     "modality_size",
     "offsets",

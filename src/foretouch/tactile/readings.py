@@ -65,7 +65,12 @@ def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
         prefix: Before the names: `tare_` for those of the tare.
     """
     found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in ("TH", "MF")], np.float64)
-    return np.where((found > 0.0) & (found < FULL_SCALE), found, np.nan)
+    return np.where(is_tdc(found), found, np.nan)
+
+
+def is_tdc(values: Float64) -> npt.NDArray[np.bool_]:
+    """Which values a working thermistor can have sent: not NaN, not 0 as of drivers without one, and not saturated."""
+    return (values > 0.0) & (values < FULL_SCALE)
 
 
 def offsets(touch: Touch, tare: Touch) -> Float64:

@@ -109,9 +109,12 @@ def test_reasons_of_messages_that_cannot_become_samples() -> None:
     for number in (0, 1, 2, 3, 5, 6):
         session.report(number)
     session.report(4, success=False, touched=False)
-    recorded = ["recorded", "recorded", "object_unknown", "grasp_failed"]
-    assert session.reasons() == ["bad_grasp", "frame_differs", "bad_grasp", *recorded]
-    assert session.assembler.results["bad_grasp"] == 2
+    results = session.results()
+    note = results[0].record.note
+    assert note.startswith("candidate bad left out: rotation: "), note
+    assert [one.id for one in results[0].record.candidates] == []
+    reasons = [getattr(one, "reason", "recorded") for one in results[1:]]
+    assert reasons == ["frame_differs", "bad_grasp", "recorded", "recorded", "object_unknown", "grasp_failed"]
 
 
 def test_a_failed_grasp_is_a_sample_unless_only_successes_count_and_later_plans_replace_none() -> None:

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings whose stamps repeat, come in the wrong order or from a clock that is set; clouds bounded in time and memory."""
 
+from types import SimpleNamespace
+
 import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
+from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.pairing import SerializedCloud, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.buffers import CloudBuffer
+from foretouch.types import Cloud
 
 
 def feed(buffer: TouchBuffer, *stamps: int) -> None:
@@ -17,8 +21,10 @@ def kept(buffer: TouchBuffer) -> list[int]:
     return buffer.between(0, 2**62).stamps_ns.tolist()
 
 
-def cloud(data: bytes) -> SerializedCloud:
-    return SerializedCloud(data, lambda: None)
+def cloud(data: bytes, x: float | None = None) -> SerializedCloud:
+    """A message of these bytes with points at an x [m], by default the first byte."""
+    xyz = np.full((5, 3), data[0] if x is None else x, np.float32)
+    return SerializedCloud(data, lambda: cloud_fields(Cloud(xyz, frame_id="lens")))
 
 
 def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number() -> None:
@@ -78,8 +84,13 @@ def test_the_oldest_clouds_go_and_the_same_message_twice_is_one_but_two_of_one_s
     assert (len(clouds), clouds.bytes) == (0, 0)
     clouds = CloudBuffer(10.0, 1.0)
     clouds.add(1, cloud(b"a"), 0.0)
-    clouds.add(1, cloud(b"a"), 0.1)
-    assert not clouds.get(1).ambiguous
+    for again in (cloud(b"a"), cloud(b"b", ord("a")), cloud(b"b", ord("a") + 1e-6), cloud(b"a", 1.0)):
+        clouds.add(1, again, 0.1)  # the same bytes, or the same points, if rounded
+        assert not clouds.get(1).ambiguous
     clouds.add(1, cloud(b"b"), 0.2)
     assert clouds.get(1).ambiguous
-    assert clouds.bytes == 1
+    unreadable = SerializedCloud(b"c", lambda: SimpleNamespace(**{**vars(cloud(b"c").decode()), "width": 7}))
+    clouds.add(2, cloud(b"d"), 0.2)
+    clouds.add(2, unreadable, 0.2)
+    assert clouds.get(2).ambiguous
+    assert clouds.bytes == 2

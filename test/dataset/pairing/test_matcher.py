@@ -8,6 +8,7 @@ import pytest
 from every_case import every_case
 from pair_builders import SECOND, Named, interval, level, stream
 
+from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.pairing import (
     ExecutedGrasp,
     Interval,
@@ -22,6 +23,7 @@ from foretouch.dataset.pairing.buffers import CloudBuffer
 from foretouch.dataset.pairing.matcher import GraspTouchMatcher, MatchedGrasp
 from foretouch.dataset.pairing.sensors import ContactEpisodes
 from foretouch.simulation.message_faults import FaultConfig
+from foretouch.types import Cloud
 
 CONFIG = PairingConfig(wait_s=1.0)
 
@@ -46,7 +48,11 @@ class Session:
     def plan(self, number: int, name: str | None = None) -> int:
         """A cloud and its grasps, half a second before the hand begins to close; gives the stamp."""
         stamp = interval(number).start - SECOND // 2
-        self.clouds.add(stamp, SerializedCloud(f"cloud {number}".encode(), lambda: None), 0.0)
+        self.clouds.add(
+            stamp,
+            SerializedCloud(f"cloud {number}".encode(), lambda: cloud_fields(Cloud(np.zeros((5, 3), np.float32)))),
+            0.0,
+        )
         self.matcher.add_plan(stamp, "camera", [Named(name or f"g-{number}"), Named(f"{name or f'g-{number}'} second")])
         return stamp
 
@@ -121,7 +127,8 @@ def test_reports_that_are_repeated_unplanned_ambiguous_or_of_a_lost_cloud_are_re
     world.plan(1, "same")
     world.report(1, "same")
     stamp = world.plan(2)
-    world.clouds.add(stamp, SerializedCloud(b"another", lambda: None), 0.0)
+    other = SerializedCloud(b"another", lambda: cloud_fields(Cloud(np.ones((5, 3), np.float32))))
+    world.clouds.add(stamp, other, 0.0)
     world.report(2)
     assert world.reasons() == ["grasp_ambiguous", "cloud_ambiguous"]
     gone = Session(1)

@@ -16,10 +16,11 @@ import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, record, write_dataset
 
+from foretouch.checked_files import FileBytes
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, RepairReport, repair_dataset, verify_dataset
 from foretouch.dataset.recording.reader import _sample_messages
-from foretouch.dataset.recording.records import mapped, walk
+from foretouch.dataset.recording.records import walk
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
 from foretouch.dataset.recording.verify import FileReport
 from foretouch.errors import FileError, ForetouchError
@@ -34,7 +35,7 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one in _sample_messages(path, mapped(path))]
+    return [(one.start, one.end) for one in _sample_messages(path, FileBytes(path))]
 
 
 def numbers(path: Path) -> list[int]:
@@ -159,7 +160,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
 def test_no_length_of_a_record_takes_memory(tmp_path: Path) -> None:
     file = write_dataset(tmp_path / "ds", 2, points=5_000)
     good = file.read_bytes()
-    places = [one.offset for one in walk(mapped(file))]
+    places = [one.offset for one in walk(FileBytes(file))]
     places.append(spans(file)[0][0] - 31)  # the message of the first sample
     assert good[places[-1]] == 5
 

@@ -14,7 +14,6 @@ from recording_builders import read_folder
 
 from foretouch.errors import DatasetError
 from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.metrics import mean_over_objects
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
 from foretouch.models.contact.estimator import save_contact
@@ -150,11 +149,3 @@ def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_dat
     before = fitted.intervals_after([], remaining[3:])[1]
     assert half.mean() < before.mean()
     assert (np.abs(counts - labels_of(remaining[3:])) <= half).mean() > 0.6
-
-
-def test_the_mean_over_objects_has_an_interval_from_six_objects_on() -> None:
-    same = mean_over_objects(np.full(8, 0.9))
-    assert (same.value, same.low, same.high) == pytest.approx((0.9, 0.9, 0.9))
-    spread = mean_over_objects(np.linspace(0.6, 1.0, 9))
-    assert 0.6 < spread.low < 0.75 < spread.value < 0.85 < spread.high < 1.0
-    assert mean_over_objects(np.array([0.5, 1.0])).low is None

@@ -18,6 +18,7 @@ from safetensors.torch import load_file, save_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
 from foretouch.learning.data import Dataset, labels_of
+from foretouch.learning.evaluation.baselines import training_mean
 from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
 from foretouch.learning.training.run import train_run
@@ -136,14 +137,32 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
         read_state(file)
 
 
-def test_an_evaluation_counts_all_parts_of_a_split_and_recognises_training_data(data, tmp_path) -> None:
-    card = train_run(run_config(), data, tmp_path / "run", quiet)
-    result = evaluate_model(card, data, data.parts("random"), baselines={})
-    assert result["samples"] == len(data.samples)
-    assert result["same_data"]
-    assert set(result["scores"]) == {"model"}
-    other = Dataset(data.name, data.samples, "another", data.splits)
-    assert not evaluate_model(card, other, data.parts("object"), baselines={})["same_data"]
+def test_an_evaluation_leaves_out_the_samples_that_the_model_was_trained_on(data, tmp_path) -> None:
+    other = Dataset("another name", data.samples, "another hash", data.splits)
+    (first,) = data.parts("random/random 0")
+    card = train_run(run_config(split="random/random 0", name=""), data, tmp_path / "part", quiet)
+    assert json.loads(card.read_text())["name"] == "part"  # that of its folder
+    result = evaluate_model(card, other, "random", baselines={"training_mean": training_mean})
+    assert (result["samples"], result["excluded"]) == (len(first.test), len(data.samples) - len(first.test))
+    assert (result["scored"], result["same_data"], result["fitted_to_training"]) == ("held_out", True, False)
+    assert evaluate_model(card, other, "random/random 0", baselines={})["fitted_to_training"]
+    every = evaluate_model(card, other, "random", baselines={}, training_scores=True)
+    assert (every["samples"], every["scored"], every["excluded"]) == (len(data.samples), "training_samples", 0)
+
+    card = train_run(run_config(), data, tmp_path / "whole", quiet)
+    with pytest.raises(DatasetError, match=r"none is held out; train with split='random/random 0'"):
+        evaluate_model(card, other, "random", baselines={})
+    unlisted = json.loads(card.read_text())
+    del unlisted["data"]["sample_hashes"]
+    card.write_text(json.dumps(unlisted))
+    assert evaluate_model(card, other, "random", baselines={})["same_data"] is None  # it cannot tell
+    with pytest.raises(DatasetError, match="none is held out"):  # the hash of these very data is in its card
+        evaluate_model(card, data, "random", baselines={})
+
+
+def test_a_run_is_not_named_as_the_file_of_its_state(data, tmp_path) -> None:
+    with pytest.raises(ConfigError, match="name: 'state' is that of the training's own file"):
+        train_run(run_config(name=""), data, tmp_path / "state", quiet)
 
 
 def test_a_contact_model_has_intervals_and_one_object_alone_no_calibration(data, tmp_path) -> None:

@@ -14,7 +14,7 @@ from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.training.run import train_run
 from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, RunFolder, read_state
+from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, read_state
 from foretouch.learning.training.supervised import SupervisedTrainer
 from foretouch.types import Cloud, GraspSample
 
@@ -31,10 +31,10 @@ def with_first(data: Dataset, sample: GraspSample) -> Dataset:
 
 def test_settings_of_another_method_and_clouds_that_cannot_be_described_are_refused(data, tmp_path) -> None:
     cases = (
-        ("RunConfig.train.epochs: has no effect on method 'contact'", {"method": "contact", "train": {"epochs": 3}}),
-        ("RunConfig.model.n_points: has no effect on method 'contact'", {"method": "contact", "model": MODEL}),
+        ("train.epochs: has no effect on method 'contact'", {"method": "contact", "train": {"epochs": 3}}),
+        ("model.n_points: has no effect on method 'contact'", {"method": "contact", "model": MODEL}),
         ("train.batch_size: has no effect on method 'srgan'", {"method": "srgan", "train": {"batch_size": 3}}),
-        ("RunConfig.contact.trees: has no effect on method 'supervised'", {"contact": {"trees": 3}}),
+        ("contact.trees: has no effect on method 'supervised'", {"contact": {"trees": 3}}),
     )
     every_refusal(ConfigError, cases, RunConfig.from_mapping)
     first = data.samples[0]
@@ -91,25 +91,22 @@ def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monke
 
 
 @pytest.mark.parametrize("full", [CONFIG_FILE, STATE_FILE])
-def test_a_full_disk_at_the_first_epoch_is_reported_and_the_run_begins_again(data, tmp_path, full: str) -> None:
+def test_a_full_disk_at_the_first_epoch_is_reported_and_the_run_begins_again(
+    data, tmp_path, full_disk, full: str
+) -> None:
     run = tmp_path / "run"
-    run.mkdir()
-    (run / f"{full}.part").symlink_to("/dev/full")
-    with pytest.raises(FileError, match=rf"{full}: cannot be written.*: No space left"):
+    with full_disk(full), pytest.raises(FileError, match=rf"{full}: cannot be written.*: No space left"):
         train_run(run_config(), data, run, quiet)
     assert train_run(run_config(), data, run, quiet).is_file()
-    (tmp_path / LOG_FILE).symlink_to("/dev/full")
-    with pytest.raises(FileError, match=f"{LOG_FILE}: cannot be written: No space left"):
-        RunFolder(tmp_path).log({"epoch": 0})
 
 
-def test_a_full_disk_later_keeps_log_and_state_and_the_run_goes_on(data, tmp_path) -> None:
+def test_a_full_disk_later_keeps_log_and_state_and_the_run_goes_on(data, tmp_path, full_disk) -> None:
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
         train_run(run_config(), data, run, stop_after(1))
     before = contents(run)
-    (run / f"{STATE_FILE}.part").symlink_to("/dev/full")
-    with pytest.raises(FileError, match=f"{STATE_FILE}: cannot be written, the one before is kept: No space left"):
+    rule = f"{STATE_FILE}: cannot be written, the one before is kept: No space left"
+    with full_disk(STATE_FILE), pytest.raises(FileError, match=rule):
         train_run(run_config(), data, run, quiet, resume=True)
     after = contents(run)
     assert after[STATE_FILE] == before[STATE_FILE]

@@ -112,6 +112,23 @@ def test_it_listens_on_this_machine_alone_serves_again_after_a_stop_and_names_a_
     graph.until(lambda: f"127.0.0.1:{port}: " in capfd.readouterr().err)
 
 
+def test_web_pages_are_refused_by_their_origin_unless_it_is_allowed(graph, capfd):
+    (bridge,) = graph.add("bridge", port=0, allow_origin=["https://app.foxglove.dev/"])
+    for origin in (
+        "https://evil.example",
+        "null",
+        "http://127.0.0.1",
+        "https://app.foxglove.dev.evil.example",
+        "\x1b[2J",
+    ):
+        with pytest.raises(ConnectionError, match="403"):
+            WebSocketClient(bridge.url, origin=origin)
+    for origin in ("", "https://app.foxglove.dev"):
+        with WebSocketClient(bridge.url, origin=origin) as client:
+            client.learn(TOUCH)
+    graph.until(lambda: "--allow-origin https://evil.example" in capfd.readouterr().err)
+
+
 def test_a_slow_client_is_reported_and_disturbs_nobody(graph):
     (bridge,) = graph.add("bridge", port=0, backlog=4, diagnostics_period_s=0.2)
     reports, publisher = graph.reports("bridge"), graph.talk(MarkerArray, "markers")

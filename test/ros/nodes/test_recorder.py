@@ -92,6 +92,10 @@ def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_pat
     assert [one.record.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
     bad = begin(path="y", object="../x")
     assert (bad.success, "is no plain name" in bad.message) == (False, True)
+    (tmp_path / "link").symlink_to("..")
+    for path in ("..", "../..", "link/set", "/tmp", str(tmp_path), f"{tmp_path}2/set"):
+        outside = begin(path=path)
+        assert (outside.success, f"is not inside of the folder {tmp_path}" in outside.message) == (False, True), path
     graph.remove(node)
     (other,) = graph.add("recorder", identity__hand_serial="1234")
     with pytest.raises(Exception, match=r"hand\.serial: .* there, 1234 here"):

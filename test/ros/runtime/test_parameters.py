@@ -77,7 +77,7 @@ def test_an_invalid_change_is_refused_and_changes_nothing_and_an_invalid_value_a
         ("word", "c", "'c' is none of a, b"),
         ("fixed", False, "read-only"),
         ("speed", "fast", "type"),
-        ("target.mode", "point", "TargetConfig.point: is empty"),
+        ("target.mode", "point", "point: is empty"),
         ("numbers", ["x"], "is not a number"),
     ]
     every_case(cases, check)

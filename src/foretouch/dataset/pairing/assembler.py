@@ -198,7 +198,7 @@ class SampleAssembler:
 
     def _labelled(self, match: MatchedGrasp) -> SampleRecord:
         label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
-        grasp, candidates = _grasps(match.plan, executed.grasp_id)
+        grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
         sample = GraspSample(
             id="",
             object=label.object or self.config.object or "unknown",
@@ -215,7 +215,7 @@ class SampleAssembler:
             sample=sample,
             candidates=candidates,
             outcome=_outcome(match),
-            note="; ".join(filter(None, (self.config.note, label.note))),
+            note="; ".join(filter(None, (self.config.note, label.note, left_out))),
             series=TouchSeries(window.stamps_ns, window.counts, cut.phases, others),
             contact_ns=cut.contact_ns,
             detector="change against the tare (foretouch.tactile.contact_detector)"
@@ -236,7 +236,7 @@ class SampleAssembler:
         return {name: float(value) for name, value in named if name.removeprefix("tare_").startswith(("TAC", "TDC"))}
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
-        grasp, candidates = _grasps(plan, plan.grasps[0].id)
+        grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
         sample = GraspSample(
             id="",
             object=self.config.object or "unknown",
@@ -244,19 +244,25 @@ class SampleAssembler:
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,
         )
-        return SampleRecord(sample=sample, candidates=candidates, note=self.config.note)
+        note = "; ".join(filter(None, (self.config.note, left_out)))
+        return SampleRecord(sample=sample, candidates=candidates, note=note)
 
 
-def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...]]:
-    """The grasp, and the others planned on the same object."""
-    try:
-        grasps = [decode_grasp(message) for message in plan.grasps]
-    except GraspError as err:
-        raise PairingError("bad_grasp", str(err)) from err
+def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...], str]:
+    """The grasp, the others planned on the same object, and which of these cannot be decoded and why."""
+    grasps, faults = [], {}
+    for message in plan.grasps:
+        try:
+            grasps.append(decode_grasp(message))
+        except GraspError as err:
+            faults[message.id] = str(err)
     grasp = next((one for one in grasps if one.id == wanted), None)
+    if wanted in faults:
+        raise PairingError("bad_grasp", faults[wanted])
     if grasp is None:
         raise PairingError("grasp_unknown", f"grasp {wanted}: is not among the grasps of its cloud any more")
-    return grasp, tuple(one for one in grasps if one.object_id == grasp.object_id and one.id != wanted)
+    others = tuple(one for one in grasps if one.object_id == grasp.object_id and one.id != wanted)
+    return grasp, others, "; ".join(f"candidate {name} left out: {fault}" for name, fault in faults.items())
 
 
 def _object_cloud(cloud: BufferedCloud, frame_id: str, object_id: str) -> Cloud:
@@ -267,7 +273,8 @@ def _object_cloud(cloud: BufferedCloud, frame_id: str, object_id: str) -> Cloud:
         raise PairingError("bad_cloud", str(err)) from err
     if message.header.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")
-    match = [one.cloud for one in objects if one.id == object_id or (one.id == "" and len(objects) == 1)]
+    alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction
+    match = [one.cloud for one in objects if one.id == object_id or (alone and "" in (one.id, object_id))]
     if len(match) != 1:
         raise PairingError("object_unknown", f"object {object_id!r} is not in the cloud of {cloud.stamp_ns}")
     return match[0]

@@ -15,12 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from foretouch.dataset.messages import decode_cloud
+from foretouch.errors import CloudError, DatasetError
 from foretouch.types import TOUCH_SIZE, Float32, Int64
 
 _SECOND_NS = 1_000_000_000
 _MB = 1_000_000
 _LEAP_NS = _SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time
+_SAME_M = 1e-5  # difference of points that were rounded on their way to another frame and back
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +150,18 @@ class SerializedCloud:
     data: bytes  # the message as CDR
     decode: Callable[[], Any]  # gives the message
 
+    def is_same(self, other: "SerializedCloud") -> bool:
+        """Whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
+        if self.data == other.data:
+            return True
+        try:
+            one, two = decode_cloud(self.decode()), decode_cloud(other.decode())
+        except (CloudError, DatasetError):
+            return False
+        return (one.frame_id, one.xyz.shape) == (two.frame_id, two.xyz.shape) and np.allclose(
+            one.xyz, two.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class BufferedCloud:
@@ -181,7 +196,7 @@ class CloudBuffer:
         """Add a cloud by the stamp of its header [ns], and return the clouds that were removed for it."""
         known = self._clouds.get(stamp_ns)
         if known is not None:
-            self._clouds[stamp_ns] = replace(known, ambiguous=known.ambiguous or known.message.data != message.data)
+            self._clouds[stamp_ns] = replace(known, ambiguous=known.ambiguous or not known.message.is_same(message))
             return []
         self._clouds[stamp_ns] = BufferedCloud(stamp_ns, message, now_s)
         self.bytes += len(message.data)

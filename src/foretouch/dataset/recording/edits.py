@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
+from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes
 from foretouch.dataset.files import disk_errors, require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
@@ -87,7 +87,7 @@ def append_edit(path: Path, edit: Edit) -> int:
     body = {"schema_version": _VERSION, **asdict(edit)}
     line = json.dumps({**body, "sha256": _digest(digest, body)}, ensure_ascii=False) + "\n"
     with disk_errors(file):
-        with file.open("ab") as log:
+        with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as log:
             log.truncate(size)  # remove a line that a crash cut off
             log.write(line.encode())
             log.flush()

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from foretouch import __version__
-from foretouch.checked_files import open_regular
+from foretouch.checked_files import open_own, open_regular, replace_files
 from foretouch.dataset.files import disk_errors, new_folder, read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
@@ -77,8 +77,7 @@ def _read_identity(path: Path) -> tuple[Identity, str]:
 def lock(path: Path) -> Iterator[None]:
     """Lock a dataset for writing, until the process ends at the latest; a `FileError` names another that is writing."""
     file = path / _LOCK
-    with disk_errors(file):
-        fd = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+    fd = open_own(file, os.O_RDWR)
     try:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -141,13 +140,8 @@ def _create_manifest(path: Path, identity: Identity) -> None:
         "hand": dict(sorted(identity.hand.items())),
         "camera": dict(sorted(identity.camera.items())),
     }
-    part = path / _PART
+    replace_files({path / _MANIFEST: sealed(content, _SEAL).encode()})
     with disk_errors(path / _MANIFEST):
-        with part.open("w", encoding="utf-8") as file:
-            file.write(sealed(content, _SEAL))
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path / _MANIFEST)
         sync_folder(path)
 
 

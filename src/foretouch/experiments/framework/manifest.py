@@ -27,12 +27,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import read_json
+from foretouch.checked_files import read_json, write_text
 from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.models.card import write_text
 from foretouch.timing import cpu_name
 
 MANIFEST_FILE: Final = "manifest.json"
@@ -143,10 +142,7 @@ def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> l
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rounded)
-    try:
-        write_text(out / name, text.getvalue())
-    except OSError as err:
-        raise FileError(out / name, err.strerror or str(err)) from err
+    write_text(out / name, text.getvalue())
     return rounded
 
 
@@ -165,8 +161,7 @@ def write_summary(out: Path, experiment: Experiment[Any, Any], tables: Sequence[
     """Write `summary.md`: the question, how the results were made and which cells they lack, tables and their notes.
 
     Raises:
-        OSError: If it cannot be written.
-        FileError: If the manifest is damaged.
+        FileError: If it cannot be written, or the manifest is damaged.
     """
     file = out / SUMMARY_FILE
     lines = [f"# {experiment.question}", "", *_origin(out, experiment)]
@@ -176,7 +171,7 @@ def write_summary(out: Path, experiment: Experiment[Any, Any], tables: Sequence[
             header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
             lines += [*(f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]), ""]
         lines += [*(f"- {note}" for note in table.notes), *[""] * bool(table.notes)]
-    file.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+    write_text(file, "\n".join(lines[:-1]) + "\n")
 
 
 def _origin(out: Path, experiment: Experiment[Any, Any]) -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ConfigError, ForetouchError, none_of
 from foretouch.experiments.framework import frontier
 from foretouch.experiments.framework.experiment import (
     Cell,
@@ -175,7 +175,7 @@ def find_area(name: str) -> Area[Any, Any]:
     areas = list_areas()
     if named := [one for one in areas if one.area == name]:
         return named[0]
-    raise ConfigError(f"tradeoff: {name!r} is none of {', '.join(one.area for one in areas)}")
+    raise ConfigError(f"tradeoff: {none_of(name, [one.area for one in areas])}")
 
 
 def variant_cells(variants: Callable[[S], Iterable[Variant]]) -> Callable[[S, Any], list[Cell]]:

@@ -86,15 +86,12 @@ class LabelRatioSettings(SimulatedSettings):
         super().__post_init__()
         taken = max(self.model.n_points, self.training.points or 0)
         if self.cached_points < taken:
-            raise ConfigError(
-                f"LabelRatioSettings.cached_points: {self.cached_points} points are fewer than the network's {taken}"
-            )
+            raise ConfigError(f"cached_points: {self.cached_points} points are fewer than the network's {taken}")
         for model in MODELS if self.held_out == 0.0 else ():
             for kind, trials in getattr(self, model).to_mapping().items():
                 if len(trials) != len(self.ratios):
                     raise ConfigError(
-                        f"LabelRatioSettings.{model}.{kind}: {len(trials)} trials are not one for each of "
-                        f"{len(self.ratios)} ratios"
+                        f"{model}.{kind}: {len(trials)} trials are not one for each of {len(self.ratios)} ratios"
                     )
 
     def trials(self, model: str, ratio: int, modality: str) -> Sequence[str]:

@@ -17,10 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
@@ -58,39 +59,40 @@ class PrequentialSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def _ordered(data: Dataset) -> list[GraspSample]:
-    """Labelled samples in order of time."""
-    samples = labelled(data)
+def _ordered(data: Dataset) -> tuple[list[GraspSample], npt.NDArray[np.int_]]:
+    """Labelled samples in order of time, and the run of each (see `Recording.runs`)."""
+    samples = sorted(labelled(data), key=lambda sample: sample.stamp_ns)
     labels = labels_of(samples)
-    Recording.of_samples(samples, labels, labels, labels[0]).ordered()  # refuses samples without stamps
-    return sorted(samples, key=lambda sample: sample.stamp_ns)
+    return samples, Recording.of_samples(samples, labels, labels, labels[0]).ordered().runs()
 
 
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
     """A fit without each object and without each pair, and the fits before each run of grasps on an object but the first."""
-    names = [sample.object for sample in _ordered(data)]
-    objects = sorted(set(names))
-    runs = 1 + sum(one != other for one, other in pairwise(names))
+    samples, runs = _ordered(data)
+    objects = sorted({sample.object for sample in samples})
     without = [(name,) for name in objects] + list(combinations(objects, 2))
     return [
         cell
         for predictor in settings.predictors
         for cell in [
             *(Cell(f"{predictor}+{'-'.join(out)}", {"predictor": predictor, "without": list(out)}) for out in without),
-            *(Cell(f"{predictor}+before{run}", {"predictor": predictor, "before": run}) for run in range(1, runs)),
+            *(
+                Cell(f"{predictor}+before{run}", {"predictor": predictor, "before": run})
+                for run in range(1, 1 + runs[-1])
+            ),
         ]
     ]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
-    samples = _ordered(data)
+    samples, runs = _ordered(data)
 
     def predicted(train: Sequence[GraspSample], tested: Sequence[GraspSample]) -> Float64:
         fit = find_predictor(cell.values["predictor"], settings.training_fraction)
         return fit(train, labels_of(train), _SEED).predict(tested)
 
     if "before" in cell.values:
-        return [{"expected": _before(samples, cell.values["before"], predicted).tolist()}]
+        return [{"expected": _before(samples, runs, cell.values["before"], predicted).tolist()}]
     without = cell.values["without"]
     train = [sample for sample in samples if sample.object not in without]
     own = [[sample for sample in samples if sample.object == name] for name in without]
@@ -105,23 +107,15 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     return rows
 
 
-def _before(samples: Sequence[GraspSample], run: int, predicted: Any) -> Float64:
+def _before(samples: Sequence[GraspSample], runs: npt.NDArray[np.int_], run: int, predicted: Any) -> Float64:
     """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it."""
-    names = np.array([sample.object for sample in samples])
-    runs = np.cumsum(np.concatenate([[False], names[1:] != names[:-1]]))
-    target = str(names[runs == run][0])
-    past = labels_of([sample for sample, own in zip(samples, runs, strict=True) if own < run])
-    shown = [sample for sample, own in zip(samples, runs, strict=True) if own <= run]
-    found = np.tile(past.mean(axis=0), (len(shown), 1))
-    for name in {*names[runs <= run].tolist()}:
-        train = [
-            sample
-            for sample, own in zip(samples, runs, strict=True)
-            if own < run and sample.object not in (name, target)
-        ]
+    past, shown = (samples[: int(np.searchsorted(runs, end))] for end in (run, run + 1))
+    names, target = np.array([sample.object for sample in shown]), shown[-1].object
+    found = np.tile(labels_of(past).mean(axis=0), (len(shown), 1))
+    for name in np.unique(names):
+        train = [sample for sample in past if sample.object not in (name, target)]
         if len({sample.object for sample in train}) >= _FEWEST_OBJECTS:
-            where = [k for k, sample in enumerate(shown) if sample.object == name]
-            found[where] = predicted(train, [shown[k] for k in where])
+            found[names == name] = predicted(train, [sample for sample in shown if sample.object == name])
     return found
 
 

@@ -15,7 +15,19 @@ import numpy.typing as npt
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch.experiments.shared.scores import interval_columns
-from foretouch.experiments.shared.tables import ALL_OBJECTS, findings, grouped, pivot, select, short, unique, with_notes
+from foretouch.experiments.shared.tables import (
+    ALL_OBJECTS,
+    SIGNS,
+    findings,
+    grouped,
+    listed,
+    pivot,
+    select,
+    short,
+    span,
+    unique,
+    with_notes,
+)
 from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
 from foretouch.learning.evaluation.prequential import CLOCK_S, Recording, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
@@ -55,7 +67,8 @@ _JUMP_GRASPS: Final = 50
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
 _COLUMNS: Final = (
     *("vision", "sources", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
-    *("vs_constant_verdict", "coverage", "half_width", "interval_score", "noticed_after"),
+    *("vs_constant", "vs_constant_low", "vs_constant_high", "vs_constant_verdict"),
+    *("coverage", "half_width", "interval_score", "noticed_after"),
 )
 
 
@@ -189,16 +202,25 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
         for sources in (one for one in SOURCES if one in scored.counts):
-            errors = _errors(recording, scored.counts[sources], reference, chosen)
-            found, versus = skills(errors, config), None
-            if constant is not None and constant is not scored:
-                versus = compare(errors, _errors(recording, constant.counts[sources], reference, chosen), config)
+            errors, without = (
+                ObjectErrors.of_predictions(
+                    recording.objects[chosen],
+                    one.counts[sources][chosen],
+                    recording.readings[chosen],
+                    reference[chosen],
+                )
+                for one in (scored, constant or scored)
+            )
+            found = skills(errors, config)
+            versus = None if constant is None or constant is scored else compare(errors, without, config)
             place: Row = {"sources": sources, "regime": regime}
             for modality in MODALITIES:
                 row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
                     "skill", found[modality]
                 )
-                row["vs_constant_verdict"] = versus[modality].verdict if versus else None
+                if versus:
+                    row |= interval_columns("vs_constant", versus[modality])
+                    row["vs_constant_verdict"] = versus[modality].verdict
                 rows.append(row | _interval_scores(scored, sources, modality, chosen))
             for name in errors.objects if regime == "later" and sources == EVERYTHING else ():
                 skill, where = skills(errors.only(name), config), chosen & (recording.objects == name)
@@ -206,15 +228,6 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
                     row = {**place, "object": name, "modality": modality, "skill": skill[modality].value}
                     rows.append(row | _interval_scores(scored, sources, modality, where))
     return rows
-
-
-def _errors(recording: Recording, values: Float64, reference: Float64, chosen: npt.NDArray[np.bool_]) -> ObjectErrors:
-    parts = []
-    for name in np.unique(recording.objects[chosen]):
-        own = chosen & (recording.objects == name)
-        squared, base = ((recording.readings[own] - other[own]) ** 2 for other in (values, reference))
-        parts.append((str(name), float(own.sum()), squared.sum(axis=0), base.sum(axis=0)))
-    return ObjectErrors.total(parts)
 
 
 def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: npt.NDArray[np.bool_]) -> Row:
@@ -240,6 +253,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     notes = [
         "skill: 0 is the mean of all readings of the other objects, earlier and later; 1 is perfect; [95 % interval by bootstrap over objects]",
         "never touched: the first grasp of a run on an object; first three: grasps before which it was touched at most twice; later: all others",
+        "gain of vision: skill with it minus skill with the mean of earlier readings in its place, [95 % interval of the same draws of objects]",
         "▲ ▼ =: vision is significantly better, worse or not different from the mean of earlier readings, with the same sources",
         "nothing: vision or the mean alone; name: mean of earlier runs on the object; time: earlier readings with weights that fall by e in a day",
         "history: the state of the sensors from readings on other objects; touches: of this object, in this run",
@@ -248,11 +262,14 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     tables = [findings(_sentences(together))]
     for regime in REGIMES:
         own = select(together, regime=regime)
-        lines = [{**row, "line": f"{row['sources']}{_SIGHTED[row['vision'] != CONSTANT]}"} for row in own]
-        lines.sort(key=lambda row: SOURCES.index(row["sources"]))
         title = f"{regime}: {own[0]['grasps']} grasps"
-        body = pivot(lines, "line", _skill)
-        tables.append(Table(title, ["known", *MODALITIES], body))
+        tables.append(Table(title, ["known", *MODALITIES], pivot(_with_lines(own), "line", _estimate)))
+    compared = [
+        {**row, "line": f"{row['regime']}, {row['sources']}"} for row in together if row["vs_constant"] is not None
+    ]
+    for vision, own in grouped(compared, "vision"):
+        body = pivot(own, "line", partial(_estimate, column="vs_constant"))
+        tables.append(Table(f"Gain of vision, {vision}", ["known besides vision", *MODALITIES], body))
     scored = [row for row in together if row["interval_score"] is not None]
     for vision, own in grouped(scored, "vision"):
         body = [
@@ -271,7 +288,10 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     return with_notes(tables, notes)
 
 
-_SIGHTED: Final = ("", " + vision")
+def _with_lines(rows: Rows) -> list[Row]:
+    """Rows with the name of their `line` in tables and figure, those of each of the sources together."""
+    named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
+    return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 
 
 def _sentences(rows: Sequence[Row]) -> list[str]:
@@ -281,19 +301,22 @@ def _sentences(rows: Sequence[Row]) -> list[str]:
         known = dict(grouped(own, "sources"))
         best = known[max(known, key=SOURCES.index)]
         words = "the mean of earlier readings" if vision == CONSTANT else f"vision ({vision})"
-        text = f"{regime}, with {words}: {_listed(known[NOTHING])} alone, {_listed(best)} with {best[0]['sources']}"
+        text = f"{regime}, with {words}: {listed(known[NOTHING], 'skill')} alone, {listed(best, 'skill')} with {best[0]['sources']}"
         found.append(text)
+    for vision, own in grouped([row for row in rows if row["vs_constant_verdict"]], "vision"):
+        better, worse = (select(own, vs_constant_verdict=verdict) for verdict in ("better", "worse"))
+        found.append(
+            f"vision ({vision}) is significantly better than the mean of earlier readings in {len(better)} of {len(own)} "
+            f"comparisons and worse in {len(worse)}; it gains {span(row['vs_constant'] for row in own)}"
+        )
     return found
 
 
-def _listed(rows: Sequence[Row]) -> str:
-    return " ".join(short(row["skill"]) for row in rows)
-
-
-def _skill(row: Row) -> str:
-    sign = {"better": " ▲", "worse": " ▼", "tie": " ="}.get(row["vs_constant_verdict"] or "", "")
-    ends = "" if row["skill_low"] is None else f" [{short(row['skill_low'])}, {short(row['skill_high'])}]"
-    return f"{short(row['skill'])}{sign}{ends}"
+def _estimate(row: Row, column: str = "skill") -> str:
+    sign = f" {SIGNS[row['vs_constant_verdict']]}" if row["vs_constant_verdict"] in SIGNS else ""
+    low, high = row[f"{column}_low"], row[f"{column}_high"]
+    ends = "" if low is None else f" [{short(low)}, {short(high)}]"
+    return f"{short(row[column])}{sign}{ends}"
 
 
 def _four(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -303,9 +326,7 @@ def _four(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     """Draw `sources.png`: for each regime and modality, the skill of all sources, without vision and with it."""
-    together = select(rows, object=ALL_OBJECTS)
-    named = [{**row, "line": f"{row['sources']}{_SIGHTED[row['vision'] != CONSTANT]}"} for row in together]
-    named.sort(key=lambda row: SOURCES.index(row["sources"]))
+    named = _with_lines(select(rows, object=ALL_OBJECTS))
     lines = unique(named, "line")
 
     def colour(row: Mapping[str, Any]) -> str:

@@ -42,17 +42,9 @@ def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float6
     """
     if predicted.shape != labels.shape or not np.isfinite(predicted).all():
         raise DatasetError(f"predictions: shape {predicted.shape} or a value that is not finite")
-    names = np.array([sample.object for sample in tested])
-    squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
-    return [
-        {
-            "object": str(name),
-            "count": int((names == name).sum()),
-            "squared": squared[names == name].sum(axis=0).tolist(),
-            "reference": reference[names == name].sum(axis=0).tolist(),
-        }
-        for name in np.unique(names)
-    ]
+    found = ObjectErrors.of_predictions(np.array([sample.object for sample in tested]), predicted, labels, mean)
+    sums = zip(found.objects, found.counts, found.squared.tolist(), found.reference.tolist(), strict=True)
+    return [{"object": name, "count": int(n), "squared": own, "reference": base} for name, n, own, base in sums]
 
 
 def score_table(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import content_sha256
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
-from foretouch.errors import DatasetError
+from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch.types import GraspSample
@@ -77,12 +78,16 @@ class Dataset:
         if kind in self.omitted:
             raise DatasetError(f"{self.name}: split: {kind!r} cannot be made of these samples: {self.omitted[kind]}")
         if kind not in self.splits:
-            raise DatasetError(f"{self.name}: split: {kind!r} is none of {', '.join(self.splits) or 'none'}")
+            raise DatasetError(f"{self.name}: split: {none_of(kind, self.splits)}")
         parts = [part for part in self.splits[kind] if name in ("", part.name)]
         if not parts:
-            known = ", ".join(f"{kind}/{part.name}" for part in self.splits[kind])
-            raise DatasetError(f"{self.name}: split: {split!r} is none of {known}")
+            known = [f"{kind}/{part.name}" for part in self.splits[kind]]
+            raise DatasetError(f"{self.name}: split: {none_of(split, known)}")
         return parts
+
+    def hashes(self, index: Indices) -> list[str]:
+        """`sample_hash` of the samples with these indices."""
+        return [sample_hash(self.samples[k]) for k in index]
 
     def index(self, ids: Sequence[str]) -> Indices:
         """(S,) indices of the samples with these ids, in order of the ids.
@@ -124,6 +129,18 @@ class Dataset:
         if validation > 0.0 and not len(chosen):
             raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
         return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+
+
+def sample_hash(sample: GraspSample) -> str:
+    """What identifies a recorded grasp in any dataset, by whatever name: 16 hexadecimal digits.
+
+    They cover the finite points, the contacts and the reading as float32, which every format keeps; not the rotation,
+    whose last bits depend on the processor.
+    """
+    xyz = sample.cloud.xyz.reshape(-1, 3)
+    reading = np.empty(0) if sample.touch is None else sample.touch.vector()
+    parts = (xyz[np.isfinite(xyz).all(axis=1)].ravel(), sample.grasp.g1, sample.grasp.g2, reading)
+    return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()[:16]
 
 
 def load_dataset(path: str | Path) -> Dataset:

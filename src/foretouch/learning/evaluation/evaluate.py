@@ -2,8 +2,8 @@
 """Score touch models and baselines on the same samples.
 
 `cross_validate` trains a model and the baselines on each fold. `evaluate_model` takes a trained model and fits only the
-baselines, to the training side of each part of a split; where the model was trained on these very samples, its scores
-are training scores, which `same_data` reports.
+baselines, to the training side of each part of a split. Samples that the model was trained on, which it recognises by
+their hashes in its card, are left out and counted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import read_card
 from foretouch.models.registry import find_card, load_model
 from foretouch.tactile import MODALITIES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
 
 MODEL: Final = "model"
 """Key of the model itself, beside the names of the baselines."""
@@ -70,42 +70,62 @@ def _baseline(
 def evaluate_model(
     model: str | Path,
     data: datasets.Dataset,
-    parts: Sequence[datasets.SplitPart],
+    split: str,
     *,
     seed: int = 0,
     baselines: Mapping[str, Baseline] = BASELINES,
+    training_scores: bool = False,
 ) -> dict[str, Any]:
-    """Score a trained model and the baselines on the test samples of some parts.
+    """Score a trained model and the baselines on the test samples of a split that the model was not trained on.
+
+    If it was trained on all of them, the scores of its cross-validation on this kind of split are those in its card.
 
     Args:
         model: Name, card, weights or folder of a run; it may predict only some of the modalities.
         data: The dataset.
-        parts: Parts of one split; the baselines beside each test sample were fitted without it.
+        split: `KIND` or `KIND/PART`; the baselines beside each test sample were fitted without it.
         seed: Seed of the baselines.
         baselines: By name.
+        training_scores: Score the samples that the model was trained on, too.
 
     Returns:
         `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None
-        without intervals). `samples`: their number. `unfamiliar`: how many of them the model flags as out of
-        distribution. `same_data`: whether the model's card names this dataset as its training data.
+        without intervals). `split`. `samples`: how many were scored. `scored`: `held_out`, `training_samples` (among others) or
+        `cross_validation`. `unfamiliar`: how many of them the model flags as out of distribution, None of cross-validated ones. `excluded`: how many
+        were left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None
+        if its card does not list their hashes. `fitted_to_training`: whether the baselines were fitted to nothing else
+        than samples that it was trained on.
 
     Raises:
-        DatasetError: If the parts test no sample, or a sample is unlabelled.
+        DatasetError: If the split tests no sample, a sample is unlabelled, or none is held out.
         ModelError: If the model is damaged.
     """
-    chosen = np.concatenate([data.index(part.test) for part in parts]) if parts else np.empty(0, np.intp)
+    parts = data.parts(split)
+    chosen = np.concatenate([data.index(part.test) for part in parts])
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
-    tested = [data.samples[k] for k in chosen]
     path = find_card(model)
     card = read_card(path)
+    own = own_samples(card, data, chosen)
+    fitted = own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
+    kept = np.full(len(chosen), True) if own is None or training_scores else ~own
+    facts = {
+        "split": split,
+        "scored": "training_samples" if training_scores and own is not None and own.any() else "held_out",
+        "excluded": int((~kept).sum()),
+        "same_data": None if own is None else bool(own.any()),
+        "fitted_to_training": fitted is not None and bool(fitted.all()),
+    }
+    if not kept.any():
+        return {**facts, **_stored(card, str(model), split, parts[0].name)}
+    tested = [data.samples[k] for k in chosen[kept]]
     plain_network = card["kind"] == "network" and card.get("calibration") is None
     found = (_by_network if plain_network else _by_model)(path, tested)
     labels = datasets.labels_of(tested)
-    reference = _fitted(data, parts, training_mean, seed)
+    reference = _fitted(data, parts, training_mean, seed)[kept]
     # The columns that the model does not predict are not scored, but must be finite.
     values = {MODEL: np.where(np.isnan(found.counts), reference, found.counts)}
-    values |= {name: _fitted(data, parts, baseline, seed) for name, baseline in baselines.items()}
+    values |= {name: _fitted(data, parts, baseline, seed)[kept] for name, baseline in baselines.items()}
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
         scored = score(value, labels, reference, found.ranges, found.modalities)
@@ -114,8 +134,38 @@ def evaluate_model(
         inside = np.abs(labels - found.counts) <= found.half_width
         for key, row in scores[MODEL].items():
             row["coverage90"] = float(inside[:, columns([key])].mean())
-    same = not found.trained_on.isdisjoint((data.sha256, *data.aliases))
-    return {"scores": scores, "samples": len(tested), "unfamiliar": found.unfamiliar, "same_data": same}
+    return {"scores": scores, "samples": len(tested), "unfamiliar": found.unfamiliar, **facts}
+
+
+def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[str, Any]:
+    """The scores of a release by cross-validation, in place of those on its own training samples."""
+    kind = split.partition("/")[0]
+    tables = {MODEL: card["skill"], **card["baselines"]}
+    if any(kind not in table for table in tables.values()):
+        raise DatasetError(
+            f"{name}: was trained on all samples that the split {split} tests, so that none is held out; train with"
+            f" split='{kind}/{part}', evaluate other data, or score them nevertheless with --training-scores"
+        )
+    scores = {
+        who: {key: {"coverage90": None, **one} for key, one in table[kind].items()} for who, table in tables.items()
+    }
+    return {
+        "scores": scores,
+        "samples": card["data"]["samples"],
+        "unfamiliar": None,
+        "split": kind,
+        "scored": "cross_validation",
+    }
+
+
+def own_samples(card: Mapping[str, Any], data: datasets.Dataset, index: datasets.Indices) -> Bool | None:
+    """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
+    text = card["data"].get("sample_hashes")
+    if not isinstance(text, str):
+        same = card["data"].get("sha256") in (data.sha256, *data.aliases) and card["split"].get("name") is None
+        return np.full(len(index), True) if same else None
+    trained = {text[k : k + 16] for k in range(0, len(text), 16)}
+    return np.array([one in trained for one in data.hashes(index)], np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +177,6 @@ class _Predictions:
     unfamiliar: int  # samples flagged as out of distribution
     modalities: Sequence[str]
     ranges: TactileRanges
-    trained_on: frozenset[str]  # hashes of its training data
 
 
 def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
@@ -144,21 +193,20 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
         if one.lower is not None and one.upper is not None:
             half[k] = (one.upper.vector() - one.lower.vector()) / 2.0
         unfamiliar += "unfamiliar" in one.flags
-    trained_on = frozenset([str(model.card["data"].get("sha256"))])
     half_width = None if np.isnan(half).any() else half
-    return _Predictions(counts, half_width, unfamiliar, list(MODALITIES), model.ranges, trained_on)
+    return _Predictions(counts, half_width, unfamiliar, list(MODALITIES), model.ranges)
 
 
 def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     """Predict by a network that may cover only some of the modalities, all samples at once."""
     from foretouch.models.network.checkpoint import load_network
 
-    net, card = load_network(card_path)
+    net, _ = load_network(card_path)
     counts = np.full((len(samples), TOUCH_SIZE), np.nan)
     prepared = datasets.TrainingSet.build(samples, net.config)
     counts[:, columns(net.config.outputs)] = datasets.predict_set(net, prepared, np.arange(len(samples)))
     modalities = [name for name in MODALITIES if name in net.config.outputs]
-    return _Predictions(counts, None, 0, modalities, net.config.ranges, frozenset([str(card["data"].get("sha256"))]))
+    return _Predictions(counts, None, 0, modalities, net.config.ranges)
 
 
 def _fitted(data: datasets.Dataset, parts: Sequence[datasets.SplitPart], baseline: Baseline, seed: int) -> Float64:

@@ -37,6 +37,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
@@ -162,6 +163,17 @@ class ObjectErrors:
         return cls(names, counts, squared, reference)
 
     @classmethod
+    def of_predictions(
+        cls, objects: npt.NDArray[np.str_], predicted: Float64, labels: Float64, reference: Float64
+    ) -> Self:
+        """From (S,) names of objects, (S, 50) predictions and labels, and a (S, 50) or (50,) reference [counts]."""
+        squared, base = (predicted - labels) ** 2, (reference - labels) ** 2
+        each = [(str(name), objects == name) for name in np.unique(objects)]
+        return cls.total(
+            [(name, float(own.sum()), squared[own].sum(axis=0), base[own].sum(axis=0)) for name, own in each]
+        )
+
+    @classmethod
     def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> Self:
         """`total` of rows of the results of an experiment, whose columns have these names."""
         return cls.total(
@@ -216,16 +228,6 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _D
     weights = _weights(len(one.objects), config)
     value = _skill(one, everyone) - _skill(other, everyone)
     return _estimates(value, _skill(one, weights) - _skill(other, weights), len(one.objects), config)
-
-
-def mean_over_objects(values: Float64, config: BootstrapConfig = _DEFAULT) -> Estimate:
-    """Mean of (O,) numbers, one per object, with an interval from the same kind of draws."""
-    weights = _weights(len(values), config)
-    if not len(weights):
-        return Estimate(float(values.mean()), None, None)
-    tail = _tail(len(values), config.level)
-    low, high = np.quantile(weights @ values / len(values), [tail, 1.0 - tail])
-    return Estimate(float(values.mean()), float(low), float(high))
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:

@@ -4,6 +4,7 @@
 With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -13,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
-from foretouch.errors import DatasetError
+from foretouch.checked_files import write_text
+from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
 from foretouch.learning.evaluation.metrics import mean_skill
@@ -21,8 +23,8 @@ from foretouch.learning.training.calibration import calibration_folds, guarantee
 from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import RunFolder
-from foretouch.models.card import card_text, read_card, write_text
+from foretouch.learning.training.run_folder import STATE_FILE, RunFolder
+from foretouch.models.card import card_text, read_card
 from foretouch.types import Float64
 
 Report = Callable[[Mapping[str, Any]], None]
@@ -60,6 +62,10 @@ def train_run(
         DatasetError: If the dataset does not fit the settings, or a loss becomes infinite or NaN. The last good state
             stays.
     """
+    own = re.sub(r"[^A-Za-z0-9._-]+", "_", out.resolve().name).lstrip(".")[:100]
+    config = config.replace(name=config.name or own or "model")
+    if f"{config.name}.safetensors" == STATE_FILE:
+        raise ConfigError(f"name: {config.name!r} is that of the training's own file; give name=NAME")
     learner = make_learner(config, data)
     folder = RunFolder(out, report)
     context = DistributedContext.of_process_group()
@@ -83,6 +89,7 @@ def train_run(
         facts |= _release_facts(learner, data, skill, calibration[1])
     card = learner.save(out, config.name, facts, calibration)
     result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": learner.epochs, "data_sha256": data.sha256}
+    result |= {"calibrated": calibration is not None, "limits": facts["limits"]}
     if len(learner.split.test):
         result |= _add_scores(card, config, data)
     report(result)
@@ -146,7 +153,8 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     return {
         "summary": f"{', '.join(config.model.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
-            "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates
+            "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
+            "sample_hashes": "".join(sorted(data.hashes(np.concatenate([learner.split.train, learner.split.validation])))),
         },
         "split": {"name": config.split, **learner.split.sizes()},
         "limits": ["Bounds are null: the model was trained with calibrate=false."],
@@ -210,7 +218,7 @@ def _mean(table: Mapping[str, Mapping[str, float]]) -> float:
 def _add_scores(card_path: Path, config: RunConfig, data: Dataset) -> dict[str, Any]:
     """Evaluate a model on the test samples of its run's split, and enter the scores in its card."""
     split = str(config.split)
-    result = evaluate_model(card_path, data, data.parts(split), seed=config.seed)
+    result = evaluate_model(card_path, data, split, seed=config.seed)
     card = read_card(card_path)
     card["skill"] = {split: result["scores"][MODEL]}
     card["baselines"] = {name: table for name, table in result["scores"].items() if name != MODEL}

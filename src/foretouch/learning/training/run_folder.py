@@ -13,22 +13,21 @@ The state is one safetensors file, tensors and JSON with their checksum, that is
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import torch
 import yaml
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
-from foretouch.checked_files import open_regular, parse_json
+from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, write_text
 from foretouch.config import flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.card import write_text
-from foretouch.models.files import replace_files
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"
@@ -57,10 +56,10 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         FileError: If there is no state, or it is damaged or was changed.
     """
     try:
-        open_regular(path).close()
-        with safe_open(path, framework="pt") as file:
-            plain = parse_json(file.metadata()[_KEY])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        content = read_bytes(path)
+        tensors = load(content)
+        header = parse_json(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        plain = parse_json(header["__metadata__"][_KEY])
         seal = plain.pop(_SEAL)
     except FileError as err:
         if isinstance(err.__cause__, FileNotFoundError):
@@ -132,8 +131,8 @@ class RunFolder:
         if not file.exists():
             return
         try:
-            lines = file.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as err:
+            lines = read_bytes(file, TEXT_LIMIT).decode().splitlines()
+        except UnicodeDecodeError as err:
             raise FileError(file, f"cannot be read: {err}") from err
         write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
 
@@ -141,8 +140,8 @@ class RunFolder:
         """Append an epoch's line; raises `FileError` if it cannot be written, such as on a full disk."""
         file = self.path / LOG_FILE
         try:
-            with file.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(record) + "\n")
+            with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as lines:
+                lines.write(json.dumps(record).encode() + b"\n")
         except OSError as err:
             raise FileError(file, f"cannot be written: {err.strerror or err}") from err
 

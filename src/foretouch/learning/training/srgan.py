@@ -70,9 +70,7 @@ class SrganConfig(EpochsConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.loss.gradient_penalty > 0.0 and self.batch_norm != "frozen":
-            raise ConfigError(
-                "SrganConfig.loss.gradient_penalty: needs batch_norm frozen; else it starts in the millions"
-            )
+            raise ConfigError("loss.gradient_penalty: needs batch_norm frozen; else it starts in the millions")
 
 
 class SrganTrainer(Trainer):
@@ -108,10 +106,7 @@ class SrganTrainer(Trainer):
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.generator.train()
-        if self.config.batch_norm == "frozen":
-            freeze(self.net)
-        else:
-            self.net.train()
+        self._set_mode()
         sources = [
             _repeated_batches(index, self.config.batch_size, self.batch_count, self.rng)
             for index in (self._labelled, self._unlabelled)
@@ -120,6 +115,12 @@ class SrganTrainer(Trainer):
             real = self._clouds(unlabelled)
             losses = self._regressor_step(number, labelled, unlabelled, real)
             yield losses | self._generator_step(number, unlabelled, real)
+
+    def _set_mode(self) -> None:
+        if self.config.batch_norm == "frozen":
+            freeze(self.net)
+        else:
+            self.net.train()
 
     def _count_batches(self) -> int:
         counted = self._labelled if self.config.epoch_over == "labelled" else self._unlabelled

@@ -13,6 +13,7 @@ plausible range.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -46,7 +47,7 @@ _MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
 
 # Mean of the electrodes' slopes over TDC, and logarithm of their deviation: mean and deviation of the prior, and limits.
 _SLOPE_PRIOR: Final = np.array([[0.6, np.log(0.3)], [0.5, 1.0]])
-_SLOPE_LIMITS: Final = ((-1.0, 2.0), (np.log(0.01), np.log(2.0)))
+_SLOPE_LIMITS: Final = np.array([[-1.0, 2.0], [np.log(0.01), np.log(2.0)]])
 
 # Logarithms of the multiples of B, time constants, noise of tares and multiple of W: mean and deviation of the prior, and limits.
 _PRIOR: Final = np.log(
@@ -84,7 +85,8 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         np.ones(len(MODALITIES)),
     )
     replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)
-    slow, fast, lasting, slow_s, fast_s, tare, noise = _most_likely(replayed)[replayed.owner].T
+    found = _least(replayed.losses, _PRIOR[0], _LIMITS, len(MODALITIES))
+    slow, fast, lasting, slow_s, fast_s, tare, noise = np.exp(found)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
     fitted = replace(
@@ -97,8 +99,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         noise=parameters.noise * noise,
         tare_noise=tare,
     )
-    # Intervals are those of readings without TDC, which keep them to the bit.
-    fitted = _with_intervals(fitted, replace(recording, tdc=None))
+    fitted = _with_intervals(fitted, recording)  # without slopes as yet, so that TDC changes no interval
     return fitted if recording.tdc is None else replayed.with_slopes(fitted)
 
 
@@ -125,27 +126,14 @@ class _Replay:
         sizes = np.bincount(self.owner, minlength=len(MODALITIES))
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
-    def __call__(self, flat: Float64) -> tuple[float, Float64]:
-        """The sum of `_losses` for (28,) logarithms, and its slopes."""
-        logs = flat.reshape(len(MODALITIES), -1)
-        # The modalities are independent: one step in the same parameter of all gives four derivatives.
-        steps = _STEP * np.eye(logs.shape[1])[:, None]
-        losses = self._losses(np.concatenate([logs[None], logs + steps]))
-        return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
-
     def with_slopes(self, parameters: TrackerParameters) -> TrackerParameters:
         """The same parameters with the most likely slopes of the electrodes of each finger."""
-        from scipy.optimize import minimize
-
         unit = np.where(_IS_ELECTRODE, 1.0, 0.0)
         inverse = np.linalg.inv(parameters.basis)
         mean_of, variance_of = inverse @ unit, inverse**2 @ unit
         finger = parameters.finger_of()
-        steps = _STEP * np.eye(2)[:, None]
 
-        def loss(flat: Float64) -> tuple[float, Float64]:
-            values = flat.reshape(len(FINGERS), 2)
-            tried = np.concatenate([values[None], values + steps])  # (3, 2, 2)
+        def losses(tried: Float64) -> Float64:
             mean, deviation = tried[:, finger, 0] * mean_of, np.exp(tried[:, finger, 1])
             slope = np.array([mean.reshape(-1), (deviation**2 * variance_of).reshape(-1)])
             prior = np.array([parameters.slow, parameters.fast, parameters.object[NEW]])
@@ -154,22 +142,13 @@ class _Replay:
             total = self._surprises(
                 filtered, parameters.tare_noise, parameters.noise[NEW], self._temperatures[..., finger]
             )
-            losses = total[:, -len(FINGERS) :]  # of the electrodes
-            losses = losses + 0.5 * (((tried - _SLOPE_PRIOR[0]) / _SLOPE_PRIOR[1]) ** 2).sum(axis=2)
-            return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
+            prior_loss = 0.5 * (((tried - _SLOPE_PRIOR[0]) / _SLOPE_PRIOR[1]) ** 2).sum(axis=2)
+            return np.asarray(total[:, -len(FINGERS) :] + prior_loss, np.float64)  # of the electrodes
 
-        found = minimize(
-            loss,
-            np.tile(_SLOPE_PRIOR[0], len(FINGERS)),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=_SLOPE_LIMITS * len(FINGERS),
-            options={"maxiter": _ITERATIONS},
-        )
-        mean, deviation = found.x.reshape(len(FINGERS), 2)[FINGER_OF_VALUE].T
+        mean, deviation = _least(losses, _SLOPE_PRIOR[0], _SLOPE_LIMITS, len(FINGERS))[FINGER_OF_VALUE].T
         return replace(parameters, slope=unit * mean, slope_sd=unit * np.exp(deviation))
 
-    def _losses(self, logs: Float64) -> Float64:
+    def losses(self, logs: Float64) -> Float64:
         """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 7) candidates at once."""
         columns_of = np.exp(logs)[:, self.owner].reshape(-1, logs.shape[2]).T
         slow, fast, lasting, slow_s, fast_s, tare, noise = np.ascontiguousarray(columns_of)
@@ -207,15 +186,24 @@ def _temperature(tdc: Float64) -> Float64:
     return np.asarray(np.nan_to_num(found - first), np.float64)
 
 
-def _most_likely(replayed: _Replay) -> Float64:
-    """(4, 7) multiples of the lasting variance, time constants [s], noise of tares, multiple of W, by modality."""
+def _least(losses: Callable[[Float64], Float64], start: Float64, limits: Float64, groups: int) -> Float64:
+    """(G, P) parameters of independent groups with the least losses: (C, G) of (C, G, P) candidates.
+
+    `start` is (P,) and `limits` (P, 2), of each group.
+    """
     from scipy.optimize import minimize
 
-    start, bounds = (np.tile(one, (len(MODALITIES), 1)) for one in (_PRIOR[0], _LIMITS))
-    found = minimize(
-        replayed, start.reshape(-1), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
-    )
-    return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
+    # The groups are independent: one step in the same parameter of all gives a derivative of each.
+    steps = _STEP * np.eye(len(start))[:, None]
+
+    def total(flat: Float64) -> tuple[float, Float64]:
+        values = flat.reshape(groups, -1)
+        found = losses(np.concatenate([values[None], values + steps]))
+        return float(found[0].sum()), ((found[1:] - found[0]) / _STEP).T.reshape(-1)
+
+    bounds, options = np.tile(limits, (groups, 1)), {"maxiter": _ITERATIONS}
+    found = minimize(total, np.tile(start, groups), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return np.asarray(found.x.reshape(groups, -1), np.float64)
 
 
 def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int, x: Float64 | None) -> Float64:

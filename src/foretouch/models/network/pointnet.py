@@ -167,7 +167,7 @@ def _compiled_winners(x: Tensor, across: Tensor, compiled: Kernel) -> Tensor:
 _ENOUGH_VALUES: Final = 2**19
 """Values of a layer, rows x outputs, from which batch norm by moments is faster than torch's."""
 
-_ENOUGH_ROWS: Final = 32
+_ENOUGH_ROWS: Final = 16
 """Rows for each input from which the same holds: the matrices of the moments hold inputs² values each."""
 
 

@@ -50,6 +50,12 @@ class TouchAnswer:
         refused = [one for one in self.outcomes if isinstance(one, Refusal)]
         return refused[0] if refused and len(refused) == len(self.outcomes) else Refusal(Status.OK, "")
 
+    @property
+    def answered(self) -> list[GraspMsg]:
+        """The grasps that have a prediction."""
+        pairs = zip(self.grasps, self.outcomes, strict=True)
+        return [grasp for grasp, outcome in pairs if not isinstance(outcome, Refusal)]
+
     def prediction(self, k: int) -> TouchPredictionMsg:
         """The message of one of them."""
         outcome, grasp = self.outcomes[k], self.grasps[k]

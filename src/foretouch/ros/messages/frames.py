@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.io.pointcloud2 import DATATYPES
-from foretouch.dataset.messages import rotation_from_quaternion
+from foretouch.dataset.messages import has_orientation, rotation_from_quaternion
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.ros.messages.answers import TouchAnswer
@@ -124,10 +124,10 @@ class FrameTransform:
         return MarkerArray(markers=moved)
 
     def answer(self, answer: TouchAnswer, grasps: Sequence[Grasp] | None = None) -> TouchAnswer:
-        """Predictions, with the `grasps` in the frame of the target where they are known."""
-        return replace(
-            answer, header=self.header(answer.header), grasps=grasps or [self.grasp(one) for one in answer.grasps]
-        )
+        """Predictions; those of `grasps` that had a pose stay as they were given, in the frame of the target."""
+        pairs = zip(answer.grasps, grasps or [None] * len(answer.grasps), strict=True)
+        moved = [self.grasp(one) if given is None or not has_orientation(given) else given for one, given in pairs]
+        return replace(answer, header=self.header(answer.header), grasps=moved)
 
     def _prediction(self, prediction: TouchPrediction) -> TouchPrediction:
         """A prediction with its grasp."""

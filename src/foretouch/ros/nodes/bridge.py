@@ -19,10 +19,11 @@ from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
 from foretouch.dataset.recording.sample_codec import Definitions
-from foretouch.errors import ConfigError, MissingDependencyError
+from foretouch.errors import ConfigError, MissingDependencyError, shown
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.origins import OriginGate
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
@@ -36,6 +37,11 @@ class BridgeConfig(NodeConfig, TactileInput):
 
     address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too", read_only=True)
     port: int = setting(8765, "Port to listen on; 0 for a free one", minimum=0, maximum=65535, read_only=True)
+    allow_origin: tuple[str, ...] = setting(
+        (),
+        "Origins of web pages that may connect, such as https://app.foxglove.dev; programs need none",
+        read_only=True,
+    )
     backlog: int = setting(
         256, "Messages that may wait for a client; its oldest are dropped", minimum=1, maximum=100_000, read_only=True
     )
@@ -86,6 +92,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self.url = ""
         self._served: dict[str, _Served] = {}  # by full name
         self._server: Any = None
+        self._gate: OriginGate
         self._timer: Any = None
         self._reports = _Reports(self)
         self._lock = threading.Lock()
@@ -109,17 +116,19 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         foxglove, config = foxglove_sdk(), self.config
         _listen_to_sdk(foxglove).addHandler(self._reports)
         try:
-            self._server = foxglove.start_server(
-                name=f"foretouch {self.get_namespace()}",
-                host=config.address,
-                port=config.port,
-                message_backlog_size=config.backlog,
-                context=self._channels_context,
-            )
-        except RuntimeError as err:
-            raise ConfigError(f"{config.address}:{config.port}: {err}") from err
+            self._gate = OriginGate(config.address, config.port, config.allow_origin, self._refuse)
+        except OSError as err:
+            raise ConfigError(f"{config.address}:{config.port}: {err.strerror or err}") from err
+        self._server = foxglove.start_server(
+            name=f"foretouch {self.get_namespace()}",
+            host=self._gate.inner,
+            port=0,
+            message_backlog_size=config.backlog,
+            context=self._channels_context,
+        )
+        self._gate.open(self._server.port)
         host = f"[{config.address}]" if ":" in config.address else config.address
-        self.url = f"ws://{host}:{self._server.port}"
+        self.url = f"ws://{host}:{self._gate.port}"
         self._timer = self.create_timer(0.2, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"serving at {self.url}")
 
@@ -128,6 +137,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             self.destroy_timer(self._timer)
             self._timer = None
         if self._server is not None:
+            self._gate.close()
             self._server.stop()
             self._server = None
         logging.getLogger("foxglove").removeHandler(self._reports)
@@ -138,6 +148,10 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
     def _teardown(self) -> None:
         self._served.clear()
+
+    def _refuse(self, origin: str) -> None:
+        page = shown(origin)
+        self.get_logger().warning(f"refused a web page of {page}: --allow-origin {page} (allow_origin) admits it")
 
     def notes(self) -> dict[str, str]:
         """What clients ask for, and how often the SDK reported that one is slow, for /diagnostics."""

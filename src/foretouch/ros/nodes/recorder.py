@@ -17,7 +17,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, PairingConfig, Role, SampleAssembler
 from foretouch.dataset.record import check_name
 from foretouch.dataset.recording import Identity, Outcome, RecordingConfig, RecordingWriter
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, sample_topics
@@ -263,11 +263,18 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         try:
             if self.state_name != "active":
                 raise ConfigError(f"the recorder is {self.state_name}")
+            self._require_inside(request.path)
             response.path = str(self.begin(request.path, request.object, request.note))
             response.success = True
         except ForetouchError as err:
             response.message = str(err)
         return response
+
+    def _require_inside(self, path: str) -> None:
+        """Refuse a dataset outside of `folder`: anyone in the graph can ask for one."""
+        folder = Path(self.config.folder).resolve()
+        if "\0" in path or (path and folder not in Path(folder, path).resolve().parents):
+            raise ConfigError(f"path: {quoted(path)} is not inside of the folder {folder} of the recorder")
 
     def _stop_recording(self, _request: Any, response: Any) -> Any:
         if self._session is None:

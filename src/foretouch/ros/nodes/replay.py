@@ -137,7 +137,7 @@ class ReplayConfig(NodeConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.table) != 4 or not any(self.table[:3]):
-            raise ConfigError(f"ReplayConfig.table: {list(self.table)} is not a plane a, b, c, d")
+            raise ConfigError(f"table: {list(self.table)} is not a plane a, b, c, d")
 
 
 class ReplayNode(ForetouchNode[ReplayConfig]):

@@ -294,7 +294,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message, answer = self._predict(
             targets, asked.grasps, asked.cloud.header, config.grasp if table else None, arrived
         )
-        self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
+        self._add_requested(asked.cloud, message.answered)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
             message = asked.transform.answer(message, None if asked.grasps is request.grasps else request.grasps)
         made: TouchPredictionArray = _configured(self._predictor).end(message, answer)
@@ -341,6 +341,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             goal,
             latest,
             self.config,
+            bytes(goal_handle.goal_id.uuid).hex()[:8],
             self._predict_candidates,
             lambda message: feedback(moved(message)),
             lambda: goal_handle.is_cancel_requested,

@@ -44,6 +44,7 @@ def sample_grasps(
     goal: Any,
     latest: Latest | None,
     config: TouchPredictorConfig,
+    name: str,
     predict: Predict,
     feedback: Callable[[Any], None],
     cancelled: Callable[[], bool],
@@ -54,6 +55,7 @@ def sample_grasps(
         goal: `SampleGrasps.Goal`.
         latest: The latest cloud of the graph, for a goal without a cloud.
         config: The defaults and limits.
+        name: Of the goal, which distinguishes its grasps from others on the same cloud.
         predict: Gives the predictions for grasps on one target, in order.
         feedback: Called with a `SampleGrasps.Feedback` after each object, and after every 100 grasps.
         cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that
@@ -79,6 +81,8 @@ def sample_grasps(
         if cancelled():
             break
         plan = requests.plan_targets(pipeline, [target], header)
+        for grasp in plan.grasps:
+            grasp.id += f"/{name}"
         for first in range(0, len(plan.grasps), _BATCH):
             if cancelled():
                 break

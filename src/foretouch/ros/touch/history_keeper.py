@@ -77,10 +77,10 @@ class HistoryKeeper:
         try:
             history = file.read(model)
         except FileError as err:
-            self._warn(f"history: {err}; renamed to {file.set_aside().name}, the hand starts anew")
-            return None
+            self._warn(f"history: {err}; renamed to {file.set_aside().name}")
+            history = file.read(model)  # one that was set aside before
         if history is None:
-            info(f"history: {file.path}: does not exist yet")
+            info(f"history: {file.path}: does not exist yet, the hand starts anew")
         else:
             read = history.tracker.evidence(time.time_ns())
             age = "none" if read.reading_age_s is None else f"{read.reading_age_s / 3600.0:.1f} h ago"

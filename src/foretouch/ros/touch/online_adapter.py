@@ -34,7 +34,7 @@ from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -69,7 +69,7 @@ class OnlineAdapter:
         )
         self._tare = LiveTare(settings.contact)
         self._channels = reader.others
-        self._tdc: Float64 | None = None  # of the newest reading
+        self._others: Float32 | None = None  # of the newest reading, by channel
         self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
         self._tare_refused = False
@@ -94,7 +94,7 @@ class OnlineAdapter:
                 self._tare.reset()
             for reading in accepted:
                 self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
-                self._tdc = tdc_of(dict(zip(self._channels, reading.others.tolist(), strict=True)))
+                self._others = reading.others
 
     def add_executed(self, message: ExecutedGrasp) -> None:
         """Add the robot's report of an executed grasp; grasps that failed are refused."""
@@ -147,11 +147,12 @@ class OnlineAdapter:
 
     def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchPredictorConfig) -> History | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
-        now_ns = self._now_ns()
+        now_ns, others = self._now_ns(), self._others
+        tdc = None if others is None else tdc_of(dict(zip(self._channels, others.tolist(), strict=True)))
         with self._keeper.lock:
             try:
                 if tare is not None:
-                    self._history.add_tare(now_ns, tare, tdc=self._tdc)
+                    self._history.add_tare(now_ns, tare, tdc=tdc)
             except TactileError as err:
                 if not self._tare_refused:  # not for every cloud
                     self._warn(f"tare: refused: {err}")
@@ -159,7 +160,7 @@ class OnlineAdapter:
                 return None
             self._tare_refused = False
             same = self._history.is_current(cloud, config.same_object_m)
-            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None, tdc=self._tdc)
+            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None, tdc=tdc)
         self._keeper.changed()
         return found
 

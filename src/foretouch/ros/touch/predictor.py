@@ -164,6 +164,8 @@ class Predictor:
                 found = self._on_target(model, targets[k].cloud, _posed(wanted, targets[k], config, posing), config)
             for i, outcome in zip(members, found, strict=True):
                 outcomes[i] = outcome
+        if posing is not None:
+            grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
         return TouchAnswer(header, grasps, outcomes)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
@@ -216,6 +218,13 @@ def _posed(
         except (GraspError, CloudError, RefusalError) as err:
             found.append(_refusal_of(err))
     return found
+
+
+def _as_predicted(message: GraspMsg, outcome: Prediction | Refusal) -> GraspMsg:
+    """The message of a grasp, with the pose that was computed for it."""
+    if isinstance(outcome, Refusal) or has_orientation(message):
+        return message
+    return grasp_to_msg(outcome.grasp, message.status, message.reason)
 
 
 def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:

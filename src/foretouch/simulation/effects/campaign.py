@@ -28,7 +28,9 @@ def _campaign(job: Job) -> Campaign:
 
 
 def _calendar(job: Job, state: SampleState) -> None:
-    state.campaign_time = _campaign(job).time_of(job.key.slot)
+    campaign, after = _campaign(job), job.key.slot + 1
+    repeated = job.key.repeat > 0 and campaign.config.repeats(after)
+    state.campaign_time = campaign.time_of(after if repeated else job.key.slot)
 
 
 def _exchange(job: Job, state: SampleState) -> None:
@@ -90,6 +92,7 @@ def _calendar_detail(config: CampaignConfig) -> str:
     return (
         f"{config.size} grasps in {len(config.days)} sessions over {config.days[-1]:g} days, "
         f"{config.objects} objects each, {config.grasps} grasps of each"
+        + (f", every {config.repeat_every}th repeats the one before" if config.repeat_every else "")
     )
 
 

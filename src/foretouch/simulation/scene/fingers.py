@@ -128,7 +128,7 @@ class FingersConfig(Settings):
         super().__post_init__()
         for name in ("creep", "slip", "vibration", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
-                raise ConfigError(f"FingersConfig.{name}: acts over time, but there is no timeline; give one")
+                raise ConfigError(f"{name}: acts over time, but there is no timeline; give one")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,6 +186,5 @@ class GraspsConfig(Settings):
         super().__post_init__()
         if self.balanced and self.control == "force" and self.middle is not None:
             raise ConfigError(
-                "GraspsConfig.middle: a target of its own, but balanced fingers share one force; leave it out or "
-                "set balanced: false"
+                "middle: a target of its own, but balanced fingers share one force; leave it out or set balanced: false"
             )

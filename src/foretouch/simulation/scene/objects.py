@@ -88,7 +88,7 @@ class ObjectConfig(Settings):
         super().__post_init__()
         self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
-            raise ConfigError(f"ObjectConfig.size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
+            raise ConfigError(f"size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
         if self.young_pa is None and self.thickness_m is not None:
             raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
         if self.young_pa is not None and self.thickness_m is None:
@@ -173,7 +173,7 @@ class FamilyConfig(RangedSettings):
         super().__post_init__()
         for name in ("shapes", "rests"):
             if not getattr(self, name):
-                raise ConfigError(f"FamilyConfig.{name}: there is none")
+                raise ConfigError(f"{name}: there is none")
 
 
 @dataclass(frozen=True, kw_only=True)
