@@ -14,9 +14,8 @@ def section(title: str) -> str:
 def main() -> None:
     text = [
         section("In short"),
-        "![Skill against the time of a prediction](results/tradeoff/model/ten_milliseconds.png)",
+        "![Skill against the time of a prediction](results/tradeoff/model/tradeoff.png)",
         section("Models"),
-        section("Several clouds a request, and two processes at once"),
         (ROOT / "benchmarks/transport/README.md").read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0].strip(),
         "![Latency and losses against the rate of the clouds](stamp_to_touch.png)",
     ]
