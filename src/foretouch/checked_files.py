@@ -9,6 +9,7 @@ the package opens files here.
 
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -20,7 +21,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from foretouch.errors import FileError
+from foretouch.errors import FileError, quoted, shown
 
 TEXT_LIMIT: Final = 64_000_000
 """Largest size of a JSON file [bytes]: the manifest of the largest store has a thousandth of it."""
@@ -274,6 +275,42 @@ def parse_json(text: str | bytes) -> Any:
     if (b"\\ud" if isinstance(text, bytes) else "\\ud") in text.lower():  # type: ignore[operator]
         json.dumps(document, ensure_ascii=False).encode()
     return document
+
+
+def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -> Any:
+    """Check what a file holds against a schema, and return it.
+
+    Args:
+        path: The file, for the message.
+        value: Of JSON or YAML.
+        schema: A type; a tuple of types, of which one fits; a list of one schema, for a list; or a mapping of schemas by
+            key, of which a key with `?` behind it may be absent, and others are ignored. Whole numbers are below 2^63,
+            also as `float`, which is finite; no number is `bool`.
+        field: Name of the value.
+
+    Raises:
+        FileError: Names file, field and rule.
+    """
+    if isinstance(schema, list):
+        items = require_schema(path, value, list, field)
+        return [require_schema(path, one, schema[0], f"{field}[{number}]") for number, one in enumerate(items)]
+    if isinstance(schema, Mapping):
+        found = require_schema(path, value, dict, field)
+        for key, inner in schema.items():
+            name = key.removesuffix("?")
+            where = f"{field}.{name}" if field else name
+            if name in found:
+                require_schema(path, found[name], inner, where)
+            elif name == key:
+                raise FileError(path, "is missing", field=where)
+        return found
+    types = schema if isinstance(schema, tuple) else (schema,)
+    if type(value) not in types and not (float in types and type(value) is int):
+        names = " or ".join("null" if one is type(None) else one.__name__ for one in types)
+        raise FileError(path, f"{quoted(value)} is of type {type(value).__name__}, not {names}", field=field or None)
+    if (type(value) is int and not -(2**63) <= value < 2**63) or (type(value) is float and not math.isfinite(value)):
+        raise FileError(path, f"{shown(value, 40)} is no number that can be used", field=field or None)
+    return value
 
 
 def file_sha256(path: str | Path) -> str:

@@ -17,6 +17,7 @@ from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording import RecordedDataset, is_dataset, repair_dataset, verify_dataset
+from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import build_store
@@ -205,6 +206,8 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
             store.verify()
             yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
             return
+        if is_dataset(path) and listed_sessions(Path(path)) is None:
+            warn(f"{path}: its manifest lists no sessions (foretouch 0.2.0): one that is missing is not noticed")
         for report in verify_dataset(path):
             counts = {} if report.counts is None else report.counts.to_record()
             yield {

@@ -7,29 +7,28 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 
 import struct
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
-from mcap.records import Metadata, Statistics
+from mcap.records import Metadata
 
 from foretouch.checked_files import FileBytes, open_regular
 from foretouch.dataset.record import Identity
+from foretouch.dataset.recording.chain import require_chain
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, recorded_files, session_files
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
-    IN_SUMMARY,
     MAGIC,
     Damage,
     Declarations,
     MessageCounts,
     Record,
     RecordedMessage,
+    declared_samples,
     is_finished,
     magic_damage,
-    summary_of,
     walk,
 )
 from foretouch.dataset.recording.repair import readable, salvaged
@@ -63,6 +62,8 @@ class RecordedDataset:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.files = recorded_files(self.path)
+        if self.path.is_dir():
+            require_chain(self.path)
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []
@@ -113,13 +114,7 @@ class RecordedDataset:
 
 def _check_count(path: Path, data: FileBytes, found: int) -> None:
     """Compare the samples found in a finished file with the count in its summary, which has a checksum."""
-    declared, counts = Declarations(), {}
-    for item in walk(data, *_require(path, summary_of(data)), IN_SUMMARY):
-        record = _require(path, item)
-        declared.add(record)
-        if isinstance(record.content, Statistics):
-            counts = record.content.channel_message_counts
-    count = sum(count for channel, count in counts.items() if declared.type_of(channel) == SAMPLE_TYPE)
+    count = _require(path, declared_samples(data))
     if count != found:
         raise FileError(path, f"damaged: holds {found} samples, its index declares {count}", field="samples")
 
@@ -186,8 +181,11 @@ def recorded_ids(path: Path) -> set[str]:
     for file in session_files(path):
         data = FileBytes(file)
         cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
+        found = list(_sample_messages(file, data))
+        if is_finished(data) and declared_samples(data) != len(found):  # what is declared is damaged
+            cut = len(MAGIC)
         saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
-        ids |= {_id_of(file, data, message) for message in chain(_sample_messages(file, data), saved)}
+        ids |= {_id_of(file, data, message) for message in (*found, *saved)}
     return ids
 
 

@@ -25,7 +25,7 @@ from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema,
 from mcap.writer import MCAP0_MAGIC
 
 from foretouch.checked_files import FileBytes, parse_json
-from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS
+from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPE
 from foretouch.errors import DatasetError, FileError
 
 MAGIC: Final[bytes] = MCAP0_MAGIC
@@ -178,6 +178,21 @@ def summary_of(data: FileBytes) -> tuple[int, int] | Damage:
     if data.crc32(start, at + _FOOTER.size - 4) != crc:
         return Damage(start, "damaged: the index at the end does not match its checksum")
     return start, at
+
+
+def declared_samples(data: FileBytes) -> int | Damage:
+    """The number of samples by the summary of a finished file, which has a checksum."""
+    summary = summary_of(data)
+    if isinstance(summary, Damage):
+        return summary
+    declared, counts = Declarations(), {}
+    for record in walk(data, *summary, IN_SUMMARY):
+        if isinstance(record, Damage):
+            return record
+        declared.add(record)
+        if isinstance(record.content, Statistics):
+            counts = record.content.channel_message_counts
+    return sum(count for channel, count in counts.items() if declared.type_of(channel) == SAMPLE_TYPE)
 
 
 def _content(data: FileBytes | bytes, opcode: int, start: int, end: int) -> Any:

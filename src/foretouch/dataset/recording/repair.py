@@ -10,17 +10,17 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
 from typing import Final
 
 from mcap.records import Message
 
 from foretouch.checked_files import FileBytes
-from foretouch.dataset.files import disk_errors, sync_folder
+from foretouch.dataset.files import disk_errors, free_name, sync_folder
 from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
+from foretouch.dataset.recording.edits import EDITS, forget_edits
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.records import (
@@ -73,8 +73,34 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """
     path = Path(path)
     recorded_files(path)  # refuses other folders, before a lock file is created there
-    with lock(path) if path.is_dir() else nullcontext():
-        return [_repair_file(file) for file in recorded_files(path)]
+    if not path.is_dir():
+        return [_repair_file(path)]
+    with lock(path):
+        replaced = _replaced_sessions(path)
+        added = [file for file, _ in chain_faults(path) if file.exists()]
+        reports = [*replaced, *(_repair_file(file) for file in recorded_files(path))]
+        for report in reports:
+            report.changed |= report.path in added
+        if lost := forget_edits(path):
+            reports.append(RepairReport(path / EDITS, changed=True, lost=[Damage(0, lost)]))
+        list_sessions(path)
+        return reports
+
+
+def _replaced_sessions(path: Path) -> list[RepairReport]:
+    """A report for each listed session that is missing, or whose file is that of another, which is renamed."""
+    listed = {path / one.file for one in listed_sessions(path) or []}
+    reports = []
+    for file, rule in chain_faults(path):
+        report = RepairReport(file, changed=True, lost=[Damage(0, rule)])
+        if file.exists():
+            if file not in listed or not verify_file(file).clean:
+                continue  # it was added, or is damaged and what remains is saved
+            report.original = free_name(file, "before-repair")
+            with disk_errors(file, "cannot be renamed"):
+                file.rename(report.original)
+        reports.append(report)
+    return reports
 
 
 def _repair_file(path: Path) -> RepairReport:
@@ -101,8 +127,7 @@ def _repair_file(path: Path) -> RepairReport:
 
 def _replace(path: Path, repaired: Path) -> Path:
     """Replace the original by the repaired file; the original gets its second name before it loses the first."""
-    names = (f"{path.name}.before-repair{'' if number == 1 else f'-{number}'}" for number in count(1))
-    kept = next(path.with_name(name) for name in names if not path.with_name(name).exists())
+    kept = free_name(path, "before-repair")
     with disk_errors(path, "cannot be replaced"):
         try:
             os.link(path, kept)
@@ -125,8 +150,8 @@ class _Repair:
         self._pending: list[Message] = []
         self._written: Counter[str] = Counter()
         try:
+            file.write_metadata(ABOUT, {**declared.about, REPAIRED: LIBRARY})
             self._declare()
-            file.write_metadata(ABOUT, {**declared.about, "repaired_by": LIBRARY})
             for item in salvaged(data):
                 if isinstance(item, Damage):
                     report.lost.append(item)

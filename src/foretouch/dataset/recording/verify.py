@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Header, Statistics
 
 from foretouch.checked_files import FileBytes
+from foretouch.dataset.recording.chain import chain_faults
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files
 from foretouch.dataset.recording.records import (
@@ -66,7 +67,8 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     """Verify the manifest, the log of edits and every recording of a dataset, or a single recording.
 
     Returns:
-        One report a file; an id that two samples share is a fault of the later file.
+        One report a file; an id that two samples share is a fault of the later file, and a file that is missing or not
+        the one that the manifest lists has a fault.
 
     Raises:
         FileError: If there is no recorded dataset, or its manifest or log is damaged or of another version.
@@ -82,6 +84,11 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
             if sample_id in owners:
                 report.faults.append(Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
             owners.setdefault(sample_id, report.path)
+    by_file = {report.path: report for report in reports}
+    for file, rule in chain_faults(path) if path.is_dir() else ():
+        if file not in by_file:
+            reports.append(by_file.setdefault(file, FileReport(file, finished=True)))
+        by_file[file].faults.append(Damage(0, rule))
     return reports
 
 

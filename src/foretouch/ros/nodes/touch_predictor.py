@@ -146,8 +146,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
-        """Why the model could not be loaded."""
-        return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
+        """Why the model could not be loaded, too."""
+        fault = (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
+        return (*fault, *super().errors())
 
     def notes(self) -> dict[str, str]:
         """The model's name and hash, and the state of online adaptation too."""
