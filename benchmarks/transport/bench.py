@@ -170,11 +170,7 @@ def check(bench: Bench, clouds: Sequence[Cloud], messages: Sequence[Any]) -> Non
 
 
 def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int]) -> tuple[Any, Any, float]:
-    """Times of each answered cloud by stage and in total, and its processor time in the core functions.
-
-    Returns:
-        (N, 8) float64 of the stages, (N,) float64 from stamp to reception, and the sum of the medians of the nodes [ms].
-    """
+    """(N, 8) times of answered clouds by stage, (N,) from stamp to reception; sum of the nodes' median CPU times [ms]."""
     by_key = {(row["node"], row["stamp_ns"]): row for row in trace}
     rows, totals, cpu = [], [], []
     for stamp in stamps:
