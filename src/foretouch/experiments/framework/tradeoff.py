@@ -34,6 +34,7 @@ from foretouch.timing import MachineLoad, cpu_name, time_calls
 _PREFIX: Final = "tradeoff_"
 _COMPARED: Final = 10  # size of the requests whose answers are compared, or the next smaller one
 _TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
+_HOT: Final = "hot_cpu_ms"  # median processor time in a loop without pauses, where there are pauses
 _HOT_SHARE: Final = 0.2  # of the time of all timings, for calls without a pause
 
 Answer = npt.NDArray[np.floating]
@@ -229,9 +230,13 @@ def _time_variants(
         times = time_calls(calls, requests, share * settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
-    found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}
-    for key, loop in hot.items():
-        found[key]["hot_cpu_ms"] = 1e3 * float(np.median(loop[:, 1]))
+    found = {
+        key: {
+            **_quantiles(calls, ready[key[0]].whole),
+            _HOT: 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None,
+        }
+        for key, calls in times.items()
+    }
     for variant in variants:
         other, reference = variant.compared_with or area.shipped, variant.reference or area.reference
         facts = {
@@ -251,7 +256,7 @@ def _time_variants(
                     {"request": request, "calls": len(times[variant.name, request]), **own, "ratio": ratio, **facts},
                 )
         if variant.name in skipped:
-            yield variant, {**dict.fromkeys(("request", "calls", *_TIMES, "ratio")), **facts}
+            yield variant, {**dict.fromkeys(("request", "calls", *_TIMES, _HOT, "ratio")), **facts}
 
 
 def _quantiles(times: npt.NDArray[np.float64], whole: float) -> Row:
