@@ -184,7 +184,10 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
     column, skill = time_column(rows), panel.skill
     skilled, line = known(rows, skill), frontier(rows, skill)
     skills = [row[skill] for row in skilled]
-    low, high = line[0][skill], line[-1][skill]
+    named = sorted(
+        (row for row in skilled if row in line or row["factor"] == "shipped"), key=lambda row: float(row[skill])
+    )
+    low, high = named[0][skill], max(skills)
     span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
     floor = low - _LOWEST * span
     axes.step([row[column] for row in line], [row[skill] for row in line], where="post", color="black", linewidth=1)
