@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from every_case import every_case
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros import executables
@@ -29,6 +30,17 @@ def test_one_table_lists_the_executables_of_the_package_and_of_setup():
         assert (entry_point.func, entry_point.args) == (executables.run, nodes)
     with pytest.raises(AttributeError, match="no attribute 'toaster'"):
         executables.toaster  # noqa: B018
+
+
+def test_each_executable_answers_help_and_refuses_what_is_not_for_ros(capsys):
+    def check(name):
+        for word, status, text in (("--help", 0, "--params-file FILE"), ("--nonsense", 2, "arguments: --nonsense")):
+            with pytest.raises(SystemExit) as ended:
+                getattr(executables, name)(args=["x", word, "--ros-args", "-p", "a:=1"])
+            printed = " ".join("".join(capsys.readouterr()).split())
+            assert (ended.value.code, text in printed, f"usage: foretouch_{name}" in printed) == (status, True, True)
+
+    every_case([(name,) for name in executables.EXECUTABLES], check)
 
 
 @pytest.mark.slow
@@ -70,11 +82,12 @@ def test_namespace_and_topics_can_be_remapped_and_an_unknown_parameter_is_a_warn
 @pytest.mark.slow
 def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
     for name, parameter, message in (
-        ("segmentation", "target.mode:=prettiest", "foretouch: mode: 'prettiest' is none of nearest"),
+        ("segmentation", "--nonsense", "foretouch: ROS arguments: unknown: ['--nonsense']"),
+        ("segmentation", "target.mode:=prettiest", "foretouch: target.mode: 'prettiest' is none of nearest"),
         ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
         ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
     ):
-        process = lone_graph.start(name, "-p", parameter)
+        process = lone_graph.start(name, *(("-p", parameter) if ":=" in parameter else (parameter,)))
         _, stderr = process.communicate(timeout=30)
         assert process.returncode == 1
         (line,) = stderr.strip().splitlines()

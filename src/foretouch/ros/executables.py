@@ -7,6 +7,7 @@ nodes of `perception` work one at a time, and a cloud goes through all their ste
 the interpreter's lock. With the parameter `direct` unset they also may (see `runtime.workers`).
 """
 
+import argparse
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -55,9 +56,11 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
     """
+    arguments = list(sys.argv if args is None else args)
+    _parser(names).parse_args(arguments[1:])
     raise_interrupts()
     try:
-        return _serve(names, list(sys.argv if args is None else args))
+        return _serve(names, arguments)
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
@@ -65,6 +68,20 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         return 0
     finally:
         end_at_once()
+
+
+def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
+    """Refuses what is not for ROS, with exit status 2, and answers `--help`."""
+    program = next((name for name, nodes in EXECUTABLES.items() if nodes == tuple(names)), "nodes")
+    parser = argparse.ArgumentParser(
+        f"foretouch_{program}",
+        description=f"Run {', '.join(names)} until Ctrl-C. Parameters: docs/reference/parameters.md, or `ros2 param list`.",
+        epilog=f"example: foretouch_{program} --ros-args -r __ns:=/left --params-file left.yaml",
+        allow_abbrev=False,
+    )
+    options = "-p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE, -r TOPIC:=OTHER, --log-level LEVEL"
+    parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], metavar="…", help=options)
+    return parser
 
 
 def _serve(names: Sequence[str], arguments: list[str]) -> int:

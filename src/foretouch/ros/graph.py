@@ -95,6 +95,11 @@ class Graph:
         """The replay, if it is one of the nodes."""
         return cast("ReplayNode | None", self.nodes.get("replay"))
 
+    def default(self, node: str, **values: Any) -> None:
+        """Set parameters of a node which neither its options nor the parameter file have set."""
+        given = getattr(self.nodes[node], "_parameter_overrides", {})
+        self.nodes[node].set_parameters([*_parameters({k: v for k, v in values.items() if k not in given})])
+
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
         while True:

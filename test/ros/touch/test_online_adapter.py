@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Online adaptation: readings move the predictions as they move those of the core, without DDS and over it."""
 
+import io
 import time
 from types import SimpleNamespace
 
@@ -8,17 +9,21 @@ import numpy as np
 import pytest
 from calibrated_models import REST as TOUCH_REST
 from calibrated_models import make_tracked_calibration, save_calibrated_network
+from diagnostic_msgs.msg import DiagnosticStatus
 from pair_builders import REST, level
+from rich.console import Console
 from robot_builders import FRAME, MS, QUICK, Robot
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
@@ -379,4 +384,10 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
     (node,) = graph.add("touch_predictor", model=model_card)
     assert graph.probe.count_subscribers("/rh/tactile") == 0
     assert "no calibration" in node.notes()["regime"]
+    reports, monitor = graph.reports("touch_predictor"), MonitorNode()
+    graph.serve(monitor)
+    text = "model small gives no intervals and does not adapt to readings: "
+    graph.until(lambda: reports and reports[-1].level == DiagnosticStatus.WARN and text in reports[-1].message)
+    console = Console(file=io.StringIO(), width=200)
+    graph.until(lambda: console.print(live_panel(monitor.view(), "")) or text in console.file.getvalue())
     assert graph.call(Trigger, "forget_touches").message == "0 touches forgotten"

@@ -58,15 +58,16 @@ def start_rclpy(arguments: Sequence[str]) -> None:
         if option == "--params-file":
             _check_parameter_file(path)
     import rclpy
-    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
 
     with uninterrupted():
         try:
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        except (RCLError, ValueError) as err:
+        except (RCLError, ValueError, UnknownROSArgsError) as err:
             rclpy.try_shutdown()
-            raise ConfigError(f"ROS arguments: {' '.join(str(err).split())}") from err
+            rule = "unknown: " if isinstance(err, UnknownROSArgsError) else ""
+            raise ConfigError(f"ROS arguments: {rule}{' '.join(str(err).split())}") from err
 
 
 def _check_parameter_file(path: str) -> None:
