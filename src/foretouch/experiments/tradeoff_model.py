@@ -509,11 +509,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     skills = [split for split in ("time", "object") if split in rows[0]]
     served = dict.fromkeys(row["variant"] for row in rows if row["factor"] in _SERVED)
     body = [
-        [
-            name,
-            *("–" if row[one] is None else interval(row, one) for one in skills),
-            *(cell(name, count) for count in requests),
-        ]
+        [name, *(interval(row, one) or "–" for one in skills), *(cell(name, count) for count in requests)]
         for name in (*_SHOWN, *served)
         if (row := found.get((name, requests[0]))) is not None
     ]
@@ -523,7 +519,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         *(f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests),
     ]
     kinds = "p50, p95, p99 of the wall time" if wall else "medians of the processor time"
-    note = f"Times: {kinds} after a pause of 20 ms; in brackets the processor time in a loop without pauses."
+    note = f"Times: {kinds}; in brackets the processor time in a loop without the pause before each call."
     return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]
 
 
