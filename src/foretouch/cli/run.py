@@ -52,7 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_replay_arguments(parser, "recorded times; files one by one; scenes at 5")
     parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
     add_options(parser, "--model", "--params")
-    parser.add_argument("--picture", metavar="PNG", help="save a picture of the last prediction")
+    parser.add_argument(
+        "--picture",
+        metavar="PNG",
+        help="save a picture of the last predictions, and of what the simulated hand then read",
+    )
     parser.add_argument(
         "--serve",
         type=_address,
@@ -296,17 +300,17 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    prediction, readings = prediction_from_msg(found.prediction), found.readings
+    message, readings = found.prediction, found.readings
+    prediction = prediction_from_msg(message)
     title = f"object {found.target.id}"
     if prediction.value is not None:
         knows = "does not know (unfamiliar)" if "unfamiliar" in prediction.flags else "knows"
-        by = f"{found.prediction.model} ({reference_text(found.prediction)})"
         others = [flag for flag in prediction.flags if flag != "unfamiliar"]
-        title = ", ".join([f"{title}, of a kind that the model {knows}; predicted by {by}", *others])
+        when = "" if readings is None else f"{'after' if message.touches else 'before the first touch:'} "
+        based = f"predicted by {message.model} {when}{reference_text(message)}"
+        title = ", ".join([f"An object that the model {knows}", based, *others])
     drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
-    if readings is None:
-        return drawn
-    return replace(drawn, rest=readings.tare, read=readings.touch, title=f"{title}; readings of the simulated hand")
+    return drawn if readings is None else replace(drawn, rest=readings.tare, read=readings.touch)
 
 
 class _Printer:

@@ -122,6 +122,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         "made_by": f"foretouch {__version__} simulate",
         "scene": scene.to_mapping(),
         "scene_sha256": scene.sha256(),
+        "scene_file": str(arguments.scene),
     }
     shown: list[GraspSample] = []
     start = time.perf_counter()
