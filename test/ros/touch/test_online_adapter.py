@@ -2,6 +2,8 @@
 """Online adaptation: readings move the predictions as they move those of the core, without DDS and over it."""
 
 import io
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -392,3 +394,11 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
     console = Console(file=io.StringIO(), width=200)
     graph.until(lambda: console.print(live_panel(monitor.view(), "")) or text in console.file.getvalue())
     assert graph.call(Trigger, "forget_touches").message == "0 touches forgotten"
+    for words, status, text in (
+        (("touches",), 0, "0 touches forgotten\n"),
+        (("history", "--wait", "0.2", "--namespace", "/no"), 1, ""),
+    ):
+        command = [sys.executable, "-m", "foretouch", "forget", *words]
+        done = subprocess.run(command, env=graph.environment(), capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stdout) == (status, text), done.stderr
+    assert done.stderr == "foretouch: /no/forget_history: no such service within 0.2 s: is the graph running?\n"
