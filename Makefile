@@ -1,4 +1,4 @@
-# Everything for everyone: make setup, make demo, make test, make check, make test-portable, make coverage, make bench, make docs. Each can be repeated and reuses what stands.
+# Everything for everyone: make setup, make demo, make test, make check, make test-portable, make coverage, make bench, make docs, make reference. Each can be repeated and reuses what stands.
 # ROS=jazzy runs it on ROS 2 Jazzy, in an environment of its own.
 PYTHON ?= python3
 ROS ?= kilted
@@ -18,7 +18,7 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup runtime demo test test-portable test-ros check coverage bench docs format clean
+.PHONY: setup runtime demo test test-portable test-ros check coverage bench docs reference format clean
 
 # What a robot needs, for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
@@ -76,6 +76,10 @@ docs: runtime
 	@$(PIP) install $(CONSTRAINTS) -e '.[docs]'
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/docs
 	@echo "docs: open build/docs/index.html"
+
+# The reference pages of docs, from the code; a test compares them.
+reference: setup
+	$(BIN)/python docs/_ext/reference_pages.py
 
 format: setup
 	$(BIN)/ruff format .

@@ -17,7 +17,7 @@ from launch import LaunchContext
 SHARE = FindPackageShare("foretouch")
 _ARGUMENTS = {  # default and description
     "namespace": ("/foretouch", "Namespace of all nodes"),
-    "model": ("default", "Name of a model, or path of its card, weights or run folder"),
+    "model": ("default", "Name of a model, or path of its card, weights or model folder"),
     "params_file": ("", "ROS parameter file (YAML) for any of the nodes"),
     "rviz": ("false", "Whether to start RViz"),
 }

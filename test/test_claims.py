@@ -47,12 +47,6 @@ def ends(values: Iterable[float], decimals: int = 1) -> str:
     return f"{min(values):.{decimals}f} to {max(values):.{decimals}f}"
 
 
-def times(variant: str, *requests: int) -> list[str]:
-    """Processor times of a model for some numbers of grasps, in the comparison of models [ms]."""
-    found = [float(rows("tradeoff/model/tradeoff.csv", variant=variant, request=n)[0]["cpu_ms"]) for n in requests]
-    return [f"{one:.1f}" if one < 10.0 else f"{one:.0f}" for one in found]
-
-
 def card(name: str) -> dict[str, Any]:
     return json.loads((ROOT / f"src/foretouch/models/weights/{name}.json").read_text())
 
@@ -92,14 +86,59 @@ KNOWN = {
     "history, temperature and touches": ("history + touches + temperature", "training_mean"),
     "the same with vision": ("history + touches + temperature", "contact"),
 }
-"""Rows of the README's table, with what is known besides vision and the predictor."""
+"""Rows of the table of what each source buys, with what is known besides vision and the predictor."""
+
+WITH_VISION = {
+    "nothing": "nothing",
+    "the time": "time",
+    "history of the hand and temperature": "history + temperature",
+    "touches of this object": "touches",
+    "history, temperature and touches": "history + touches + temperature",
+}
+"""Rows of the README's table of the first three grasps, with what is known besides vision."""
 
 
-def known(sources: str, vision: str) -> list[str]:
-    """Skills of the electrodes in the regimes of the README's table."""
-    regimes, electrodes = ("never touched", "first three", "later"), ("E_TH", "E_MF")
+def known(sources: str, vision: str, *regimes: str) -> list[str]:
+    """Skills of the electrodes by regime."""
     wanted = {"sources": sources, "vision": vision}
-    return [one for regime in regimes for one in skills("prequential/results.csv", electrodes, regime=regime, **wanted)]
+    return [
+        one
+        for regime in regimes
+        for one in skills("prequential/results.csv", ("E_TH", "E_MF"), regime=regime, **wanted)
+    ]
+
+
+def with_vision(sources: str) -> list[str]:
+    """Skills of the electrodes in the first three grasps, without and with vision, and whether they differ."""
+    table = rows("prequential/results.csv", sources=sources, vision="contact", regime="first three")
+    verdicts = {row["modality"]: row["vs_constant_verdict"] for row in table}
+    words = {"tie": "no", "better": "better by less than .01"}
+    thumb, middle = (words[verdicts[name]] for name in ("E_TH", "E_MF"))
+    skills = [one for vision in ("training_mean", "contact") for one in known(sources, vision, "first three")]
+    return [*skills, thumb if thumb == middle else f"{thumb} / {middle}"]
+
+
+def pooled(experiment: str, predictor: str, **wanted: Any) -> dict[str, str]:
+    """The row of the mean of all modalities."""
+    (row,) = rows(f"{experiment}/results.csv", predictor=predictor, modality="mean", **wanted)
+    return row
+
+
+def against_trees(experiment: str) -> list[str]:
+    """Mean skills of the default model and of the trees, which are the best baseline and do not differ from it."""
+    table = rows(f"{experiment}/results.csv", modality="mean")
+    baselines = [row for row in table if row["predictor"] not in {"contact", "touchnet_v1"}]
+    assert max(baselines, key=lambda row: float(row["skill"]))["predictor"] == "geometry_trees"
+    model = pooled(experiment, "contact")
+    assert model["vs_geometry_trees_verdict"] == "tie"
+    return [short(float(row["skill"])) for row in (model, pooled(experiment, "geometry_trees"))]
+
+
+def against_the_clock() -> list[str]:
+    """Mean skills on objects that were never touched; the clock is better than the mean and the model is not."""
+    clock, model = (pooled("unseen_object", name, touches=0) for name in ("clock", "contact"))
+    assert (clock["vs_training_mean_verdict"], model["vs_training_mean_verdict"]) == ("better", "tie")
+    return [f"{float(row['skill']):.2f}".lstrip("0") for row in (model, clock)]
 
 
 def verdicts_of_vision() -> list[str]:
@@ -111,18 +150,28 @@ def verdicts_of_vision() -> list[str]:
 
 CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
     "README.md": [
+        *((rf"\| {text}[^|]* \| {{}} / {{}} \| {{}} / {{}} \| {{}} \|", lambda sources=sources: with_vision(sources)) for text, sources in WITH_VISION.items()),
+        (r"\| other grasps of the same sessions \| {} \| {}, trees on geometric features \| no; in the electrodes it is worse \|", lambda: against_trees("cross_validation")),
+        (r"\| earlier or later grasps of the same objects \| {} \| {}, the same \| no \|", lambda: against_trees("time_blocked")),
+        (r"\| objects that it never saw \| {} \| {}, a clock \| the clock is better than the mean, `contact-v2` is not \|", against_the_clock),
+    ],
+    "docs/models.md": [
         *(
-            (rf"\| `{name}`[^|]* \| {{}} \| {{}} \| {{}} \| {{}} ms \| {{}} ms \|", lambda name=name: [*card_skills(name), *times(name, 1, 100)])
-            for name in sorted(available_models())
+            (rf"\| `{name}`[^|]* \| {{}} \| {{}} \| {{}} \|", lambda name=name: card_skills(name))
+            for name in ("contact-v2", "touchnet-v1")
         ),
-        ("in which the four separate networks of the papers took {} ms for one grasp", lambda: times("papers' four networks", 1)),
-        ("without a touch, no model differs significantly from the mean of the labels", no_model_is_better_than_the_mean),
+        ("without a touch, no model differs significantly from the mean of the training readings", no_model_is_better_than_the_mean),
         (
             "a clock alone has {} {} {} {} there",
             lambda: skills("unseen_object/results.csv", touches=0, predictor="clock"),
         ),
-        *((rf"\\| [^|]*{text}[^|]* \\| {{}} / {{}} \\| {{}} / {{}} \\| {{}} / {{}} \\|", lambda key=key: known(*key)) for text, key in KNOWN.items()),
-        ("Of 160 comparisons with and without vision, vision is significantly better in {} \\(by less than .01\\) and worse in {}", verdicts_of_vision),
+    ],
+    "docs/results/README.md": [
+        *(
+            (rf"\| [^|]*{text}[^|]* \| {{}} / {{}} \| {{}} / {{}} \| {{}} / {{}} \|", lambda key=key: known(*key, "never touched", "first three", "later"))
+            for text, key in KNOWN.items()
+        ),
+        ("Of 160 comparisons it is significantly better in {}, by less than .01, and worse in {}", verdicts_of_vision),
     ],
     "docs/papers.md": [
         (

@@ -56,6 +56,44 @@ def test_refusals_name_field_value_and_rule() -> None:
 class Scene(Settings):
     items: tuple[Inner, ...] = ()
     light: Inner | None = None
+    sun: Inner = Inner()
+    limit: int | None = setting(None, "How many")
+
+
+def test_a_group_is_on_with_braces_off_with_null_and_refused_with_nothing_after_its_colon(tmp_path) -> None:
+    path = tmp_path / "scene.yaml"
+
+    def read(text: str) -> Scene:
+        path.write_text(text)
+        return Scene.from_mapping(load_yaml(path), "scene.yaml")
+
+    assert read("light: {}").light == Inner()
+    assert read("light: null") == read("light: ~") == read("{}") == Scene()
+    assert Scene.from_mapping(Scene().to_mapping()) == Scene()  # as stored, with null
+    cases = (
+        (r"scene\.yaml: light: is empty; write {} for a group with its defaults, null for none", "light:"),
+        (r"light: is empty", "{light: }"),
+        (r"items\[1\]\.range_m: is empty", "items: [{}, {range_m: }]"),
+        (r"limit: is empty", "limit: # none yet"),
+        (r"sun: null is not a group of settings; {} is one", "sun: null"),
+        (r"items\[0\]: .* is not a group", "items:\n-\n"),
+        (r"items: is empty", "items:"),
+    )
+    every_refusal(ConfigError, cases, read)
+    for text in ("light=", "light= "):
+        with pytest.raises(ConfigError, match="--set: light: is empty"):
+            Scene().updated(parse_overrides([text]), "--set")
+    assert Scene(light=Inner()).updated(parse_overrides(["light=null"]), "--set") == Scene()
+
+
+def test_an_unknown_setting_is_refused_with_the_nearest_of_any_group() -> None:
+    cases = (
+        ("lihgt: unknown setting; known: items, light, sun, limit; did you mean light", {"lihgt": 3}),
+        ("mode: unknown setting; .*; did you mean sun.mode", {"mode": 3}),
+        (r"sun.mode: 'fra' is none of near, far; did you mean far\?", {"sun.mode": "fra"}),
+        ("xyz: unknown setting; known: items, light, sun, limit$", {"xyz": 3}),
+    )
+    every_refusal(ConfigError, cases, Scene.from_mapping)
 
 
 def test_lists_of_groups_absent_groups_and_a_field_without_setting() -> None:
@@ -64,7 +102,7 @@ def test_lists_of_groups_absent_groups_and_a_field_without_setting() -> None:
     assert made.light is None
     assert Scene.from_mapping(made.to_mapping()) == made
     assert Scene.from_mapping({"light": {}}).light == Inner()
-    assert setting_infos(Scene) == []
+    assert [info.name for info in setting_infos(Scene)] == ["sun.range_m", "sun.mode", "limit"]
 
     cases = [
         ("items: .* is not a list", {"items": {"range_m": 1}}),

@@ -17,6 +17,8 @@ from every_case import every_case
 
 from foretouch.cli.main import COMMANDS
 from foretouch.config import setting_infos
+from foretouch.simulation.objects import SHAPES
+from foretouch.simulation.scene.objects import MESH
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -34,22 +36,29 @@ def reference() -> Iterator[ModuleType]:
     sys.path.remove(str(DOCS / "_ext"))
 
 
-def anchors(page: Path, reference: ModuleType) -> set[str]:
-    """Anchors of the headings of a page, as GitHub and MyST make them, and of its generated nodes and messages."""
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as GitHub and MyST make them."""
     text = page.read_text(encoding="utf-8")
     titles = re.findall(r"^#+ (.*)$", FENCED.sub("", text), re.MULTILINE)
-    found = {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
-    generated = re.findall(r"^```\{generated\} (\w+)$", text, re.MULTILINE)
-    if "parameters" in generated:
-        found |= set(reference.node_configs())
-    if "messages" in generated:
-        found |= {one.name.lower() for kind in ("msg", "srv", "action") for one in reference.interfaces(kind)}
-    return found
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-def test_links_lead_to_files_and_headings(reference) -> None:
+@pytest.mark.ros
+def test_reference_pages_are_those_of_the_code() -> None:
+    """If not: make reference."""
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
+    done = run_python(
+        "import sys, reference_pages as r; sys.argv += ['--check']; sys.exit(r.main())", cwd=DOCS / "_ext"
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {"commands", "messages", "parameters", "settings", "topics"} <= {page.stem for page in reference_pages()}
 
+
+def reference_pages() -> list[Path]:
+    return [page for page in DOCS.rglob("*.md") if "<!-- generated" in page.read_text(encoding="utf-8")]
+
+
+def test_links_lead_to_files_and_headings() -> None:
     def check(page: Path) -> None:
         broken = []
         for match in LINK.finditer(FENCED.sub("", page.read_text(encoding="utf-8"))):
@@ -57,7 +66,7 @@ def test_links_lead_to_files_and_headings(reference) -> None:
                 continue  # of the web
             target = page.parent / match["target"] if match["target"] else page
             in_page = match["anchor"] and target.suffix == ".md"
-            if not target.exists() or (in_page and match["anchor"] not in anchors(target, reference)):
+            if not target.exists() or (in_page and match["anchor"] not in anchors(target)):
                 broken.append(match[0])
         assert not broken, broken
 
@@ -78,7 +87,7 @@ def test_no_retired_word_is_used() -> None:
     pairs = (line.split("|") for line in lines if line.strip() and not line.startswith("#"))
     words = {word.strip(): term.strip() for word, term in pairs}
     pattern = re.compile(rf"\b({'|'.join(map(re.escape, sorted(words, key=len, reverse=True)))})\b")
-    pages = [path for path in MARKDOWN if not {"results", "benchmarks"} & set(path.parts)]
+    pages = [path for path in MARKDOWN if not {"results", "benchmarks", "reference"} & set(path.parts)]
     sources = [path for name in ("src", "launch", "examples", "docs/_ext") for path in (ROOT / name).rglob("*.py")]
     found = [
         f"{path.relative_to(ROOT)}:{number}: {match[1]!r} is retired; use {words[match[1]]!r}"
@@ -87,6 +96,46 @@ def test_no_retired_word_is_used() -> None:
         for match in pattern.finditer(KEY.sub('""', line))
     ]
     assert found == [], "\n".join(found)
+
+
+RETIRED_IN_DOCUMENTS = {
+    "run folder": "model folder",
+    "training labels": "training readings",
+    "mean of the labels": "mean of the training readings",
+    "label of the object": "object name",
+    "label ratio": "training fraction",
+    "scene cloud": "cloud",
+    "calibration file": "hand-eye calibration",
+}
+
+
+def glossary() -> list[str]:
+    return re.findall(r"^\| \*\*(.+?)\*\* \|", (DOCS / "glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_one_word_is_used_for_one_thing() -> None:
+    assert len(glossary()) == 20
+    pages = [ROOT / "README.md", *DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md"), DOCS / "results" / "README.md"]
+
+    def check(page: Path) -> None:
+        text = " ".join(page.read_text(encoding="utf-8").split())
+        found = {word: instead for word, instead in RETIRED_IN_DOCUMENTS.items() if word in text.lower()}
+        assert not found, f"one word for one thing (docs/glossary.md): {found}"
+
+    every_case({page.name: page for page in pages if page.stem not in THEIR_OWN_WORDS}, check)
+
+
+THEIR_OWN_WORDS = {"papers", "accuracy_vs_time", "all_results"}
+"""Pages that quote the papers, or tables with names of their own."""
+
+
+def test_data_collectors_meet_few_concepts() -> None:
+    text = FENCED.sub("", (DOCS / "tutorials" / "collector.md").read_text(encoding="utf-8")).lower()
+    text = LINK.sub("", text).replace("are run in", "")  # targets of links; a verb
+    singular = {name: name.removesuffix("s") for name in glossary()}
+    met = [name for name, word in singular.items() if re.search(rf"\b{re.escape(word)}(s|es)?\b", text)]
+    assert {"readings", "tare", "sample"} <= set(met)
+    assert len(met) <= 12, met
 
 
 def test_every_field_of_every_interface_is_listed_with_its_comment(reference) -> None:
@@ -180,17 +229,27 @@ def test_lists_of_groups_and_optional_groups_are_listed(reference) -> None:
     assert reference.cell("a | b\n<c> *d*") == "a \\| b &lt;c> \\*d\\*", "a cell is one line and breaks no table"
 
 
+def test_the_page_of_scenes_has_the_example_every_shape_and_every_field(reference) -> None:
+    page = (DOCS / "scenes.md").read_text(encoding="utf-8")
+    example = (ROOT / "examples" / "data" / "objects.yaml").read_text(encoding="utf-8").partition("\n")[2]
+    assert f"```yaml\n{example}```" in page
+    assert len(example.splitlines()) == 15
+    assert all(f"| `{shape}` |" in page for shape in (*SHAPES, MESH))
+    assert all(
+        f"| `{field}` |" in page for field in ("seed", "families[].count", "objects[].pose.rest", "fingers.dead.thumb")
+    )
+
+
 def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> None:
     from recording_builders import write_dataset
 
-    from foretouch.cloud import write_cloud
     from foretouch.pipeline import Pipeline
     from foretouch.simulation import random_scene
 
     scene = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render().cloud()
-    write_cloud(tmp_path / "scene.npz", scene)
     write_dataset(tmp_path / "session", 4, points=100)
-    (tmp_path / "config").symlink_to(ROOT / "config")
+    for name in ("config", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
     target = Pipeline().run(scene).targets[0]
     given = {"cloud": target.target.cloud, "plane": target.target.plane, "grasps": target.plan.grasps, "tare": None}

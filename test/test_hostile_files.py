@@ -256,7 +256,7 @@ def tensor_file(path: Path, dtype: str, shape: list[int], size: int, **extra: An
 
 
 def test_weights_of_an_unsupported_type_damaged_or_no_regular_file_are_refused(tmp_path: Path) -> None:
-    from safetensors.torch import load_file
+    from safetensors.torch import load
 
     path = tmp_path / "weights.safetensors"
 
@@ -266,7 +266,7 @@ def test_weights_of_an_unsupported_type_damaged_or_no_regular_file_are_refused(t
     for dtype in ("BF16", "F8_E4M3", "F8_E5M2", "F4", "U1", "X"):
         check(dtype, tensor_file(path, dtype, [4], 8 if dtype == "BF16" else 4))
         if dtype in ("F4", "U1", "X"):  # torch reads the others; the architecture's type is compared afterwards
-            check(dtype, tensor_file(path, dtype, [4], 4), load_file)
+            check(dtype, tensor_file(path, dtype, [4], 4), load)
     for head in (b"", b"\xff" * 8, struct.pack("<Q", 2**40), struct.pack("<Q", 6) + b'{"x":1'):
         path.write_bytes(head)
         check("damaged", file_sha256(path))

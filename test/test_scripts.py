@@ -4,9 +4,15 @@
 import ast
 import importlib
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 from every_case import every_case
+
+from foretouch.cloud import read_cloud
+from foretouch.simulation.scene import load_scene
 
 ROOT = Path(__file__).parents[1]
 OPTIONAL = {"pyrealsense2", "rclpy", "sensor_msgs", "foretouch_msgs", "std_msgs", "geometry_msgs"}  # extras
@@ -30,3 +36,16 @@ def check(script: Path) -> None:
 def test_what_scripts_import_is_there() -> None:
     assert len(SCRIPTS) > 20
     every_case({str(path.relative_to(ROOT)): path for path in SCRIPTS}, check)
+
+
+def test_the_clouds_beside_the_examples_are_those_of_their_scene(tmp_path) -> None:
+    data = ROOT / "examples" / "data"
+    run_script = [sys.executable, ROOT / "examples" / "make_clouds.py", data / "table.yaml", tmp_path]
+    subprocess.run(run_script, check=True, capture_output=True, timeout=120)
+    for name in ("table.npz", "can.ply"):
+        committed, made = read_cloud(data / name), read_cloud(tmp_path / name)
+        np.testing.assert_allclose(committed.xyz, made.xyz, atol=1e-5)  # clouds are float32, the camera's step is 1 mm
+        assert committed.frame_id == made.frame_id
+    assert sum(path.stat().st_size for path in data.iterdir()) < 2e6
+    for path in data.glob("*.yaml"):
+        load_scene(path)

@@ -45,6 +45,6 @@ def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_pa
 
 def test_names_of_models_are_names_of_files() -> None:
     names = ("../x", "a/b", ".x", "..", "a\nb", "a\x1b[2J", "a b", "x" * 101, "é")
-    cases = [("RunConfig.name: .* is not 1 to 100 letters", {"name": name}) for name in names]
+    cases = [("name: .* is not 1 to 100 letters", {"name": name}) for name in names]
     every_refusal(ConfigError, cases, RunConfig.from_mapping)
     assert RunConfig(name="grasp-v2.1_b").name == "grasp-v2.1_b"

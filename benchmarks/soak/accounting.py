@@ -12,7 +12,9 @@ STAGES = (("segmentation", ("object_cloud", "table")), ("grasp", ("grasps",)), (
 
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before
 MATCHED_S = 1.0  # an active node is found by its publishers within this time
-COUNTED_S = 20.0  # a drop is counted this long after the cloud at most: `unpaired` waits for other clouds
+COUNTED_S = (
+    20.0  # a drop is counted this long after the cloud at most: one that waits for what belongs to it is given up
+)
 
 
 @dataclass(frozen=True)

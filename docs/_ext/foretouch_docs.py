@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphinx extension: inserts what `reference_pages` makes, and leads links to files outside of the site to the repository.
-
-A page asks for generated text with a fenced block, whose content is what a reader of the file itself sees::
-
-    ```{generated} messages
-    Made from foretouch_msgs when the site is built.
-    ```
-"""
+"""Sphinx extension: leads links to files outside of the site to the repository, and describes the fields of dataclasses."""
 
 import dataclasses
 import inspect
@@ -14,14 +7,12 @@ import re
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from reference_pages import GENERATORS
 from sphinx.application import Sphinx
 from sphinx.util.typing import stringify_annotation
 
 from foretouch.config import Settings
 
 REPOSITORY = "https://github.com/foretouch/foretouch"
-GENERATED = re.compile(r"^```\{generated\} (\w+)\n.*?^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(
     r"(?<!!)\[(?P<text>(?:[^\[\]]|!?\[[^\]]*\]\([^)]*\))*)\]\((?P<target>[^)\s#:]+)(?P<anchor>#[^)\s]*)?\)"
 )
@@ -44,14 +35,7 @@ def outward(text: str, page: Path, site: Path) -> str:
 def _read(app: Sphinx, docname: str, content: list[str]) -> None:
     page = Path(app.env.doc2path(docname)).resolve()
     if page.suffix == ".md":
-        text = outward(content[0], page, Path(app.srcdir).resolve())
-        content[0] = GENERATED.sub(lambda match: GENERATORS[match[1]](), text)
-
-
-def _outdated(app: Sphinx, *_: Any) -> list[str]:
-    """Pages with generated text are read again at each build."""
-    pages = (Path(app.env.doc2path(name)) for name in app.env.found_docs)
-    return [app.env.path2doc(page) or "" for page in pages if GENERATED.search(page.read_text(encoding="utf-8"))]
+        content[0] = outward(content[0], page, Path(app.srcdir).resolve())
 
 
 def field_comments(cls: type) -> dict[str, str]:
@@ -97,7 +81,6 @@ def _shorten_types(app: Sphinx, *_: Any) -> None:
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the extension."""
     app.connect("source-read", _read)
-    app.connect("env-get-outdated", _outdated)
     app.connect("autodoc-process-docstring", _describe_fields)
     app.connect("autodoc-process-signature", _hide_signature)
     app.connect("object-description-transform", _shorten_types, priority=100)

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reference pages in Markdown, made from the code: messages, parameters, topics, commands and settings."""
+"""Reference pages in Markdown, made from the code: messages, parameters, topics, commands and settings.
+
+    python docs/_ext/reference_pages.py     # or make reference
+
+writes the parts of the pages below docs that stand between `<!-- generated NAME -->` and `<!-- end -->`, where NAME is a key of `GENERATORS`.
+"""
 
 import argparse
 import dataclasses
@@ -7,6 +12,7 @@ import importlib
 import inspect
 import os
 import re
+import sys
 import tempfile
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -214,8 +220,25 @@ def pipeline() -> str:
 def scenes() -> str:
     """Settings of a scene."""
     from foretouch.simulation.scene import SceneConfig
+    from foretouch.simulation.scene.objects import FamilyConfig
 
-    return _grouped(SceneConfig)
+    families = [dataclasses.replace(info, name=f"families[].{info.name}") for info in all_infos(FamilyConfig)]
+    return sections([_grouped(SceneConfig), "### `families[]`", settings_table(families)])
+
+
+def shapes() -> str:
+    """The shapes of simulated objects, each with what it looks like."""
+    from foretouch.simulation.objects import shapes as module
+
+    rows = [(f"`{name}`", cell(inspect.getdoc(builder) or "")) for name, builder in module._BUILDERS.items()]
+    rows.append(
+        (
+            "`random`",
+            "Between box, cylinder and ellipsoid, or a vase, or a wavy ball: another one for each `first_variant`.",
+        )
+    )
+    rows.append(("`mesh`", "The surface of a [mesh file](#objects-from-mesh-files)."))
+    return table(["shape", "body"], rows)
 
 
 def recipes() -> str:
@@ -276,6 +299,7 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "markers": "all results, for RViz",
     "replay_status": "state and counts of a replay, latched",
     "/diagnostics": "rates, latencies and dropped messages of each node",
+    "heartbeat": "name and state of each node, every 0.4 s",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
     "start_recording": "start a recording",
     "stop_recording": "end the recording",
@@ -439,8 +463,44 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "commands": commands,
     "pipeline": pipeline,
     "scenes": scenes,
+    "shapes": shapes,
     "recipes": recipes,
     "experiments": experiments,
     "results": results,
 }
 """What a page can ask for, by name."""
+
+
+GENERATED = re.compile(r"^<!-- generated (\w+) -->\n.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
+
+
+def filled(text: str) -> str:
+    """The text of a page with its generated parts made anew."""
+    return GENERATED.sub(lambda part: f"<!-- generated {part[1]} -->\n\n{GENERATORS[part[1]]()}\n<!-- end -->", text)
+
+
+def generated_pages() -> list[Path]:
+    """The pages that have a generated part."""
+    pages = sorted((ROOT / "docs").rglob("*.md"))
+    return [page for page in pages if GENERATED.search(page.read_text(encoding="utf-8"))]
+
+
+def main() -> int:
+    """Write the pages, or with `--check` print those that would change; returns how many these are."""
+    stale = {}
+    for page in generated_pages():
+        text = page.read_text(encoding="utf-8")
+        new = filled(text)
+        if new != text:
+            stale[page] = new
+    for page, new in stale.items():
+        sys.stdout.write(
+            f"{page.relative_to(ROOT)}: {'is not that of the code' if '--check' in sys.argv else 'written'}\n"
+        )
+        if "--check" not in sys.argv:
+            page.write_text(new, encoding="utf-8")
+    return len(stale) if "--check" in sys.argv else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -9,26 +9,33 @@ the package opens files here.
 
 import hashlib
 import json
+import math
 import os
+import re
 import stat
 import time
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
-from foretouch.errors import FileError
+from foretouch.errors import FileError, quoted, shown
 
 TEXT_LIMIT: Final = 64_000_000
 """Largest size of a JSON file [bytes]: the manifest of the largest store has a thousandth of it."""
 
+PICTURE_SUFFIXES: Final = (".png", ".pdf", ".svg", ".jpg")
+
 _DEPTH: Final = 64  # levels of lists and objects; no file of the package has more than 8
 _KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
+_AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
+_BLOCK: Final = 1 << 20
 _SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
 
-_Version = tuple[int, int, int, int, int]
-_hashes: dict[Path, tuple[_Version, str]] = {}
+Version: TypeAlias = tuple[int, int, int, int, int]
+_hashes: dict[Path, tuple[Version, str]] = {}
 
 
 @contextmanager
@@ -83,6 +90,65 @@ def _descriptor(path: str | Path, flags: int) -> int:
         kind = next((name for test, name in _KINDS if test(mode)), "device")
         raise FileError(path, f"is a {kind}, not a regular file")
     return descriptor
+
+
+class FileBytes:
+    """The bytes of a regular file, read when they are sliced, of which short slices share a read.
+
+    A file that is truncated after it was opened raises a `FileError`; a mapping of it would end the process.
+
+    Args:
+        path: The file; its size is the one that it has now.
+
+    Raises:
+        FileError: As `open_regular`; later, if bytes are not there any more or cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._file = open_regular(path)
+        self._size = os.fstat(self._file.fileno()).st_size
+        self.version = version_of(self._file)
+        self._near: tuple[int, bytes] = (0, b"")  # the last bytes that were read ahead, and their offset
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, end, _ = part.indices(self._size)
+        if end - start > _AHEAD:
+            return self._read(start, end)
+        at, near = self._near
+        if not at <= start <= end <= at + len(near):
+            at, near = self._near = start, self._read(start, min(start + _AHEAD, self._size))
+        return near[start - at : max(start, end) - at]
+
+    def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
+        """The bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
+        for at in range(start, end, _BLOCK):
+            yield at, self._read(at, min(at + _BLOCK + overlap, end))
+
+    def crc32(self, start: int, end: int) -> int:
+        """CRC-32 of the bytes between two offsets."""
+        crc = 0
+        for _, block in self.blocks(start, end):
+            crc = zlib.crc32(block, crc)
+        return crc
+
+    def find_all(self, pattern: re.Pattern[bytes], overlap: int, start: int, end: int) -> Iterator[int]:
+        """Offsets between two others at which a pattern of at most `overlap` bytes matches."""
+        for at, block in self.blocks(start, end, overlap):
+            yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
+
+    def _read(self, start: int, end: int) -> bytes:
+        parts = []
+        while start < end:
+            with _named(self.path):
+                parts.append(os.pread(self._file.fileno(), end - start, start))
+            if not parts[-1]:
+                raise FileError(self.path, "was truncated while it was read", field=f"byte {start}")
+            start += len(parts[-1])
+        return b"".join(parts)
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:
@@ -145,12 +211,14 @@ def require_existing(path: str | Path) -> Path:
     return Path(path)
 
 
-def require_writable(path: str | Path) -> None:
+def require_writable(path: str | Path, *suffixes: str) -> None:
     """Refuse a file that cannot be written, before the work whose result it is to hold; its folder is created.
 
     Raises:
-        FileError: If it is a folder, or neither exists nor can be created.
+        FileError: If its name ends with none of the suffixes, it is a folder, or neither exists nor can be created.
     """
+    if Path(path).suffix.lower() not in suffixes:
+        raise FileError(path, f"the extension is none of {', '.join(suffixes)}")
     existed = Path(path).exists()
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -209,6 +277,42 @@ def parse_json(text: str | bytes) -> Any:
     return document
 
 
+def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -> Any:
+    """Check what a file holds against a schema, and return it.
+
+    Args:
+        path: The file, for the message.
+        value: Of JSON or YAML.
+        schema: A type; a tuple of types, of which one fits; a list of one schema, for a list; or a mapping of schemas by
+            key, of which a key with `?` behind it may be absent, and others are ignored. Whole numbers are below 2^63,
+            also as `float`, which is finite; no number is `bool`.
+        field: Name of the value.
+
+    Raises:
+        FileError: Names file, field and rule.
+    """
+    if isinstance(schema, list):
+        items = require_schema(path, value, list, field)
+        return [require_schema(path, one, schema[0], f"{field}[{number}]") for number, one in enumerate(items)]
+    if isinstance(schema, Mapping):
+        found = require_schema(path, value, dict, field)
+        for key, inner in schema.items():
+            name = key.removesuffix("?")
+            where = f"{field}.{name}" if field else name
+            if name in found:
+                require_schema(path, found[name], inner, where)
+            elif name == key:
+                raise FileError(path, "is missing", field=where)
+        return found
+    types = schema if isinstance(schema, tuple) else (schema,)
+    if type(value) not in types and not (float in types and type(value) is int):
+        names = " or ".join("null" if one is type(None) else one.__name__ for one in types)
+        raise FileError(path, f"{quoted(value)} is of type {type(value).__name__}, not {names}", field=field or None)
+    if (type(value) is int and not -(2**63) <= value < 2**63) or (type(value) is float and not math.isfinite(value)):
+        raise FileError(path, f"{shown(value, 40)} is no number that can be used", field=field or None)
+    return value
+
+
 def file_sha256(path: str | Path) -> str:
     """SHA-256 of a regular file, hexadecimal; computed once a process for a file that has not changed since.
 
@@ -219,13 +323,20 @@ def file_sha256(path: str | Path) -> str:
     """
     path = Path(path).absolute()
     with open_regular(path) as file:
-        info = os.fstat(file.fileno())
-        version = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+        version = version_of(file)
         known = _hashes.get(path)
         if known is not None and known[0] == version:
             return known[1]
         with _named(path):
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) > _SETTLED_NS:
+    if version is not None:
         _hashes[path] = (version, digest)
     return digest
+
+
+def version_of(file: BufferedReader) -> Version | None:
+    """What differs after every change of an open file; None if it was changed just now, and may be so again unseen."""
+    info = os.fstat(file.fileno())
+    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) <= _SETTLED_NS:
+        return None
+    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns

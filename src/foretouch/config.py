@@ -13,20 +13,31 @@ command line, the YAML reader and the ROS parameters are all derived from this d
 
 import dataclasses
 import math
+import re
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import yaml
 
 from foretouch.checked_files import read_bytes
-from foretouch.errors import ConfigError, FileError, quoted, shown
+from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, shown
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
-_YAML_VALUES: Final = 100_000
+_YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least
 
-_LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same documents, ten times as fast
+EMPTY: Final = "\0"
+"""Stands for the value of `key:` in YAML and of `key=`, which has none; no setting accepts this text."""
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # in C ten times as fast
+    """The safe loader, which keeps `key:` and `key: null` apart."""
+
+    yaml_implicit_resolvers: ClassVar = {**yaml.SafeLoader.yaml_implicit_resolvers, "": [("!empty", re.compile("$"))]}
+
+
+_Loader.add_constructor("!empty", lambda *_: EMPTY)
 
 _S = typing.TypeVar("_S", bound="Settings")
 
@@ -75,7 +86,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
-            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name), type(self).__name__))
+            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
@@ -116,14 +127,18 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     return infos
 
 
-def load_yaml(path: str | Path) -> dict[str, Any]:
-    """Load one YAML mapping safely; a `ConfigError` if the file cannot be read or is not a mapping."""
+def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
+    """Load one YAML mapping safely, of at most so many bytes and values.
+
+    Raises:
+        ConfigError: If the file cannot be read, is larger or is not a mapping.
+    """
     try:
-        content = read_bytes(path, 100_000)  # the largest file of the package has 5000
+        content = read_bytes(path, limit)
     except FileError as err:
         raise ConfigError(str(err)) from err
     try:
-        document = _parse_yaml(content.decode("utf-8"))
+        document = _parse_yaml(content.decode("utf-8"), limit)
     except ValueError as err:
         raise ConfigError(f"{shown(path)}: not YAML: {shown(' '.join(str(err).split()), 500)}") from err
     if document is None:
@@ -133,16 +148,16 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     return document
 
 
-def _parse_yaml(text: str) -> Any:
+def _parse_yaml(text: str, limit: int = _YAML_BYTES) -> Any:
     """The document in a YAML text, loaded safely; a ValueError if it is no YAML or exceeds a limit of `_check_events`."""
     try:
-        _check_events(yaml.parse(text, Loader=_LOADER))
-        return yaml.load(text, Loader=_LOADER)  # noqa: S506 - a safe loader, in C where it is installed
+        _check_events(yaml.parse(text, Loader=_Loader), limit)
+        return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader, in C where it is installed
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as err:
         raise ValueError(str(err) or type(err).__name__) from err  # constructors of numbers and dates raise them
 
 
-def _check_events(events: Iterable[yaml.Event]) -> None:
+def _check_events(events: Iterable[yaml.Event], limit: int) -> None:
     """Count levels and values before anything is made of them; a YAMLError at the first that exceeds a limit.
 
     The values that aliases repeat are counted each time.
@@ -168,8 +183,8 @@ def _check_events(events: Iterable[yaml.Event]) -> None:
                 sizes[event.anchor] = 1
         if len(groups) > _YAML_DEPTH:
             raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
-        if count > _YAML_VALUES:
-            raise yaml.YAMLError(f"more than {_YAML_VALUES} values, aliases included")
+        if count > limit:
+            raise yaml.YAMLError(f"more than {limit} values, aliases included")
 
 
 def flattened(values: Any, name: str = "") -> dict[str, Any]:
@@ -191,7 +206,7 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
         if not equals or not key:
             raise ConfigError(f"{shown(pair)}: is not key=value")
         try:
-            result[key] = _parse_yaml(text)
+            result[key] = _parse_yaml(text) if text.strip() else EMPTY
         except ValueError as err:
             raise ConfigError(f"{shown(key)}: {quoted(text)} is not a YAML value") from err
     return result
@@ -233,17 +248,16 @@ def _analyse(hint: Any) -> tuple[type, bool, bool]:
     return hint, False, optional
 
 
-def _checked(info: SettingInfo, value: Any, owner: str) -> Any:
-    name = f"{owner}.{info.name}"
+def _checked(info: SettingInfo, value: Any) -> Any:
     if value is None:
         if info.optional:
             return None
-        raise ConfigError(f"{name}: is empty")
+        raise ConfigError(f"{info.name}: is empty")
     if not info.is_list:
-        return _checked_item(info, value, name)
+        return _checked_item(info, value, info.name)
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ConfigError(f"{name}: {quoted(value)} is not a list")
-    return tuple(_checked_item(info, item, f"{name}[{i}]") for i, item in enumerate(value))
+        raise ConfigError(f"{info.name}: {quoted(value)} is not a list")
+    return tuple(_checked_item(info, item, f"{info.name}[{i}]") for i, item in enumerate(value))
 
 
 def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
@@ -266,7 +280,7 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
         if info.maximum is not None and value > info.maximum:
             raise ConfigError(f"{name}: {quoted(value)} is above {info.maximum}{unit}")
     if info.choices and value not in info.choices:
-        raise ConfigError(f"{name}: {quoted(value)} is none of {', '.join(map(str, info.choices))}")
+        raise ConfigError(f"{name}: {none_of(value, info.choices)}")
     return value
 
 
@@ -301,12 +315,17 @@ def _build(cls: type[_S], mapping: Mapping[str, Any], source: str, prefix: str) 
     values: dict[str, Any] = {}
     for key, value in mapping.items():
         if key not in known:
-            raise ConfigError(f"{source}{prefix}{shown(key)}: unknown setting; known: {', '.join(known)}")
+            hint = nearest(key, [*known, *(info.name for info in setting_infos(cls))])
+            raise ConfigError(f"{source}{prefix}{shown(key)}: unknown setting; known: {', '.join(known)}{hint}")
+        if value is EMPTY:
+            raise ConfigError(
+                f"{source}{prefix}{key}: is empty; write {{}} for a group with its defaults, null for none"
+            )
         values[key] = _field_value(hints[key], value, source, f"{prefix}{key}")
     try:
         return cls(**values)
     except ConfigError as err:
-        raise ConfigError(f"{source}{err}") from err
+        raise ConfigError(f"{source}{prefix}{err}") from err
 
 
 def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
@@ -325,7 +344,8 @@ def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
 
 def _group(cls: type[_S], value: Any, source: str, name: str) -> _S:
     if not isinstance(value, Mapping):
-        raise ConfigError(f"{source}{name}: {quoted(value)} is not a group of settings")
+        shown_value = "null" if value is None else quoted(value)
+        raise ConfigError(f"{source}{name}: {shown_value} is not a group of settings; {{}} is one with its defaults")
     return _build(cls, value, source, f"{name}.")
 
 

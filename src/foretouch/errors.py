@@ -7,6 +7,8 @@ the command line can print it unchanged.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,6 +37,21 @@ def shown(value: Any, limit: int = _SHOWN) -> str:
 def quoted(value: Any) -> str:
     """A value for a message as Python writes it, with quotes around texts; shortened like `shown`."""
     return repr(value) if isinstance(value, str) and len(value) < _SHOWN else shown(value)
+
+
+def nearest(name: Any, known: Iterable[Any]) -> str:
+    """`; did you mean …?` with the known name that is most like an unknown one; "" if none is."""
+    names = list(map(str, known))
+    found = [one for one in names if one.endswith(f".{name}")] or difflib.get_close_matches(
+        str(name), names, 1, cutoff=0.5
+    )
+    return f"; did you mean {found[0]}?" if found else ""
+
+
+def none_of(name: Any, known: Iterable[Any]) -> str:
+    """The rule that a name is one of some known ones, for a message, with the nearest of them."""
+    known = list(known)
+    return f"{quoted(name)} is none of {', '.join(map(str, known))}{nearest(name, known)}"
 
 
 class ForetouchError(Exception):

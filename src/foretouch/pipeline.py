@@ -34,7 +34,7 @@ class PipelineConfig(Settings):
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     reach: ReachConfig = ReachConfig()
-    model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
+    model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from foretouch.errors import ConfigError, ForetouchError, ModelError
+from foretouch.errors import ConfigError, ForetouchError, ModelError, none_of
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Grasp
 
 _CRASHED: Final = "foretouch doctor: a library that crashes is named there"
@@ -53,7 +53,7 @@ def run_rows(names: Sequence[str]) -> Iterator[RowResult]:
     """
     for name in names:
         if name not in ROWS:
-            raise ConfigError(f"--self-test: {name!r} is none of {', '.join(ROWS)}")
+            raise ConfigError(f"--self-test: {none_of(name, ROWS)}")
     for name in names:
         yield _in_a_process(name)
 

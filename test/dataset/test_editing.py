@@ -77,8 +77,9 @@ def test_names_that_leave_a_folder_are_absent_taken_or_being_written_are_refused
 
 def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not_count(dataset: Path, rng) -> None:
     relabel(dataset, ["ball/000001"], "cup")
-    edited = ids(dataset)
+    edited, listed = ids(dataset), (dataset / "manifest.json").read_bytes()
     drop(dataset, ["cup/000001"])
+    (dataset / "manifest.json").write_bytes(listed)  # a crash cuts off a line that is not listed
     log = dataset / "edits.jsonl"
     good = log.read_bytes()
     for place in {*range(0, len(good), 3), good.index(b"\n"), len(good) - 1}:

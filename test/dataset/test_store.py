@@ -15,6 +15,7 @@ from every_case import every_case, every_refusal
 from recording_builders import assert_same_sample, record
 
 from foretouch import checked_files
+from foretouch.dataset import store as store_module
 from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
@@ -194,10 +195,52 @@ def test_a_shard_is_hashed_once_a_process(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(checked_files, "_SETTLED_NS", 0)
     Store(tmp_path / "ds")
     hashed: list[object] = []
-    digest = hashlib.file_digest
-    monkeypatch.setattr(hashlib, "file_digest", lambda file, name: (hashed.append(file), digest(file, name))[1])
+    check = store_module._check_shard
+    monkeypatch.setattr(store_module, "_check_shard", lambda data, ends: (hashed.append(data), check(data, ends))[1])
     Store(tmp_path / "ds")
     assert hashed == []
     shard.touch()
     Store(tmp_path / "ds")
     assert len(hashed) == 1
+
+
+def test_a_shard_that_is_changed_truncated_or_taken_away_after_it_was_opened_is_named(tmp_path: Path) -> None:
+    write(tmp_path / "ds", [sample(k) for k in range(400)])
+    shard = tmp_path / "ds" / "shard-00000.arrow"
+    good, store = shard.read_bytes(), Store(tmp_path / "ds")
+
+    def check(_: str, change: Callable[[], object], rule: str) -> None:
+        change()
+        with pytest.raises(FileError, match=rf"shard-00000.arrow: {rule}"):
+            [store[k].cloud.xyz.sum() for k in range(400)]
+        shard.write_bytes(good)
+
+    flipped = good.replace(np.ascontiguousarray(sample(390).cloud.xyz).tobytes()[:16], bytes(16))
+    cases = (
+        ("truncated", lambda: shard.write_bytes(good[: len(good) // 2]), "byte .*: was changed after it was opened"),
+        ("emptied", lambda: shard.write_bytes(b""), "byte .*: was changed after it was opened"),
+        ("changed", lambda: shard.write_bytes(flipped), "byte .*: was changed after it was opened"),
+        ("removed", shard.unlink, "No such file"),
+    )
+    every_case(cases, check)
+
+
+def test_nulls_and_compressed_batches_are_refused_before_they_take_memory(tmp_path: Path) -> None:
+    write(tmp_path / "ds", [sample(k) for k in range(3)])
+    shard = tmp_path / "ds" / "shard-00000.arrow"
+    rows = pa.ipc.open_file(shard).read_all().to_pylist()
+
+    def check(_: str, change: dict[str, object], rule: str, compression: str | None = None) -> None:
+        with pa.OSFile(str(shard), "wb") as sink:
+            options = pa.ipc.IpcWriteOptions(compression=compression)
+            with pa.ipc.new_file(sink, store_module.SCHEMA, options=options) as out:
+                out.write_batch(pa.RecordBatch.from_pylist([*rows[:2], rows[2] | change], schema=store_module.SCHEMA))
+        reseal(tmp_path / "ds")
+        with pytest.raises(FileError, match=rf"shard-00000.arrow: batch 0: {rule}"):
+            Store(tmp_path / "ds")
+
+    cases = [(f"{name} null", {name: None}, f"{name}: is null") for name in ("id", "stamp_ns", "extra", "xyz", "g1")]
+    cases += [(f"{name} of nulls", {name: [None] * 50}, f"{name}: is null") for name in ("touch", "tare")]
+    cases += [("xyz of nulls", {"xyz": [None] * 3}, "xyz: is null")]
+    cases += [(kind, {"xyz": [0.0] * 3_000}, "is no batch of samples, or comp", kind) for kind in ("zstd", "lz4")]
+    every_case(cases, check)

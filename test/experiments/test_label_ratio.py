@@ -124,7 +124,7 @@ def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> Non
 
 def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps, store: Path) -> None:
     few = "cached_points: 512 points are fewer than the network's 750"
-    with pytest.raises(ConfigError, match=f"LabelRatioSettings.{few}"):
+    with pytest.raises(ConfigError, match=f"label_ratio: {few}"):
         settings_of("p2_as_printed", cached_points=512)
     experiment = find_experiment("label_ratio")
     settings = settings_of(**TINY, **TWO, pointnet={"pressure": "fast"})

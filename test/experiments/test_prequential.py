@@ -75,6 +75,27 @@ def test_every_grasp_is_scored_once_and_tables_are_made_of_the_rows(tmp_path: Pa
     assert figure.stat().st_size > 5_000
 
 
+def test_the_gain_of_vision_is_paired_and_stands_beside_its_skill() -> None:
+    trees = {"predictors": [CONSTANT, "geometry_trees"], "training_fraction": 0.02}
+    cells, settings = cell_rows("prequential", make_collection(7, 5), **trees)
+    experiment = find_experiment("prequential")
+    rows = experiment.tabulate(settings, cells)
+    place = ("sources", "regime", "modality")
+    without = {tuple(row[name] for name in place): row for row in select(rows, vision=CONSTANT, object="all")}
+    assert {row["vs_constant"] for row in without.values()} == {None}
+    found = select(rows, vision="geometry_trees", object="all")
+    assert len(found) == len(without)
+    for row in found:
+        assert_allclose(row["vs_constant"], row["skill"] - without[tuple(row[name] for name in place)]["skill"])
+        verdict = "better" if row["vs_constant_low"] > 0.0 else "worse" if row["vs_constant_high"] < 0.0 else "tie"
+        assert row["vs_constant_verdict"] == verdict
+    known = [row for row in found if row["sources"] == "history + touches" and row["regime"] == "all"]
+    assert all(row["vs_constant_low"] <= row["vs_constant"] <= row["vs_constant_high"] for row in known)
+    tables = {table.title: table for table in experiment.summarise(rows)}
+    assert len(tables["Gain of vision, geometry_trees"].rows) == len(found) / 4
+    assert "significantly better than the mean of earlier readings" in tables["Findings"].notes[-1]
+
+
 def test_nothing_later_enters_a_prediction() -> None:
     """Predictions before a run change with no later sample, and know neither the object nor that of an earlier reading."""
     data = make_collection(4, 6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding models by name, path and run folder (damaged files: `*/test_checkpoint.py`)."""
+"""Finding models by name, path and model folder (damaged files: `*/test_checkpoint.py`)."""
 
 import subprocess
 import sys
@@ -31,7 +31,7 @@ def test_names_cards_and_weights_lead_to_the_card(contact: Path) -> None:
 
 def test_what_is_no_model_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:
     for name in ("touchnet", "contact-v1"):
-        with pytest.raises(ModelError, match=f"{name}: is no run folder, .* and none of contact-v2, touchnet-v1"):
+        with pytest.raises(ModelError, match=f"{name}: is no model folder, .* and none of contact-v2, touchnet-v1"):
             find_card(name)
     with pytest.raises(ModelError, match=r"absent.json: no such model card"):
         load_model(tmp_path / "absent.safetensors")

@@ -70,7 +70,7 @@ class TimeoutConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.stall_s > self.reopen_s:
-            raise ConfigError(f"TimeoutConfig.stall_s: {self.stall_s} is above reopen_s, {self.reopen_s}")
+            raise ConfigError(f"stall_s: {self.stall_s} is above reopen_s, {self.reopen_s}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +106,9 @@ class RealSenseConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.file and self.serial:
-            raise ConfigError(f"RealSenseConfig.file: {self.file!r} and serial {self.serial!r} exclude each other")
+            raise ConfigError(f"file: {self.file!r} and serial {self.serial!r} exclude each other")
         if self.file and self.record_to:
-            raise ConfigError(f"RealSenseConfig.record_to: {self.record_to!r}: a recording cannot be recorded again")
+            raise ConfigError(f"record_to: {self.record_to!r}: a recording cannot be recorded again")
 
     @property
     def optical_frame(self) -> str:

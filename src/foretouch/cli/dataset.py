@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import require_writable
+from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.dataset import editing
@@ -17,6 +17,7 @@ from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording import RecordedDataset, is_dataset, repair_dataset, verify_dataset
+from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import build_store
@@ -51,9 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
     )
     one = edit.add_mutually_exclusive_group()
-    one.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
+    one.add_argument("--relabel", metavar="NAME", help="give the samples another object name")
     one.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
-    one.add_argument("--merge", nargs=2, metavar=("LABEL", "INTO"), help="merge two objects into one")
+    one.add_argument("--merge", nargs=2, metavar=("A", "B"), help="give all samples of the object A the name B")
     one.add_argument("--undo", action="store_true", help="undo the latest edit that is in force")
 
     build = _action(actions, "build", _build, "Build a training store with splits")
@@ -103,9 +104,14 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
             metavar="TOPIC",
             help=f"topic of the {content} (default: %(default)s)",
         )
-    group.add_argument("--thumb", default="", metavar="NAME", help="name of the thumb in the tactile messages")
-    group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger")
-    group.add_argument("--object", default="unknown", help="label of the object on the table")
+    group.add_argument(
+        "--thumb",
+        default="",
+        metavar="NAME",
+        help="name of the thumb in the tactile messages (default: TH or 0, by their type)",
+    )
+    group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger (default: MF or 1)")
+    group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
     group.add_argument(
         "--fingers", type=_fingers, metavar="TH,MF", help="indices of both fingers instead of names (default: 4,1)"
     )
@@ -205,6 +211,8 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
             store.verify()
             yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
             return
+        if is_dataset(path) and listed_sessions(Path(path)) is None:
+            warn(f"{path}: its manifest lists no sessions (foretouch 0.2.0): one that is missing is not noticed")
         for report in verify_dataset(path):
             counts = {} if report.counts is None else report.counts.to_record()
             yield {
@@ -224,7 +232,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 def _show(arguments: argparse.Namespace) -> int:
     from foretouch.report.touch_figure import save_contact_sheet
 
-    require_writable(arguments.out)
+    require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)
     selected = list(_selected(samples, arguments))
     if not selected:

@@ -25,7 +25,7 @@ _SCORED: Final = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Model, dataset, and the split for the baselines."""
-    parser.add_argument("model", metavar="MODEL", help="name of a model, or path of its card, weights or run folder")
+    parser.add_argument("model", metavar="MODEL", help="name of a model, or path of its card, weights or model folder")
     parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")
     parser.add_argument(
         "--split",

@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.labels_out:
         if len(arguments.inputs) > 1:
             raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
-        require_writable(arguments.labels_out)
+        require_writable(arguments.labels_out, ".npy")
     process = partial(_segment, config=pipeline_config(arguments).segmentation, labels_out=arguments.labels_out)
     return process_inputs(arguments, process, _show)
 

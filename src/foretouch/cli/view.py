@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import require_existing
+from foretouch.checked_files import require_existing, require_writable
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
@@ -37,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="write a file for Rerun instead of opening a window")
     parser.add_argument("--screenshot", type=Path, metavar="F.png", help="draw a picture instead of opening a window")
     parser.add_argument(
-        "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds, samples or answers"
+        "--count",
+        type=inputs.positive_number,
+        metavar="N",
+        help="show the first N clouds, samples or answers (default: all)",
     )
     inputs.add_options(parser, "--topic", "--config", "--set", "--model")
     inputs.add_plan_arguments(parser)
@@ -47,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud could not be read."""
     path = require_existing(arguments.path)
+    for out, suffix in ((arguments.save, ".rrd"), (arguments.screenshot, ".png")):
+        if out is not None:
+            require_writable(out, suffix)
     steps = _Steps(arguments)
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         file = arguments.save or Path(folder) / "view.rrd"

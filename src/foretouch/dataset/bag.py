@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.checked_files import open_regular, require_existing
-from foretouch.config import load_yaml
+from foretouch.checked_files import require_existing
+from foretouch.dataset.bag_limits import check_chunks, check_files, limit_decompression
 from foretouch.dataset.messages import decode_cloud
-from foretouch.errors import CloudError, ConfigError, FileError
+from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
 
 if TYPE_CHECKING:
@@ -73,8 +73,10 @@ class Recording:
 
             # Recordings of ROS 2 before Iron hold no definitions: fall back to those of a current release.
             self._reader: AnyReader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_KILTED))
+            limit_decompression()
             self._reader.open()
         try:
+            check_chunks(self.path, self._reader)
             with _known_failures(self.path):
                 self._store = self._reader.typestore if self._reader.is2 else _without_seq(self._reader.typestore)
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
@@ -167,16 +169,9 @@ def _storage_paths(path: Path) -> list[Path]:
         raise FileError(
             path, f"is no recording: neither a rosbag2 directory nor a file of {', '.join(RECORDING_SUFFIXES)}"
         )
-    if (path / "metadata.yaml").is_file():
-        try:
-            load_yaml(path / "metadata.yaml")  # its reader in rosbags has no limits
-        except ConfigError as err:
-            raise FileError(path, str(err)) from err
-        return [path]
     files = _loose_files(path) if path.is_dir() else [path]
-    for file in files:
-        open_regular(file).close()
-    return files
+    check_files(path, files)
+    return [path] if (path / "metadata.yaml").is_file() else files
 
 
 def _loose_files(path: Path) -> list[Path]:

@@ -1,26 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The training store: samples in memory-mapped Arrow IPC shards, read at random without parsing.
+"""The training store: samples in Arrow IPC shards, read at random by batches.
 
 Layout, schema version 1::
 
     store/
       manifest.json       format, schema version, counts, hashes, and facts about the samples' origin
-      shard-00000.arrow   Arrow IPC files, uncompressed, so that a cloud is a view of the file
+      shard-00000.arrow   Arrow IPC files, uncompressed, so that a cloud is a view of what was read
 
 One row is one sample; see `SCHEMA`. A store appears complete or not at all. Its content hash covers the samples in
 order, not the files: it does not depend on how they are split into shards or on the version of Arrow.
+
+A shard is hashed as a whole when a store is opened, and each of its batches again whenever it is read: what is used is
+what was verified, and a file that is changed or truncated meanwhile is refused.
 """
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from foretouch.checked_files import file_sha256, parse_json
+from foretouch.checked_files import FileBytes, Version, file_sha256, parse_json
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
@@ -51,6 +57,14 @@ SCHEMA: Final = pa.schema(
     metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)},
 )
 
+_KEPT_BATCHES: Final = 4
+_ARROW: Final = b"ARROW1\0\0"
+_CONTINUED: Final = 0xFFFFFFFF  # before the head of each message
+_RECORD_BATCH: Final = 3  # kind of message
+_ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
+
+_verified: dict[tuple[Path, Version | None], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
+
 _POINTS: Final = ("xyz", "rgb")
 _NULLABLE: Final = ("rgb", "touch", "tare")
 _PARTS: Final[dict[str, dict[str, type]]] = {
@@ -64,8 +78,18 @@ def is_store(path: str | Path) -> bool:
     return (Path(path) / MANIFEST).is_file()
 
 
+class _Part(NamedTuple):
+    """One record batch in the verified shard `path`: its bytes, their SHA-256 and its number of samples."""
+
+    path: Path
+    start: int
+    end: int
+    sha256: bytes
+    samples: int
+
+
 class _Batch(NamedTuple):
-    """The columns of one record batch by name, as views of the file where they have no nulls."""
+    """The columns of one record batch by name, as views of its bytes where they have no nulls."""
 
     plain: dict[str, Sequence[Any]]  # texts and numbers
     offsets: dict[str, Any]  # of the points
@@ -74,10 +98,10 @@ class _Batch(NamedTuple):
 
 
 class Store(Sequence[GraspSample]):
-    """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of the file.
+    """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of its batch.
 
     Opening compares manifest, shards and attached files with their hashes before anything in them is decoded; a process
-    hashes each file once while it does not change.
+    hashes each file once while it does not change. The latest batches are kept in memory.
 
     Raises:
         FileError: If there is none, it is of another version, or files and manifest disagree.
@@ -86,11 +110,9 @@ class Store(Sequence[GraspSample]):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.manifest = _read_manifest(self.path)
-        self._check_hashes()
-        shards = self.manifest["shards"]
-        batches = [batch for shard in shards for batch in _read_shard(self.path / shard["file"], shard["samples"])]
-        self._batches = [_columns(batch) for batch in batches]
-        self._starts = np.cumsum([0, *(batch.num_rows for batch in batches)])
+        self._parts = self._verified_parts()
+        self._starts = np.cumsum([0, *(part.samples for part in self._parts)])
+        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(lambda number: _columns(_read_batch(self._parts[number])))
         if len(self) != self.manifest["samples"]:
             raise FileError(self.path, f"holds {len(self)} samples, not {self.manifest['samples']}", field="samples")
 
@@ -110,25 +132,25 @@ class Store(Sequence[GraspSample]):
             raise IndexError(f"{self.path}: sample {index} of {len(self)}")
         b = int(np.searchsorted(self._starts, k, side="right")) - 1
         try:
-            return _sample(self._batches[b], k - int(self._starts[b]))
+            return _sample(self._batch(b), k - int(self._starts[b]))
+        except FileError:
+            raise
         except (ForetouchError, ValueError) as err:
             raise FileError(self.path, " ".join(str(err).split()), field=f"sample {k}") from err
 
     def verify(self) -> None:
         """Read everything and compare it with the manifest; a `FileError` names what differs."""
         _read_manifest(self.path)
-        self._check_hashes()
+        self._verified_parts()
         found = content_sha256(self)
         if found != self.sha256:
             raise FileError(self.path, f"content is {found}, not {self.sha256}", field="sha256")
 
-    def _check_hashes(self) -> None:
-        for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
-            path = self.path / part["file"]
-            found = file_sha256(path)  # computed once a process for a file that does not change
-            if found != part["sha256"]:
-                rule = f"sha256 is {found}, not {shown(part['sha256'])} as in {MANIFEST}: the file was changed"
-                raise FileError(path, rule)
+    def _verified_parts(self) -> list[_Part]:
+        for part in self.manifest["files"]:
+            _require_hash(self.path / part["file"], file_sha256(self.path / part["file"]), part["sha256"])
+        shards = self.manifest["shards"]
+        return [part for one in shards for part in _read_shard(self.path / one["file"], one["sha256"], one["samples"])]
 
 
 def sample_digest(sample: GraspSample) -> bytes:
@@ -172,33 +194,110 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _read_shard(path: Path, samples: int) -> list[Any]:
-    """The record batches of a shard, whose hash was checked, after its buffers were: Arrow trusts what it maps."""
-    try:
-        reader = pa.ipc.open_file(pa.memory_map(str(path)))
-        batches = [reader.get_batch(k) for k in range(reader.num_record_batches)]
-    except (OSError, pa.ArrowInvalid) as err:
-        raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
-    if not reader.schema.equals(SCHEMA):
-        raise FileError(path, "has other columns than the schema", field="schema")
-    rows = sum(batch.num_rows for batch in batches)
-    if rows != samples:
+def _require_hash(path: Path, found: str, wanted: str) -> None:
+    if found != wanted:
+        raise FileError(path, f"sha256 is {found}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
+
+
+def _read_shard(path: Path, sha256: str, samples: int) -> list[_Part]:
+    """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
+    data = FileBytes(path)
+    key = (path.absolute(), data.version)
+    if data.version is None or key not in _verified:
+        digest, ends, at = hashlib.sha256(), [], 0
+        for end in _message_ends(data):
+            digest.update(message := data[at:end])
+            ends.append((at, end, hashlib.sha256(message).digest()))
+            at = end
+        for _, block in data.blocks(at, len(data)):
+            digest.update(block)
+        _require_hash(path, digest.hexdigest(), sha256)
+        _verified[key] = sha256, _check_shard(data, ends)
+    found, parts = _verified[key]
+    _require_hash(path, found, sha256)
+    if (rows := sum(part.samples for part in parts)) != samples:
         raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
-    for k, batch in enumerate(batches):
-        _check_batch(path, batch, f"batch {k}")
-    return batches
+    return parts
+
+
+def _message_ends(data: FileBytes) -> Iterator[int]:
+    """Where the opening bytes of an Arrow IPC file and each of its messages end, as far as they are whole."""
+    yield (at := len(_ARROW))
+    with suppress(struct.error):
+        while True:
+            marker, size = struct.unpack("<Ii", data[at : at + 8])
+            if marker != _CONTINUED or size <= 0:
+                return
+            at += 8 + size + _message_facts(data[at + 8 : at + 8 + size])[1]
+            if not 0 < size <= at <= len(data):
+                return
+            yield at
+
+
+def _message_facts(head: bytes) -> tuple[int, int, bool]:
+    """Kind of a message, size of its body [bytes], and whether it is compressed; `struct.error` if it is damaged.
+
+    The head is a FlatBuffers table (Message.fbs of Arrow), which pyarrow shows after decompression only.
+    """
+
+    def _field(table: int, number: int) -> int:
+        """Position of a field of a table; 0 if it is absent."""
+        (down,) = struct.unpack_from("<i", head, table)
+        (size,) = struct.unpack_from("<H", head, max(0, table - down))
+        place = 4 + 2 * number
+        (offset,) = struct.unpack_from("<H", head, max(0, table - down) + place) if place < size else (0,)
+        return int(table + offset if offset else 0)
+
+    (root,) = struct.unpack_from("<I", head)
+    kind, content, body = (_field(root, number) for number in (1, 2, 3))
+    found = struct.unpack_from("<B", head, kind)[0] if kind else 0
+    size = struct.unpack_from("<q", head, body)[0] if body else 0
+    if size < 0:
+        raise struct.error("a body of negative size")
+    inner = content + struct.unpack_from("<I", head, content)[0]
+    return found, size, found == _RECORD_BATCH and _field(inner, 3) > 0
+
+
+def _check_shard(data: FileBytes, messages: list[tuple[int, int, bytes]]) -> list[_Part]:
+    """The parts of a shard from the spans of its messages, of which the first two are the opening and the schema."""
+    path, parts = data.path, []
+    try:
+        if data[: len(_ARROW)] != _ARROW or data[-6:] != _ARROW[:6]:
+            raise pa.ArrowInvalid("is no Arrow IPC file, or cut off")
+        if not pa.ipc.read_schema(pa.py_buffer(data[messages[1][0] : messages[1][1]])).equals(SCHEMA):
+            raise FileError(path, "has other columns than the schema", field="schema")
+        for number, (start, end, sha256) in enumerate(messages[2:]):
+            size = struct.unpack("<i", data[start + 4 : start + 8])[0]
+            kind, _, compressed = _message_facts(data[start + 8 : start + 8 + size])
+            if kind != _RECORD_BATCH or compressed:
+                raise FileError(path, "is no batch of samples, or compressed", field=f"batch {number}")
+            part = _Part(path, start, end, sha256, 0)
+            batch = _read_batch(part)
+            _check_batch(path, batch, f"batch {number}")
+            parts.append(part._replace(samples=batch.num_rows))
+    except (OSError, IndexError, struct.error, *_ARROW_ERRORS) as err:
+        raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
+    return parts
+
+
+def _read_batch(part: _Part) -> Any:
+    """The record batch of a part, whose bytes must be those that were verified."""
+    content = FileBytes(part.path)[part.start : part.end]
+    if hashlib.sha256(content).digest() != part.sha256:
+        raise FileError(part.path, "was changed after it was opened", field=f"byte {part.start}")
+    return pa.ipc.read_record_batch(pa.py_buffer(content), SCHEMA)
 
 
 def _check_batch(path: Path, batch: Any, field: str) -> None:
     """Check offsets, texts and lengths, so that every later view lies within its buffer."""
-    if batch.nbytes > 2 * path.stat().st_size:
-        raise FileError(path, f"unpacks to {batch.nbytes} bytes; shards are not compressed", field=field)
     try:
         batch.validate(full=True)
-    except pa.ArrowInvalid as err:
+    except _ARROW_ERRORS as err:
         raise FileError(path, " ".join(str(err).split()), field=field) from err
     for name in SCHEMA.names:
-        if name not in _NULLABLE and batch.column(name).null_count:
+        column = batch.column(name)
+        inner = column.flatten() if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type) else None
+        if (name not in _NULLABLE and column.null_count) or (inner is not None and inner.null_count):
             raise FileError(path, "is null in some rows", field=f"{field}: {name}")
     for name in _POINTS:
         sizes = np.diff(batch.column(name).offsets.to_numpy())

@@ -24,15 +24,9 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
-from foretouch.experiments.shared.folds import touch_draws
+from foretouch.experiments.shared.folds import split_by_fold, split_objects, touch_draws
 from foretouch.experiments.shared.scores import error_rows, labelled, score_table
-from foretouch.experiments.shared.simulated_data import (
-    ConditionSettings,
-    RealAndSimulated,
-    load_both,
-    prepare_both,
-    split_condition,
-)
+from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.shared.tables import (
     ALL_OBJECTS,
     SIGNS,
@@ -45,11 +39,11 @@ from foretouch.experiments.shared.tables import (
     unique,
     with_notes,
 )
-from foretouch.learning.data import Indices, labels_of, make_folds
+from foretouch.learning.data import Fold, Indices, labels_of, make_folds
 from foretouch.learning.evaluation.baselines import geometry_features
-from foretouch.learning.evaluation.metrics import MEAN
+from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording, predict_after
-from foretouch.learning.training.calibration import resting_labels
+from foretouch.learning.training.calibration import calibrate_on_folds, resting_labels
 from foretouch.learning.training.contact import (
     ContactConfig,
     ContactPredictor,
@@ -77,6 +71,7 @@ _TITLES: Final = {
 _COMPARED: Final = 3  # touches after which the variants are compared
 
 FULL: Final = "full"  # the complete model, as released
+BLIND: Final = "without vision"  # the mean of the training labels, with a tracker of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,24 +180,28 @@ def fit_variants(
 
     parts = _predict(full.estimator, describe_samples(test))
     result = {name: _variant(parts, combine) for name, combine in COMBINATIONS.items()}
-    copies = thinned_samples(train, config)
+    copies, resting = thinned_samples(train, config), resting_labels(train, labels_of(train), full.rest)
     for name, describe in FEATURE_SETS.items():
-        labels, thinned = (
-            resting_labels(train, labels_of(train), full.rest),
-            None if copies is None else describe(copies),
-        )
-        estimator = fit_contact(describe(train), labels, [sample.object for sample in train], config, thinned)
+        thinned = None if copies is None else describe(copies)
+        estimator = fit_contact(describe(train), resting, [sample.object for sample in train], config, thinned)
         result[name] = _variant(_predict(estimator, describe(test)), COMBINATIONS[FULL])
     if calibrated:
         calibration = full.calibration[0]
         for name, edit in {FULL: lambda parameters: parameters, **TRACKER_EDITS}.items():
             tracker = edit(calibration.tracker_parameters)
             result[name] = replace(result[FULL], calibration=replace(calibration, tracker=tracker))
+
+    def _mean(fold: Fold) -> Float64:
+        return np.tile(resting[fold.train].mean(axis=0), (len(fold.test), 1))
+
+    calibrations = calibrate_on_folds(train, labels_of(train), _mean, config.seed)[:1] if calibrated else [None]
+    mean = np.tile(resting.mean(axis=0), (len(test), 1))
+    result[BLIND] = _ModelVariant(Recording.of_samples(test, labels_of(test), mean, full.rest), *calibrations)
     return result
 
 
 @dataclass(frozen=True, kw_only=True)
-class AblationSettings(ConditionSettings):
+class AblationSettings(BothSettings):
     """Settings of `ablation`."""
 
     test_conditions: tuple[str, ...] = setting(tuple(_TITLES), "Data and splits to test on", choices=tuple(_TITLES))
@@ -210,6 +209,11 @@ class AblationSettings(ConditionSettings):
         (0, 1, 2), "Seeds of the random folds, of the blocks of time and of their trees", minimum=0
     )
     touches: tuple[int, ...] = setting((1, 3, 5), "Numbers of touches of a test object", minimum=1, maximum=1000)
+    split_seeds: tuple[int, ...] = setting((0, 1, 2), "Seeds of the splits of the simulated objects", minimum=0)
+    train_objects: int = setting(65, "Number of simulated training objects; the others are tested", minimum=2)
+    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
+    contact: ContactConfig = ContactConfig()
+    bootstrap: BootstrapConfig = BootstrapConfig()
 
 
 def _cells(settings: AblationSettings, data: RealAndSimulated) -> list[Cell]:
@@ -233,7 +237,11 @@ def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list
     condition, part, seed = (cell.values[key] for key in ("condition", "part", "seed"))
     simulated, title = condition == _SIMULATED, _TITLES[condition]
     calibrated = simulated or condition == "object"
-    train, test = split_condition(settings, data, "" if simulated else condition, part, seed)
+    if simulated:
+        train, test = split_objects(labelled(data.simulated), settings.train_objects, int(part))
+    else:
+        real = labelled(data.real)
+        train, test = split_by_fold(real, make_folds(real, condition, seed), part)
     models = fit_variants(train, test, settings.contact.replace(seed=seed), calibrated=calibrated)
     score = partial(_rows, test, labels_of(train).mean(axis=0))
     rows: list[Row] = []

@@ -95,7 +95,7 @@ class NoiseCeilingSettings(SimulatedSettings):
         super().__post_init__()
         if self.single_cause_grasps > self.grasps:
             count = self.single_cause_grasps
-            raise ConfigError(f"NoiseCeilingSettings.single_cause_grasps: {count} exceeds grasps, {self.grasps}")
+            raise ConfigError(f"single_cause_grasps: {count} exceeds grasps, {self.grasps}")
 
 
 def _split(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> tuple[list[GraspSample], list[GraspSample]]:

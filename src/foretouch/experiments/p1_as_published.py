@@ -78,7 +78,7 @@ class ObjectTypes(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if both := sorted(set(self.cylinders) & set(self.boxes)):
-            raise ConfigError(f"ObjectTypes.boxes: {both[0]!r} is a cylinder as well")
+            raise ConfigError(f"boxes: {both[0]!r} is a cylinder as well")
 
     def indices(self, samples: Sequence[GraspSample]) -> dict[str, Indices]:
         """Samples of each type."""

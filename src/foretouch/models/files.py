@@ -10,9 +10,9 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save
+from safetensors.numpy import load, save
 
-from foretouch.checked_files import file_sha256
+from foretouch.checked_files import read_bytes
 from foretouch.errors import FileError, ModelError, shown
 
 
@@ -35,7 +35,7 @@ def packed(tensors: Mapping[str, npt.NDArray[Any]]) -> tuple[bytes, str]:
 
 
 def read_tensors(
-    path: Path, sha256: str, named_by: str, load: Callable[[Path], dict[str, Any]] = load_file
+    path: Path, sha256: str, named_by: str, load: Callable[[bytes], dict[str, Any]] = load
 ) -> dict[str, Any]:
     """Arrays by name.
 
@@ -43,20 +43,21 @@ def read_tensors(
         path: The file.
         sha256: Its expected hash.
         named_by: Name of the card that holds the hash, for the message.
-        load: Reads the file: `load_file` of `safetensors.numpy`, or of `safetensors.torch` for torch tensors.
+        load: Reads the bytes that were hashed: `load` of `safetensors.numpy`, or of `safetensors.torch` for tensors.
 
     Raises:
         ModelError: Names the file: absent, damaged, or with another hash.
     """
     try:
-        found = file_sha256(path)
+        content = read_bytes(path)
     except FileError as err:
         missing = isinstance(err.__cause__, FileNotFoundError)
         raise ModelError(f"{shown(path)}: no such weights; {named_by} names them" if missing else str(err)) from err
+    found = hashlib.sha256(content).hexdigest()
     if found != sha256:
         raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
-        return load(path)
+        return load(content)
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # or an unknown dtype
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find a model by name, path or run folder, and load it; torch is imported when the first network is loaded."""
+"""Find a model by name, path or model folder, and load it; torch is imported when the first network is loaded."""
 
 from importlib import resources
 from pathlib import Path
 from typing import Final
 
 from foretouch.checked_files import read_json
-from foretouch.errors import FileError, ModelError, shown
+from foretouch.errors import FileError, ModelError, nearest, shown
 from foretouch.models.card import CARD_FORMAT, read_card
 from foretouch.models.touch_model import TouchModel
 
@@ -19,7 +19,7 @@ def available_models() -> list[str]:
 
 
 def load_model(name_or_path: str | Path = "default") -> TouchModel:
-    """Load a model that comes with the package, or one from a file or a run folder.
+    """Load a model that comes with the package, or one from a file or a model folder.
 
     Args:
         name_or_path: `default`, a name from `available_models`, the path of a card or of its weights, or the folder of
@@ -55,9 +55,10 @@ def find_card(name_or_path: str | Path) -> Path:
     if path.suffix == ".safetensors":
         path = path.with_suffix(".json")
     if path.suffix != ".json":
-        known = ", ".join(available_models()) or "the models of the package (there are none)"
+        known = available_models()
         raise ModelError(
-            f"{shown(name)}: is no run folder, no card (.json), no weights (.safetensors) and none of {known}"
+            f"{shown(name)}: is no model folder, no card (.json), no weights (.safetensors) and none of "
+            f"{', '.join(known)}{nearest(name, known)}"
         )
     return path
 
@@ -73,7 +74,7 @@ def _card_in(folder: Path) -> Path:
         raise ModelError(
             f"{folder}: is an unfinished run without a model card; `foretouch train --resume` completes it"
         )
-    raise ModelError(f"{folder}: holds no model card (<name>.json), so it is no run of `foretouch train`")
+    raise ModelError(f"{folder}: holds no model card (<name>.json), so it is no model folder of `foretouch train`")
 
 
 def _is_folder(path: Path) -> bool:

@@ -59,7 +59,7 @@ class TactileRanges(Settings):
         super().__post_init__()
         for name in MODALITIES:
             limits = getattr(self, name.lower())
-            shown = f"TactileRanges.{name.lower()}: {list(limits)}"
+            shown = f"{name.lower()}: {list(limits)}"
             if len(limits) != 2 or limits[0] >= limits[1]:
                 raise ConfigError(f"{shown} is not [low, high] with low < high")
             if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:

@@ -5,6 +5,9 @@ None of them needs more memory than the file.
 """
 
 import hashlib
+import json
+import re
+import shutil
 import struct
 import tracemalloc
 from collections.abc import Callable, Iterable
@@ -16,10 +19,17 @@ import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, record, write_dataset
 
+from foretouch.checked_files import FileBytes
+from foretouch.dataset.editing import drop
+from foretouch.dataset.files import sealed
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, RepairReport, repair_dataset, verify_dataset
+from foretouch.dataset.recording.chain import listed_sessions
+from foretouch.dataset.recording.edits import read_edits
+from foretouch.dataset.recording.folder import write_listed
+from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.reader import _sample_messages
-from foretouch.dataset.recording.records import mapped, walk
+from foretouch.dataset.recording.records import walk
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
 from foretouch.dataset.recording.verify import FileReport
 from foretouch.errors import FileError, ForetouchError
@@ -34,7 +44,7 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one in _sample_messages(path, mapped(path))]
+    return [(one.start, one.end) for one in _sample_messages(path, FileBytes(path))]
 
 
 def numbers(path: Path) -> list[int]:
@@ -159,7 +169,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
 def test_no_length_of_a_record_takes_memory(tmp_path: Path) -> None:
     file = write_dataset(tmp_path / "ds", 2, points=5_000)
     good = file.read_bytes()
-    places = [one.offset for one in walk(mapped(file))]
+    places = [one.offset for one in walk(FileBytes(file))]
     places.append(spans(file)[0][0] - 31)  # the message of the first sample
     assert good[places[-1]] == 5
 
@@ -258,3 +268,93 @@ def test_what_a_crash_left_unwritten_is_counted_as_lost(tmp_path: Path) -> None:
     report = verify(writer.file)
     assert report.clean
     assert report.counts.topics["/cloud"].dropped == {"lost before repair": 5}
+
+
+def test_a_session_or_edits_that_are_missing_replaced_or_added_are_named_and_repair_enters_what_is_there(
+    tmp_path: Path,
+) -> None:
+    other = write_dataset(tmp_path / "other", 2, first=20, name="can")
+
+    def made(name: str) -> Path:
+        path = tmp_path / name
+        for first in (0, 3, 6):
+            write_dataset(path, 3, first=first)
+        drop(path, ["ball/000001"])
+        drop(path, ["ball/000002"])
+        return path
+
+    def remove(path: Path) -> None:
+        (path / "session-0001.mcap").unlink()
+
+    def replace(path: Path) -> None:
+        shutil.copy(other, path / "session-0001.mcap")
+
+    def replace_by_own(path: Path) -> None:
+        shutil.copy(path / "session-0002.mcap", path / "session-0001.mcap")
+
+    def add(path: Path) -> None:
+        shutil.copy(other, path / "session-0009.mcap")
+
+    def older(path: Path) -> None:
+        lines = (path / "edits.jsonl").read_text().splitlines(keepends=True)
+        (path / "edits.jsonl").write_text(lines[0])
+        write_listed(path, "edits", {"count": 3, "sha256": ""})
+
+    cases = [
+        (remove, "session-0001.mcap: .*is missing: the manifest lists it with 3 samples", 6),
+        (replace, "session-0001.mcap: .*is the file of another session", 6),
+        (replace_by_own, "session-0001.mcap: .*is the file of another session", 6),
+        (add, "session-0009.mcap: .*is not in the list of the manifest", 11),
+        (lambda path: (path / "edits.jsonl").write_bytes(b""), "edits.jsonl: holds 0 edits, which are not the 2", 9),
+        (lambda path: (path / "edits.jsonl").write_bytes(bytes(500)), "edits.jsonl: holds 0 edits", 9),
+        (older, "edits.jsonl: holds 1 edits, which are not the 3", 9),
+    ]
+
+    def check(change, rule: str, left: int) -> None:
+        path = made(f"ds{sum(1 for _ in tmp_path.iterdir())}")
+        change(path)
+        told = refusal(lambda: [_raise(line) for report in verify_dataset(path) for line in report.fault_lines()])
+        assert re.search(rule, told)
+        assert refusal(lambda: RecordedDataset(path)).startswith(str(path))
+        assert any(report.changed for report in repair_dataset(path))
+        assert [line for report in verify_dataset(path) for line in report.fault_lines()] == []
+        assert len(RecordedDataset(path)) == left
+        assert not any(report.changed for report in repair_dataset(path))
+
+    every_case(cases, check)
+
+
+def _raise(line: str) -> None:
+    raise ForetouchError(line)
+
+
+def test_what_a_crash_leaves_of_the_list_is_no_fault_and_a_dataset_without_a_list_gets_one(tmp_path: Path) -> None:
+    path = tmp_path / "ds"
+    write_dataset(path, 2)
+    write_dataset(path, 2, first=2)
+    drop(path, ["ball/000001"])
+    listed = (path / "manifest.json").read_bytes()
+    drop(path, ["ball/000002"])
+    (path / "manifest.json").write_bytes(listed)  # killed before the second edit was listed
+    assert [line for report in verify_dataset(path) for line in report.fault_lines()] == []
+    assert len(read_edits(path).edits) == 2
+    with RecordingWriter(path, IDENTITY, QUICK) as writer:
+        open_list = (path / "manifest.json").read_bytes()
+        writer.append(record(4))
+    (path / "manifest.json").write_bytes(open_list)  # before the end of the session was listed
+    McapFile(path / "session-0004.mcap").abandon()  # before the session was listed
+    assert len(RecordedDataset(path)) == 5
+    repair_dataset(path)
+    assert [line for report in verify_dataset(path) for line in report.fault_lines()] == []
+    assert len(RecordedDataset(path)) == 5
+    manifest = json.loads((path / "manifest.json").read_text())
+    for content in ({"sessions": 3}, {"sessions": [{"file": 1}]}, {"edits": {"count": True}}, {"edits": []}):
+        (path / "manifest.json").write_text(sealed({**manifest, **content}, "sha256"))
+        assert "manifest.json: " in refusal(lambda: verify_dataset(path))
+    old = {name: value for name, value in manifest.items() if name not in ("sessions", "edits")}
+    (path / "manifest.json").write_text(sealed(old, "sha256"))
+    assert len(RecordedDataset(path)) == 5
+    write_dataset(path, 1, first=5)
+    drop(path, ["ball/000003"])
+    assert [one.samples for one in listed_sessions(path)] == [2, 2, 1, 0, 1]
+    assert [report.clean for report in verify_dataset(path)] == [True] * 5

@@ -14,7 +14,6 @@ from recording_builders import read_folder
 
 from foretouch.errors import DatasetError
 from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.metrics import mean_over_objects
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
 from foretouch.models.contact.estimator import save_contact
@@ -70,10 +69,9 @@ def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path)
 
 def test_without_touches_it_is_the_estimate_from_vision_and_touches_help_on_a_new_object(bare) -> None:
     remaining = BARE[40:]
-    wanted, familiar = bare.estimator.predict_rows(describe_samples(remaining))
+    wanted, _ = bare.estimator.predict_rows(describe_samples(remaining))
     assert_array_equal(bare.predict(remaining), wanted)
     assert_array_equal(bare.predict_after([], remaining), wanted)
-    assert_array_equal(bare.familiar(remaining), familiar)
     touched, others = BARE[40:43], BARE[43:]
     before, after = (np.abs(bare.predict_after(one, others) - labels_of(others)).mean() for one in ([], touched))
     assert after < before
@@ -150,11 +148,3 @@ def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_dat
     before = fitted.intervals_after([], remaining[3:])[1]
     assert half.mean() < before.mean()
     assert (np.abs(counts - labels_of(remaining[3:])) <= half).mean() > 0.6
-
-
-def test_the_mean_over_objects_has_an_interval_from_six_objects_on() -> None:
-    same = mean_over_objects(np.full(8, 0.9))
-    assert (same.value, same.low, same.high) == pytest.approx((0.9, 0.9, 0.9))
-    spread = mean_over_objects(np.linspace(0.6, 1.0, 9))
-    assert 0.6 < spread.low < 0.75 < spread.value < 0.85 < spread.high < 1.0
-    assert mean_over_objects(np.array([0.5, 1.0])).low is None

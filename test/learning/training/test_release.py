@@ -104,9 +104,9 @@ def test_known_failures_are_one_line_and_no_folder_is_wrong_usage(folder: Path, 
     assert f"{tmp_path / 'absent'}: " in capsys.readouterr().err
     for words, message in (
         (["train.epoch=2"], "train.epoch: unknown setting"),
-        (["model.outputs=[PDC_TH]", "release=true"], "RunConfig.release: model.outputs: ['PDC_TH'] are not all"),
-        (["split=random/random 0", "release=true"], "RunConfig.release: trains on all samples"),
-        (["method=trees"], "RunConfig.method: 'trees' is none of supervised, srgan, contact"),
+        (["model.outputs=[PDC_TH]", "release=true"], "release: model.outputs: ['PDC_TH'] are not all"),
+        (["split=random/random 0", "release=true"], "release: trains on all samples"),
+        (["method=trees"], "method: 'trees' is none of supervised, srgan, contact"),
     ):
         assert train(config, folder, *words, "-o", tmp_path / "out") == 1
         assert message in capsys.readouterr().err

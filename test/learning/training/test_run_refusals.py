@@ -31,10 +31,10 @@ def with_first(data: Dataset, sample: GraspSample) -> Dataset:
 
 def test_settings_of_another_method_and_clouds_that_cannot_be_described_are_refused(data, tmp_path) -> None:
     cases = (
-        ("RunConfig.train.epochs: has no effect on method 'contact'", {"method": "contact", "train": {"epochs": 3}}),
-        ("RunConfig.model.n_points: has no effect on method 'contact'", {"method": "contact", "model": MODEL}),
+        ("train.epochs: has no effect on method 'contact'", {"method": "contact", "train": {"epochs": 3}}),
+        ("model.n_points: has no effect on method 'contact'", {"method": "contact", "model": MODEL}),
         ("train.batch_size: has no effect on method 'srgan'", {"method": "srgan", "train": {"batch_size": 3}}),
-        ("RunConfig.contact.trees: has no effect on method 'supervised'", {"contact": {"trees": 3}}),
+        ("contact.trees: has no effect on method 'supervised'", {"contact": {"trees": 3}}),
     )
     every_refusal(ConfigError, cases, RunConfig.from_mapping)
     first = data.samples[0]

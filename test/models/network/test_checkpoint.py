@@ -93,4 +93,4 @@ def test_wrong_cards_and_what_is_none_are_named(card: Path, make_net, small, tmp
     (tmp_path / "x.json").write_text("{")
     refused(tmp_path / "x.json", r"x\.json: not JSON")
     refused(tmp_path / "y.json", r"y\.json: no such model card")
-    refused(Path("nonsense"), "nonsense: is no run folder, no card")
+    refused(Path("nonsense"), "nonsense: is no model folder, no card")

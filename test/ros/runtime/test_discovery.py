@@ -47,7 +47,9 @@ def stamps(messages):
 
 def test_late_subscribers_that_ask_for_them_get_the_last_ten_answers_until_the_node_is_cleaned_up(graph, model_card):
     """Of the grasps too, which the nodes of one process hand over as objects."""
-    nodes = dict(zip(TOPICS, graph.add("grasp", "touch_predictor", model=model_card), strict=True))
+    nodes = dict(
+        zip(TOPICS, graph.add("grasp", "touch_predictor", model=model_card, partner_timeout_s=3600.0), strict=True)
+    )
     for node in nodes.values():
         answer(node, *range(1, 13))
     assert graph.change("grasp", "deactivate")  # they are kept

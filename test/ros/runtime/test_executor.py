@@ -7,10 +7,12 @@ from collections import Counter
 from itertools import count
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.runtime.processing_node import StampSynchronizer
-from foretouch_msgs.msg import TablePlane
+from foretouch_msgs.msg import Status, TablePlane
 
 pytestmark = pytest.mark.ros
 
@@ -75,12 +77,14 @@ def test_a_set_is_complete_in_either_order_and_the_oldest_incomplete_one_makes_r
     sets.add("cloud", 1_000_000_000_000_000_000, "c")
     assert sets.add("table", 1_000_000_000_000_000_001, "t") is None  # a nanosecond apart
     sets, drops = make(depth=3)
-    for stamp in range(5):
-        sets.add("cloud", stamp, stamp)
-    assert drops == {"unpaired": 2}
+    given_up = [sets.add("cloud", stamp, stamp) for stamp in range(5)]
+    assert given_up == [None, None, None, ({"cloud": 0}, 0.0), ({"cloud": 1}, 1.0)]
     assert sets.add("table", 0, "late") is None
     assert sets.add("table", 4, "t").messages["cloud"] == 4
+    assert sets.overdue(2.5) == [({"cloud": 2}, 2.0)]
+    assert (sets.add("cloud", 2, "again"), sets.add("table", 2, "t")) == (None, ({"cloud": "again", "table": "t"}, 5.0))
     waiting = len(sets._waiting)
+    assert (waiting, dict(drops)) == (1, {})
     sets.clear("stopped")
     assert (drops["stopped"], len(sets._waiting)) == (waiting, 0)
     sets, drops = make()
@@ -88,3 +92,34 @@ def test_a_set_is_complete_in_either_order_and_the_oldest_incomplete_one_makes_r
     sets.add("cloud", 1, "second")
     assert drops == {"repeated_stamp": 1}
     assert sets.add("table", 1, "t").messages["cloud"] == "second"
+
+
+def test_clouds_without_grasps_are_answered_counted_and_reported_first_as_a_warning_then_as_an_error(predictor, graph):
+    node, send, heard = predictor(model="touchnet-v1", partner_timeout_s=0.5, silence_s=1.5, diagnostics_period_s=0.2)
+    reports, clouds = graph.reports("touch_predictor"), graph.talk_matched(PointCloud2, "object_cloud")
+    stamps = count(1)
+    send(next(stamps))
+    graph.until(lambda: heard and heard[0].status == Status.OK)
+    began = time.monotonic()
+
+    def lacking():
+        message = PointCloud2(header=header_to_msg("cam", next(stamps)))
+        clouds.publish(message)
+        time.sleep(0.05)
+
+    for level, text in ((DiagnosticStatus.WARN, "no_grasps"), (DiagnosticStatus.ERROR, "clouds without grasps")):
+        graph.until(
+            lambda level=level, text=text: lacking() or (reports[-1].level == level and text in reports[-1].message)
+        )
+    assert time.monotonic() - began < 4.0
+    send(next(stamps))
+    graph.until(lambda: heard[-1].status == Status.OK)
+    last = next(stamps) - 1
+    graph.until(lambda: len(heard) == last)
+    assert sorted(one.header.stamp.nanosec for one in heard) == list(range(1, last + 1))  # each is answered once
+    failed = [one.reason for one in heard if one.status == Status.FAILED]
+    summary = node.statistics.summary()
+    assert (summary.received, summary.used, dict(summary.dropped)) == (last, 2, {"no_grasps": last - 2})
+    assert len(failed) == last - 2
+    assert all(reason.startswith("no_grasps: ") for reason in failed)
+    graph.until(lambda: reports[-1].level == DiagnosticStatus.OK)

@@ -2,6 +2,7 @@
 """Objects of a scene whose surface comes from a file, read by Open3D."""
 
 import json
+import os
 import struct
 from pathlib import Path
 
@@ -83,6 +84,15 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
     (tmp_path / "damaged.glb").write_bytes(b"glTF\x02\x00\x00\x00")
     (tmp_path / "mesh.dae").write_bytes(b"")
 
+    head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\nelement face 4\n"
+    corners, wrong = "end_header\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n", ((3, 2_000_000_000), (-1, -2), (4, 0))
+    for number, (first, second) in enumerate(wrong):
+        faces = f"3 0 1 {first}\n3 0 {second} 2\n3 0 2 3\n3 1 2 3\n"
+        (tmp_path / f"index{number}.ply").write_text(f"{head}property list uchar int vertex_indices\n{corners}{faces}")
+    os.mkfifo(tmp_path / "materials")
+    (tmp_path / "library.obj").write_text("mtllib materials\nv 0 0 0\nf 1 1 1\n")
+    os.mkfifo(tmp_path / "fifo.stl")
+
     def check(name: str, reason: str) -> None:
         path = str(tmp_path / name)
         with pytest.raises(FileError, match=reason) as caught:
@@ -93,7 +103,11 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
 
     cases = {"open.ply": "not shared by two faces", "mesh.dae": "is none of .obj, .ply, .stl, .glb"}
     cases |= dict.fromkeys(("empty.obj", "damaged.stl", "damaged.glb"), "holds no triangle")
-    every_case([*cases.items(), ("folder.ply", "is a folder")], check)
+    cases |= {f"index{number}.ply": "names no vertex of the 4|it ended Open3D" for number in range(len(wrong))}
+    every_case(
+        [*cases.items(), ("folder.ply", "is a folder"), ("fifo.stl", "is a FIFO"), ("library.obj", "mesh|triangle")],
+        check,
+    )
 
 
 def test_a_scene_with_a_mesh_gives_samples_of_its_size(tmp_path: Path, block: TriangleMesh) -> None:

@@ -34,7 +34,7 @@ class ObjectLimits(Settings):
         super().__post_init__()
         for low, high in (("min_range_m", "max_range_m"), ("min_extent_m", "max_extent_m")):
             if getattr(self, low) >= getattr(self, high):
-                raise ConfigError(f"ObjectLimits.{low}: {getattr(self, low)} is not below {high} {getattr(self, high)}")
+                raise ConfigError(f"{low}: {getattr(self, low)} is not below {high} {getattr(self, high)}")
 
 
 DEFAULT_LIMITS = ObjectLimits()

@@ -47,7 +47,7 @@ class CropConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.min_range_m >= self.max_range_m:
-            raise ConfigError(f"CropConfig.min_range_m: {self.min_range_m} is not below max_range_m {self.max_range_m}")
+            raise ConfigError(f"min_range_m: {self.min_range_m} is not below max_range_m {self.max_range_m}")
 
 
 def in_range(z: Float32, config: CropConfig) -> Bool:

@@ -142,9 +142,9 @@ class TargetConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.point) not in (0, 3):
-            raise ConfigError(f"TargetConfig.point: {len(self.point)} numbers are not x, y, z")
+            raise ConfigError(f"point: {len(self.point)} numbers are not x, y, z")
         if self.mode == "point" and not self.point:
-            raise ConfigError("TargetConfig.point: is empty, mode point needs x, y, z")
+            raise ConfigError("point: is empty, mode point needs x, y, z")
 
 
 def select_targets(

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The operator's later changes, in a log beside the recordings, which themselves are never rewritten.
 
+The manifest lists how many lines there are, and the digest of the last; a crash may leave one line more.
+
 `edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with its format version and the
 SHA-256 over itself and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A
 last line that was cut off was never acknowledged, and is ignored.
@@ -15,15 +17,17 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes
-from foretouch.dataset.files import disk_errors, require_version, sync_folder
+from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema
+from foretouch.dataset.files import disk_errors, free_name, require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
+from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
 _ACTIONS: Final = ("relabel", "drop", "undo")
 _VERSION: Final = 1
+_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": int}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,15 +81,19 @@ class EditLog:
 
 def read_edits(path: Path) -> EditLog:
     """Read the log of a dataset; a `FileError` names the line that is damaged or of another version."""
-    return EditLog(_read(path / EDITS)[0])
+    return EditLog(_read_listed(path)[0])
 
 
 def append_edit(path: Path, edit: Edit) -> int:
     """Append an edit, which is on the disk when this returns, and return its number; the caller holds the lock."""
     file = path / EDITS
-    edits, digest, size = _read(file)
+    edits, digests, size = _read_listed(path)
+    if edits:
+        _list(path, digests)  # a line that a crash left is in force
+    digest = digests[-1] if digests else ""
     body = {"schema_version": _VERSION, **asdict(edit)}
-    line = json.dumps({**body, "sha256": _digest(digest, body)}, ensure_ascii=False) + "\n"
+    digest = _digest(digest, body)
+    line = json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n"
     with disk_errors(file):
         with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as log:
             log.truncate(size)  # remove a line that a crash cut off
@@ -93,38 +101,74 @@ def append_edit(path: Path, edit: Edit) -> int:
             log.flush()
             os.fsync(log.fileno())
         sync_folder(path)
+    _list(path, [*digests, digest])
     return len(edits) + 1
 
 
-def _read(file: Path) -> tuple[list[Edit], str, int]:
-    """The edits, the digest of the last one, and the offset of the next one [bytes]."""
+def forget_edits(path: Path) -> str:
+    """List the edits as they are, of which lines may be lost; a log that cannot be read is renamed; says what was lost."""
+    file, lost = path / EDITS, ""
+    try:
+        _read_listed(path)
+    except FileError as err:
+        lost = err.rule
+        try:
+            _list(path, _read(file)[1])
+        except FileError:
+            with disk_errors(file):
+                file.rename(free_name(file, "before-repair"))
+            _list(path, [])
+    return lost
+
+
+def _list(path: Path, digests: Sequence[str]) -> None:
+    write_listed(path, "edits", {"count": len(digests), "sha256": digests[-1] if digests else ""})
+
+
+def _read_listed(path: Path) -> tuple[list[Edit], list[str], int]:
+    """As `_read`, compared with the manifest, which may not list the last line yet."""
+    found = read_listed(path, "edits", {"count": int, "sha256": str}) if is_dataset(path) else None
+    edits, digests, size = _read(path / EDITS)
+    if found is not None:
+        count = found["count"]
+        if len(edits) not in (count, count + 1) or (["", *digests][count] if count >= 0 else None) != found["sha256"]:
+            raise FileError(path / EDITS, f"holds {len(edits)} edits, which are not the {count} of the manifest")
+    return edits, digests, size
+
+
+def _read(file: Path) -> tuple[list[Edit], list[str], int]:
+    """The edits, the digest of each, and the offset of the next one [bytes]."""
     try:
         data = read_bytes(file, TEXT_LIMIT)
     except FileError as err:
         if isinstance(err.__cause__, FileNotFoundError):
-            return [], "", 0
+            return [], [], 0
         raise
     edits: list[Edit] = []
-    digest = ""
+    digests: list[str] = []
     size = data.rfind(b"\n") + 1
     if _COMPLETE_LINE.search(data, size):
         raise FileError(file, "damaged: the last line is complete, but has no line end", field=f"byte {size}")
     for number, line in enumerate(data[:size].split(b"\n")[:-1], 1):
         try:
-            edit, digest = _edit(line, digest, len(edits))
+            edit, digest = _edit(file, line, digests[-1] if digests else "", len(edits))
+        except FileError:
+            raise
         except (DatasetError, ValueError, KeyError, TypeError, RecursionError) as err:
             raise FileError(file, " ".join(str(err).split()), field=f"line {number}") from err
         edits.append(edit)
-    return edits, digest, size
+        digests.append(digest)
+    return edits, digests, size
 
 
-def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
+def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
     """The edit in a line, and the digest up to it."""
     content: Any = parse_json(line)
     if isinstance(content, dict):
         require_version(content.get("schema_version"), _VERSION)
     if not isinstance(content, dict) or content.pop("sha256", None) != _digest(before, content):
         raise DatasetError("damaged: this line and those before it do not match their checksum")
+    require_schema(file, content, _SCHEMA, f"line {known + 1}")
     if content["action"] not in _ACTIONS:
         raise DatasetError(f"action {content['action']!r} is none of {', '.join(_ACTIONS)}")
     edit = Edit(action=content["action"], ids=tuple(content["ids"]), object=content["object"], edit=content["edit"])

@@ -4,23 +4,23 @@
 Layout, schema version 1::
 
     dataset/
-      manifest.json        format, schema version, hand, camera, version of foretouch; with its own checksum
+      manifest.json        format, schema version, hand, camera, version of foretouch, sessions and edits; with its own
+                           checksum. See `chain`; a manifest of foretouch 0.2.0 lacks sessions and edits
       session-0001.mcap    the first session; later ones add files, and never change a finished file
       .lock                locked by the one process that writes
 """
 
 import fcntl
 import os
-import shutil
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import open_own, open_regular, replace_files
-from foretouch.dataset.files import disk_errors, new_folder, read_manifest, sealed, sync_folder
+from foretouch.checked_files import open_own, open_regular, replace_files, require_schema
+from foretouch.dataset.files import disk_errors, read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
 from foretouch.errors import FileError
@@ -58,7 +58,9 @@ def session_files(path: Path) -> list[Path]:
 
 def new_session_path(path: Path) -> Path:
     """The file of the next session; numbers are never used twice."""
-    taken = [int(p.name[8:12]) for p in path.glob("session-[0-9][0-9][0-9][0-9].mcap*")]
+    listed = read_listed(path, "sessions", [{"file": str}]) or []
+    names = [*(p.name for p in path.glob("session-*")), *(one["file"] for one in listed)]
+    taken = [int(found[1]) for name in names if (found := re.match(r"session-(\d{4})\.mcap", name))]
     return path / f"session-{max(taken, default=0) + 1:04d}.mcap"
 
 
@@ -67,9 +69,8 @@ def _read_identity(path: Path) -> tuple[Identity, str]:
     file = path / _MANIFEST
     content = read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL)
     for name in ("hand", "camera"):
-        properties = content.get(name)
-        if not isinstance(properties, dict) or not all(isinstance(value, str) for value in properties.values()):
-            raise FileError(file, "is no list of named texts", field=name)
+        properties = require_schema(file, content, {name: dict})[name]
+        require_schema(file, properties, dict.fromkeys(properties, str), name)
     return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
 
 
@@ -108,38 +109,33 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
         yield
 
 
-def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity) -> Path:
-    """Copy a session whose file was removed into a new dataset in `folder`, which appears complete or not at all.
+def read_listed(path: Path, name: str, schema: Any) -> Any:
+    """What the manifest lists under a name, checked by a schema; None where it lists none (raises as `read_manifest`)."""
+    file = path / _MANIFEST
+    content = read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL)
+    return None if name not in content else require_schema(file, content[name], schema, name)
 
-    Returns:
-        The dataset: its name is that of `file`'s folder, or that name with a number.
-    """
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    name = file.parent.absolute().name
-    names = (name if number == 1 else f"{name}-{number}" for number in count(1))
-    path = next(folder / one for one in names if not (folder / one).exists())
-    with new_folder(path) as part, opened_to_write(part, identity):
-        with (part / file.name).open("xb") as copy:
-            source.seek(0)
-            shutil.copyfileobj(source, copy)
-            copy.flush()
-            os.fsync(copy.fileno())
-        sync_folder(part)
-    with disk_errors(folder):
-        sync_folder(folder)
-    return path
+
+def write_listed(path: Path, name: str, value: Any) -> None:
+    """Replace what the manifest lists under a name; the caller holds the lock."""
+    _write_manifest(path, {**read_manifest(path / _MANIFEST, _FORMAT, SCHEMA_VERSION, _SEAL), name: value})
 
 
 def _create_manifest(path: Path, identity: Identity) -> None:
-    """Write the manifest of a new dataset; it appears complete or not at all."""
     content = {
         "format": _FORMAT,
         "schema_version": SCHEMA_VERSION,
         "foretouch": __version__,
         "hand": dict(sorted(identity.hand.items())),
         "camera": dict(sorted(identity.camera.items())),
+        "sessions": [],
+        "edits": {"count": 0, "sha256": ""},
     }
+    _write_manifest(path, content)
+
+
+def _write_manifest(path: Path, content: Mapping[str, Any]) -> None:
+    """Write the manifest, which appears complete or not at all."""
     replace_files({path / _MANIFEST: sealed(content, _SEAL).encode()})
     with disk_errors(path / _MANIFEST):
         sync_folder(path)

@@ -7,30 +7,28 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 
 import struct
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
-from mcap.records import Metadata, Statistics
+from mcap.records import Metadata
 
-from foretouch.checked_files import open_regular
+from foretouch.checked_files import FileBytes, open_regular
 from foretouch.dataset.record import Identity
+from foretouch.dataset.recording.chain import require_chain
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, recorded_files, session_files
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
-    IN_SUMMARY,
     MAGIC,
     Damage,
     Declarations,
     MessageCounts,
     Record,
     RecordedMessage,
+    declared_samples,
     is_finished,
     magic_damage,
-    mapped,
-    summary_of,
     walk,
 )
 from foretouch.dataset.recording.repair import readable, salvaged
@@ -39,11 +37,12 @@ from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
 
 _T = TypeVar("_T")
+_HEAD_SIZE: Final = 65536  # bytes of a serialised sample that hold its frame and its id
 
 
 class _Sample(NamedTuple):
     file: Path
-    data: memoryview
+    data: FileBytes
     message: RecordedMessage
 
 
@@ -63,11 +62,13 @@ class RecordedDataset:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.files = recorded_files(self.path)
+        if self.path.is_dir():
+            require_chain(self.path)
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []
         for file in self.files:
-            data = mapped(file)
+            data = FileBytes(file)
             found = [_Sample(file, data, message) for message in _sample_messages(file, data)]
             if is_finished(data):
                 _check_count(file, data, len(found))
@@ -100,7 +101,7 @@ class RecordedDataset:
         total = MessageCounts()
         for file in self.files:
             declared = Declarations()
-            for record in walk(mapped(file)):
+            for record in walk(FileBytes(file)):
                 if isinstance(record, Record):
                     _require(file, declared.add(record))
             total.add(declared.counts or MessageCounts())
@@ -111,15 +112,9 @@ class RecordedDataset:
         return f"{self._samples[index].file}[{self._samples[index].message.start}]"
 
 
-def _check_count(path: Path, data: memoryview, found: int) -> None:
+def _check_count(path: Path, data: FileBytes, found: int) -> None:
     """Compare the samples found in a finished file with the count in its summary, which has a checksum."""
-    declared, counts = Declarations(), {}
-    for item in walk(data, *_require(path, summary_of(data)), IN_SUMMARY):
-        record = _require(path, item)
-        declared.add(record)
-        if isinstance(record.content, Statistics):
-            counts = record.content.channel_message_counts
-    count = sum(count for channel, count in counts.items() if declared.type_of(channel) == SAMPLE_TYPE)
+    count = _require(path, declared_samples(data))
     if count != found:
         raise FileError(path, f"damaged: holds {found} samples, its index declares {count}", field="samples")
 
@@ -132,12 +127,12 @@ def _holds_samples(path: Path) -> bool:
         return False
     with open_regular(path) as file:
         start = file.read(65536)
-    contents = (record.content for record in walk(memoryview(start)) if isinstance(record, Record))
+    contents = (record.content for record in walk(start) if isinstance(record, Record))
     begins = any(isinstance(content, Metadata) and content.name == ABOUT for content in contents)
     return start.startswith(MAGIC) and (begins or SAMPLE_TYPE.encode() in start)
 
 
-def _sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
+def _sample_messages(path: Path, data: FileBytes) -> Iterator[RecordedMessage]:
     """The messages with samples in a file, in order, up to its end or to where it is cut off.
 
     Raises a `FileError` at the first invalid record, unless the file merely ends within it.
@@ -157,7 +152,7 @@ def _sample_messages(path: Path, data: memoryview) -> Iterator[RecordedMessage]:
             yield from _samples_of(path, data, record, declared)
 
 
-def _samples_of(path: Path, data: memoryview, chunk: Record, declared: Declarations) -> Iterator[RecordedMessage]:
+def _samples_of(path: Path, data: FileBytes, chunk: Record, declared: Declarations) -> Iterator[RecordedMessage]:
     indexed = set()  # channels of the chunk, according to the index after it
     for record in walk(data, chunk.end):
         if isinstance(record, Damage) or record.opcode != Opcode.MESSAGE_INDEX:
@@ -184,26 +179,28 @@ def recorded_ids(path: Path) -> set[str]:
     """The ids in a dataset, including those after damage that `repair` would save; a `FileError` for other damage."""
     ids = set()
     for file in session_files(path):
-        data = mapped(file)
+        data = FileBytes(file)
         cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
+        found = list(_sample_messages(file, data))
+        if is_finished(data) and declared_samples(data) != len(found):  # what is declared is damaged
+            cut = len(MAGIC)
         saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
-        ids |= {_id_of(file, data, message) for message in chain(_sample_messages(file, data), saved)}
+        ids |= {_id_of(file, data, message) for message in (*found, *saved)}
     return ids
 
 
-def _id_of(path: Path, data: memoryview, sample: RecordedMessage) -> str:
+def _id_of(path: Path, data: FileBytes, sample: RecordedMessage) -> str:
     """The id in a serialised sample, which follows the header (stamp, frame) and the schema version."""
     try:
-        start = sample.start + 4  # CDR aligns from the end of the encapsulation header
-        (frame,) = struct.unpack_from("<I", data, start + 8)
+        head = data[sample.start + 4 : min(sample.end, sample.start + _HEAD_SIZE)]  # CDR aligns from its fifth byte
+        (frame,) = struct.unpack_from("<I", head, 8)
         offset = 12 + frame
         offset += -offset % 2 + 2  # the schema version
         offset += -offset % 4
-        (length,) = struct.unpack_from("<I", data, start + offset)
-        begin = start + offset + 4
-        if begin + length > sample.end:
+        (length,) = struct.unpack_from("<I", head, offset)
+        if offset + 4 + length > len(head):
             raise ValueError("an id longer than its message")
-        return bytes(data[begin : begin + length]).rstrip(b"\0").decode()
+        return head[offset + 4 : offset + 4 + length].rstrip(b"\0").decode()
     except (struct.error, ValueError) as err:
         rule = f"damaged: the id of a sample cannot be read: {err}"
         raise FileError(path, rule, field=f"byte {sample.start}") from err

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Walks over the records of a recording without trusting any length in it.
 
-The file is mapped into memory, so only requested bytes are copied, and no length in it can make the reader allocate
-more memory than the size of the file. Verification, repair and reading all use `walk`.
+Only requested bytes are read, and no length in the file can make the reader allocate more memory than the size of the
+file. Verification, repair and reading all use `walk`.
 
 Of the message counts in a recording, received = written + dropped (by reason), for each topic. Messages that the
 middleware lost before they arrived were never received; they are counted separately.
 """
 
 import json
-import mmap
-import os
 import re
 import struct
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -27,8 +24,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from foretouch.checked_files import open_regular, parse_json
-from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS
+from foretouch.checked_files import FileBytes, parse_json
+from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPE
 from foretouch.errors import DatasetError, FileError
 
 MAGIC: Final[bytes] = MCAP0_MAGIC
@@ -77,9 +74,9 @@ class Chunk(NamedTuple):
     end: int
     crc: int
 
-    def intact(self, data: memoryview) -> bool:
+    def intact(self, data: FileBytes) -> bool:
         """Whether the data match the checksum."""
-        return zlib.crc32(data[self.start : self.end]) == self.crc
+        return data.crc32(self.start, self.end) == self.crc
 
 
 class RecordedMessage(NamedTuple):
@@ -105,24 +102,16 @@ class Record(NamedTuple):
 Walked: TypeAlias = Iterator[Record | Damage]
 
 
-def mapped(path: Path) -> memoryview:
-    """The bytes of a file, read from the disk on access, until their last view is gone; raises a `FileError`."""
-    try:
-        with open_regular(path) as file:
-            size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
-            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b"")
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
-
-
-def magic_damage(data: memoryview) -> Damage | None:
+def magic_damage(data: FileBytes) -> Damage | None:
     """The fault of the first bytes, if there is one."""
     if len(data) == 0:
         return Damage(0, "is empty")
     return None if data[: len(MAGIC)] == MAGIC else Damage(0, "is no MCAP file: it does not begin as one")
 
 
-def walk(data: memoryview, start: int = len(MAGIC), end: int | None = None, allowed: set[Opcode] = _IN_DATA) -> Walked:
+def walk(
+    data: FileBytes | bytes, start: int = len(MAGIC), end: int | None = None, allowed: set[Opcode] = _IN_DATA
+) -> Walked:
     """The records from offset `start` to `end`, by default the end of the file; a `Damage` for each that is invalid.
 
     The walk ends at damage that leaves open where the next record begins.
@@ -133,7 +122,7 @@ def walk(data: memoryview, start: int = len(MAGIC), end: int | None = None, allo
         if left < 0:
             yield Damage(start, f"cut off: {end - start} bytes are no record")
             return
-        opcode, length = _HEAD.unpack_from(data, start)
+        opcode, length = _HEAD.unpack(data[start : start + _HEAD.size])
         if length > left:
             yield Damage(start, f"cut off or damaged: a record of {length} bytes, {left} are left")
             return
@@ -150,7 +139,7 @@ def walk(data: memoryview, start: int = len(MAGIC), end: int | None = None, allo
         start = following
 
 
-def walk_on(data: memoryview, start: int = len(MAGIC)) -> Walked:
+def walk_on(data: FileBytes, start: int = len(MAGIC)) -> Walked:
     """As `walk`, but after damage it continues at the next intact chunk, and ends where the data end."""
     while start < len(data):
         for record in walk(data, start):
@@ -164,39 +153,54 @@ def walk_on(data: memoryview, start: int = len(MAGIC)) -> Walked:
         start = next_chunk(data, record.offset + 1)
 
 
-def next_chunk(data: memoryview, start: int) -> int:
+def next_chunk(data: FileBytes, start: int) -> int:
     """Offset of the first chunk with a valid checksum from `start` on; the size of the file if there is none."""
-    for match in _CHUNK_START.finditer(data, start):
-        found = next(walk(data, match.start()))
+    for at in data.find_all(_CHUNK_START, 64, start, len(data)):
+        found = next(walk(data, at))
         if isinstance(found, Record) and found.content.intact(data):
-            return match.start()
+            return at
     return len(data)
 
 
-def is_finished(data: memoryview) -> bool:
+def is_finished(data: FileBytes) -> bool:
     """Whether a recording was closed, so that it has an index."""
     return len(data) > 2 * len(MAGIC) and data[-len(MAGIC) :] == MAGIC
 
 
-def summary_of(data: memoryview) -> tuple[int, int] | Damage:
+def summary_of(data: FileBytes) -> tuple[int, int] | Damage:
     """Start and end of the summary of a finished file, verified by its checksum."""
     at = len(data) - len(MAGIC) - _FOOTER.size
     if at < len(MAGIC) or not is_finished(data):
         return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
-    opcode, length, start, _, crc = _FOOTER.unpack_from(data, at)
+    opcode, length, start, _, crc = _FOOTER.unpack(data[at : at + _FOOTER.size])
     if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not len(MAGIC) <= start <= at:
         return Damage(at, "damaged: the footer of a finished recording is no footer")
-    if zlib.crc32(data[start : at + _FOOTER.size - 4]) != crc:
+    if data.crc32(start, at + _FOOTER.size - 4) != crc:
         return Damage(start, "damaged: the index at the end does not match its checksum")
     return start, at
 
 
-def _content(data: memoryview, opcode: int, start: int, end: int) -> Any:
+def declared_samples(data: FileBytes) -> int | Damage:
+    """The number of samples by the summary of a finished file, which has a checksum."""
+    summary = summary_of(data)
+    if isinstance(summary, Damage):
+        return summary
+    declared, counts = Declarations(), {}
+    for record in walk(data, *summary, IN_SUMMARY):
+        if isinstance(record, Damage):
+            return record
+        declared.add(record)
+        if isinstance(record.content, Statistics):
+            counts = record.content.channel_message_counts
+    return sum(count for channel, count in counts.items() if declared.type_of(channel) == SAMPLE_TYPE)
+
+
+def _content(data: FileBytes | bytes, opcode: int, start: int, end: int) -> Any:
     """The content of a record; a text says why it is damaged."""
     if opcode == Opcode.CHUNK:
         if end - start < _CHUNK.size:
             return "a chunk too short for its head"
-        _, _, size, crc, compression, data_size = _CHUNK.unpack_from(data, start)
+        _, _, size, crc, compression, data_size = _CHUNK.unpack(data[start : start + _CHUNK.size])
         if compression:
             return "a compressed chunk, which foretouch does not support"
         if not size == data_size == end - start - _CHUNK.size:
@@ -205,13 +209,14 @@ def _content(data: memoryview, opcode: int, start: int, end: int) -> Any:
     if opcode == Opcode.MESSAGE:
         if end - start < _MESSAGE.size:
             return "a message too short for its head"
-        channel, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(data, start)
+        channel, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack(data[start : start + _MESSAGE.size])
         return RecordedMessage(channel, sequence, log_time_ns, publish_time_ns, start + _MESSAGE.size, end)
     if opcode == Opcode.MESSAGE_INDEX:
         size = end - start - _INDEX.size
-        if size < 0 or size % 16 or size != _INDEX.unpack_from(data, start)[1]:
-            return "the sizes of an index do not add up"
-        return _INDEX.unpack_from(data, start)[0]
+        if size < 0:
+            return "an index too short for its head"
+        channel, declared = _INDEX.unpack(data[start : start + _INDEX.size])
+        return "the sizes of an index do not add up" if size % 16 or size != declared else channel
     kind: Any = _PARSED.get(Opcode(opcode))
     if kind is None:
         return None

@@ -10,16 +10,17 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
 from typing import Final
 
 from mcap.records import Message
 
-from foretouch.dataset.files import disk_errors, sync_folder
+from foretouch.checked_files import FileBytes
+from foretouch.dataset.files import disk_errors, free_name, sync_folder
 from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
+from foretouch.dataset.recording.edits import EDITS, forget_edits
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.records import (
@@ -31,7 +32,6 @@ from foretouch.dataset.recording.records import (
     MessageCounts,
     RecordedMessage,
     TopicCounts,
-    mapped,
     next_chunk,
     walk,
     walk_on,
@@ -49,6 +49,7 @@ from foretouch.errors import DatasetError, FileError, VersionError
 
 _CHUNK_BYTES: Final = 4_000_000
 _HEAD: Final = 31  # bytes of a message record before its CDR
+_LARGEST: Final = 256_000_000  # bytes of a sample; an image of 1280 x 720 points has 15 million
 _MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
 
 
@@ -72,8 +73,34 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """
     path = Path(path)
     recorded_files(path)  # refuses other folders, before a lock file is created there
-    with lock(path) if path.is_dir() else nullcontext():
-        return [_repair_file(file) for file in recorded_files(path)]
+    if not path.is_dir():
+        return [_repair_file(path)]
+    with lock(path):
+        replaced = _replaced_sessions(path)
+        added = [file for file, _ in chain_faults(path) if file.exists()]
+        reports = [*replaced, *(_repair_file(file) for file in recorded_files(path))]
+        for report in reports:
+            report.changed |= report.path in added
+        if lost := forget_edits(path):
+            reports.append(RepairReport(path / EDITS, changed=True, lost=[Damage(0, lost)]))
+        list_sessions(path)
+        return reports
+
+
+def _replaced_sessions(path: Path) -> list[RepairReport]:
+    """A report for each listed session that is missing, or whose file is that of another, which is renamed."""
+    listed = {path / one.file for one in listed_sessions(path) or []}
+    reports = []
+    for file, rule in chain_faults(path):
+        report = RepairReport(file, changed=True, lost=[Damage(0, rule)])
+        if file.exists():
+            if file not in listed or not verify_file(file).clean:
+                continue  # it was added, or is damaged and what remains is saved
+            report.original = free_name(file, "before-repair")
+            with disk_errors(file, "cannot be renamed"):
+                file.rename(report.original)
+        reports.append(report)
+    return reports
 
 
 def _repair_file(path: Path) -> RepairReport:
@@ -86,8 +113,8 @@ def _repair_file(path: Path) -> RepairReport:
     part = path.with_name(f"{path.name}.repairing")
     part.unlink(missing_ok=True)
     try:
-        data = mapped(path)
-        if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) == len(data):
+        data = FileBytes(path)
+        if not MAGIC.startswith(data[: len(MAGIC)]) and next_chunk(data, 0) == len(data):
             raise FileError(path, "is no MCAP file, and holds no part of one")
         _Repair(data, found.declared, McapFile(part), report)
         report.original = _replace(path, part)
@@ -100,8 +127,7 @@ def _repair_file(path: Path) -> RepairReport:
 
 def _replace(path: Path, repaired: Path) -> Path:
     """Replace the original by the repaired file; the original gets its second name before it loses the first."""
-    names = (f"{path.name}.before-repair{'' if number == 1 else f'-{number}'}" for number in count(1))
-    kept = next(path.with_name(name) for name in names if not path.with_name(name).exists())
+    kept = free_name(path, "before-repair")
     with disk_errors(path, "cannot be replaced"):
         try:
             os.link(path, kept)
@@ -115,7 +141,7 @@ def _replace(path: Path, repaired: Path) -> Path:
 class _Repair:
     """The intact parts of a file, copied into a new one."""
 
-    def __init__(self, data: memoryview, declared: Declarations, file: McapFile, report: RepairReport) -> None:
+    def __init__(self, data: FileBytes, declared: Declarations, file: McapFile, report: RepairReport) -> None:
         self._data = data
         self._file = file
         self._report = report
@@ -124,8 +150,8 @@ class _Repair:
         self._pending: list[Message] = []
         self._written: Counter[str] = Counter()
         try:
+            file.write_metadata(ABOUT, {**declared.about, REPAIRED: LIBRARY})
             self._declare()
-            file.write_metadata(ABOUT, {**declared.about, "repaired_by": LIBRARY})
             for item in salvaged(data):
                 if isinstance(item, Damage):
                     report.lost.append(item)
@@ -158,7 +184,7 @@ class _Repair:
             return
         if is_sample or sum(len(message.data) for message in self._pending) > _CHUNK_BYTES:
             self._flush()
-        cdr = bytes(self._data[one.start : one.end])
+        cdr = self._data[one.start : one.end]
         self._pending.append(self._file.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
         self._written[topic] += 1
         if is_sample:
@@ -182,7 +208,7 @@ class _Repair:
         return result
 
 
-def salvaged(data: memoryview, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:
+def salvaged(data: FileBytes, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:
     """From offset `start` on, the messages of intact chunks, the samples in damaged parts, and the damage itself."""
     for item in walk_on(data, start):
         if isinstance(item, Damage):
@@ -199,7 +225,7 @@ def salvaged(data: memoryview, start: int = len(MAGIC)) -> Iterator[RecordedMess
             yield from _samples_in(data, chunk.start, chunk.end)
 
 
-def _samples_in(data: memoryview, start: int, end: int) -> Iterator[RecordedMessage]:
+def _samples_in(data: FileBytes, start: int, end: int) -> Iterator[RecordedMessage]:
     """The intact samples between two offsets, verified by their own checksums, as messages of channel 0."""
     at = start
     for head, stop in _message_heads(data, start, end):
@@ -207,25 +233,24 @@ def _samples_in(data: memoryview, start: int, end: int) -> Iterator[RecordedMess
             continue
         for last in sorted({stop, end}):
             one = RecordedMessage(0, 0, 0, 0, head + _HEAD, last)
-            if last <= end and (record := readable(data, one)) is not None:
+            if last <= end and last - head <= _LARGEST and (record := readable(data, one)) is not None:
                 stamp_ns = record.sample.stamp_ns
                 yield one._replace(log_time_ns=stamp_ns, publish_time_ns=stamp_ns)
                 at = last
                 break
 
 
-def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, int]]:
+def _message_heads(data: FileBytes, start: int, end: int) -> list[tuple[int, int]]:
     """Possible start and end offsets of messages: from the records before the damage, and from byte patterns."""
     heads: dict[int, int] = {}
-    for match in _MESSAGE_START.finditer(data, start, end):
-        length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
-        heads[match.start()] = match.start() + 9 + length
+    for at in data.find_all(_MESSAGE_START, 16, start, end):
+        heads[at] = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
     for record in walk(data, start, end, IN_CHUNK):
         heads[record.offset] = end if isinstance(record, Damage) else record.end
     return sorted(heads.items())
 
 
-def readable(data: memoryview, message: RecordedMessage) -> SampleRecord | None:
+def readable(data: FileBytes, message: RecordedMessage) -> SampleRecord | None:
     """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
         return decode_sample(data[message.start : message.end]).record

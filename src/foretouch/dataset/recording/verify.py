@@ -6,7 +6,6 @@ and so does the manifest. Besides the bytes: samples can be decoded, ids are uni
 the message counts match the contents.
 """
 
-import zlib
 from collections import Counter
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
@@ -15,6 +14,8 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Header, Statistics
 
+from foretouch.checked_files import FileBytes
+from foretouch.dataset.recording.chain import chain_faults
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files
 from foretouch.dataset.recording.records import (
@@ -27,7 +28,6 @@ from foretouch.dataset.recording.records import (
     RecordedMessage,
     is_finished,
     magic_damage,
-    mapped,
     summary_of,
     walk,
     walk_on,
@@ -67,7 +67,8 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     """Verify the manifest, the log of edits and every recording of a dataset, or a single recording.
 
     Returns:
-        One report a file; an id that two samples share is a fault of the later file.
+        One report a file; an id that two samples share is a fault of the later file, and a file that is missing or not
+        the one that the manifest lists has a fault.
 
     Raises:
         FileError: If there is no recorded dataset, or its manifest or log is damaged or of another version.
@@ -83,13 +84,18 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
             if sample_id in owners:
                 report.faults.append(Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
             owners.setdefault(sample_id, report.path)
+    by_file = {report.path: report for report in reports}
+    for file, rule in chain_faults(path) if path.is_dir() else ():
+        if file not in by_file:
+            reports.append(by_file.setdefault(file, FileReport(file, finished=True)))
+        by_file[file].faults.append(Damage(0, rule))
     return reports
 
 
 def verify_file(path: Path) -> FileReport:
     """Verify one recording; a `FileError` if it cannot be read."""
     report = FileReport(path)
-    for fault in _Verification(report, mapped(path)).faults():
+    for fault in _Verification(report, FileBytes(path)).faults():
         report.faults.append(fault)  # one at a time: some checks are made only where there are none so far
     del report.faults[100:]  # so many are reported for one file
     return report
@@ -98,7 +104,7 @@ def verify_file(path: Path) -> FileReport:
 class _Verification:
     """One pass over one file."""
 
-    def __init__(self, report: FileReport, data: memoryview) -> None:
+    def __init__(self, report: FileReport, data: FileBytes) -> None:
         self.report = report
         self.data = data
         self.declared = report.declared
@@ -133,7 +139,7 @@ class _Verification:
             if number == 0 and not (isinstance(record.content, Header) and record.content.profile == "ros2"):
                 yield Damage(record.offset, "damaged: no header of a ROS 2 recording")
             if record.opcode == Opcode.DATA_END:
-                if record.content.data_section_crc != zlib.crc32(self.data[: record.offset]):
+                if record.content.data_section_crc != self.data.crc32(0, record.offset):
                     yield Damage(record.offset, "damaged: the bytes before do not match this checksum")
                 return record.end
             if damage := self.declared.add(record):

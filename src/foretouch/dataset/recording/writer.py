@@ -31,6 +31,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Final, Self
+from uuid import uuid4
 
 from mcap.records import Message
 
@@ -38,7 +39,8 @@ from foretouch import __version__
 from foretouch.config import Settings, setting
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
-from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
+from foretouch.dataset.recording.chain import ID, Session, begin_session, copy_session, end_session
+from foretouch.dataset.recording.folder import new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.reader import recorded_ids
 from foretouch.dataset.recording.records import MessageCounts
@@ -129,10 +131,12 @@ class RecordingWriter:
             self.file = new_session_path(self.path)
             self.output = McapFile(self.file)
             stack.callback(self.output.abandon)
-            self.output.write_metadata(ABOUT, _about(self.file.stem, identity))
+            session = Session(self.file.name, uuid4().hex)
+            self.output.write_metadata(ABOUT, _about(self.file.stem, identity) | {ID: session.id})
             self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
             sync_folder(self.path)
+            begin_session(self.path, session)
             self._release = stack.pop_all()
         self._flushed_s = self._counted_s = time.monotonic()
 
@@ -339,6 +343,8 @@ class RecordingWriter:
     def _finish(self) -> None:
         self._write_counts()
         self.output.finish()
+        with suppress(FileError):  # the session is listed, as one whose end is not
+            end_session(self.path, self.file)
 
     def _save(self, remains: BinaryIO) -> str:
         """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""

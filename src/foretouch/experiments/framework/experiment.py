@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from foretouch.config import Settings
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, none_of
 
 _PACKAGE: Final = "foretouch.experiments"
 
@@ -109,7 +109,7 @@ class Experiment(Generic[S, D]):
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
         """Settings of a preset with overrides; a `ConfigError` if one is unknown or out of its bounds."""
         if preset not in self.presets:
-            raise ConfigError(f"{self.name}: preset: {preset!r} is none of {', '.join(self.presets)}")
+            raise ConfigError(f"{self.name}: preset: {none_of(preset, self.presets)}")
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
         return base.updated(overrides, self.name)
 
@@ -153,7 +153,7 @@ def find_experiment(name: str) -> Experiment[Any, Any]:
         places = sorted(_modules(), key=lambda place: not place.endswith(f".{name}"))  # imports as few as it can
         if known := next((one for place in places for one in _held_by(place) if one.name == name), None):
             return known
-        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in list_experiments())}")
+        raise ConfigError(f"experiment: {none_of(name, [one.name for one in list_experiments()])}")
     try:
         found = _held_by(module)
     except ModuleNotFoundError as err:

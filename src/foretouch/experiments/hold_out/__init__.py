@@ -228,7 +228,7 @@ EXPERIMENTS: Final = (
             },
         },
         settings=splits.LearningCurveSettings,
-        base={"seeds": [0, 1, 2], "predictors": ["geometry_trees", "contact"]},
+        base={"seeds": [0, 1, 2], "predictors": ["object_mean", "geometry_trees", "contact"]},
         columns=("condition", "size"),
         resumable=("test_conditions", "grasps", "objects"),
         summarise=results.summarise_sizes,

@@ -60,9 +60,7 @@ class HoldOutSettings(Settings):
         for name in ("predictors", "seeds", *(["touches"] if isinstance(self, TouchSettings) else [])):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
-                raise ConfigError(
-                    f"{type(self).__name__}.{name}: {list(values)} must contain at least one value and no duplicates"
-                )
+                raise ConfigError(f"{name}: {list(values)} must contain at least one value and no duplicates")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,9 +98,7 @@ class LabelRatioSettings(SimulatedSettings):
         super().__post_init__()
         taken = max(self.model.n_points, self.training.points or 0)
         if self.cached_points < taken:
-            raise ConfigError(
-                f"LabelRatioSettings.cached_points: {self.cached_points} points are fewer than the network's {taken}"
-            )
+            raise ConfigError(f"cached_points: {self.cached_points} points are fewer than the network's {taken}")
 
     def chosen(self, model: str, ratio: int, modality: str) -> str:
         """The trial that was chosen for a network."""

@@ -24,6 +24,7 @@ from foretouch.experiments.shared.tables import (
     pivot,
     select,
     short,
+    span,
     unique,
     with_notes,
 )
@@ -66,7 +67,8 @@ _JUMP_GRASPS: Final = 50
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
 _COLUMNS: Final = (
     *("vision", "sources", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
-    *("vs_constant_verdict", "coverage", "half_width", "interval_score", "noticed_after"),
+    *("vs_constant", "vs_constant_low", "vs_constant_high", "vs_constant_verdict"),
+    *("coverage", "half_width", "interval_score", "noticed_after"),
 )
 
 
@@ -216,7 +218,9 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
                 row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
                     "skill", found[modality]
                 )
-                row["vs_constant_verdict"] = versus[modality].verdict if versus else None
+                if versus:
+                    row |= interval_columns("vs_constant", versus[modality])
+                    row["vs_constant_verdict"] = versus[modality].verdict
                 rows.append(row | _interval_scores(scored, sources, modality, chosen))
             for name in errors.objects if regime == "later" and sources == EVERYTHING else ():
                 skill, where = skills(errors.only(name), config), chosen & (recording.objects == name)
@@ -249,6 +253,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     notes = [
         "skill: 0 is the mean of all readings of the other objects, earlier and later; 1 is perfect; [95 % interval by bootstrap over objects]",
         "never touched: the first grasp of a run on an object; first three: grasps before which it was touched at most twice; later: all others",
+        "gain of vision: skill with it minus skill with the mean of earlier readings in its place, [95 % interval of the same draws of objects]",
         "▲ ▼ =: vision is significantly better, worse or not different from the mean of earlier readings, with the same sources",
         "nothing: vision or the mean alone; name: mean of earlier runs on the object; time: earlier readings with weights that fall by e in a day",
         "history: the state of the sensors from readings on other objects; touches: of this object, in this run",
@@ -258,7 +263,13 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     for regime in REGIMES:
         own = select(together, regime=regime)
         title = f"{regime}: {own[0]['grasps']} grasps"
-        tables.append(Table(title, ["known", *MODALITIES], pivot(_with_lines(own), "line", _skill)))
+        tables.append(Table(title, ["known", *MODALITIES], pivot(_with_lines(own), "line", _estimate)))
+    compared = [
+        {**row, "line": f"{row['regime']}, {row['sources']}"} for row in together if row["vs_constant"] is not None
+    ]
+    for vision, own in grouped(compared, "vision"):
+        body = pivot(own, "line", partial(_estimate, column="vs_constant"))
+        tables.append(Table(f"Gain of vision, {vision}", ["known besides vision", *MODALITIES], body))
     scored = [row for row in together if row["interval_score"] is not None]
     for vision, own in grouped(scored, "vision"):
         body = [
@@ -292,13 +303,20 @@ def _sentences(rows: Sequence[Row]) -> list[str]:
         words = "the mean of earlier readings" if vision == CONSTANT else f"vision ({vision})"
         text = f"{regime}, with {words}: {listed(known[NOTHING], 'skill')} alone, {listed(best, 'skill')} with {best[0]['sources']}"
         found.append(text)
+    for vision, own in grouped([row for row in rows if row["vs_constant_verdict"]], "vision"):
+        better, worse = (select(own, vs_constant_verdict=verdict) for verdict in ("better", "worse"))
+        found.append(
+            f"vision ({vision}) is significantly better than the mean of earlier readings in {len(better)} of {len(own)} "
+            f"comparisons and worse in {len(worse)}; it gains {span(row['vs_constant'] for row in own)}"
+        )
     return found
 
 
-def _skill(row: Row) -> str:
+def _estimate(row: Row, column: str = "skill") -> str:
     sign = f" {SIGNS[row['vs_constant_verdict']]}" if row["vs_constant_verdict"] in SIGNS else ""
-    ends = "" if row["skill_low"] is None else f" [{short(row['skill_low'])}, {short(row['skill_high'])}]"
-    return f"{short(row['skill'])}{sign}{ends}"
+    low, high = row[f"{column}_low"], row[f"{column}_high"]
+    ends = "" if low is None else f" [{short(low)}, {short(high)}]"
+    return f"{short(row[column])}{sign}{ends}"
 
 
 def _four(key: str, rows: Sequence[Mapping[str, Any]]) -> str:

@@ -15,14 +15,9 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments.shared.folds import split_by_fold, split_objects
-from foretouch.experiments.shared.scores import labelled
-from foretouch.learning.data import Dataset, load_dataset, make_folds
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.training.contact import ContactConfig
+from foretouch.learning.data import Dataset, load_dataset
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import Simulation
-from foretouch.types import GraspSample
 
 _REAL: Final = "real"
 
@@ -141,28 +136,3 @@ def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:
     """Read the folder of `prepare_both`."""
     simulated = load_simulated(settings, path / Path(settings.scene).stem)
     return RealAndSimulated(load_dataset(path / _REAL), simulated.collection)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConditionSettings(BothSettings):
-    """Settings of experiments on the default model, with simulated new objects and splits of the real grasps."""
-
-    split_seeds: tuple[int, ...] = setting((0, 1, 2), "Seeds of the splits of the simulated objects", minimum=0)
-    train_objects: int = setting(65, "Number of simulated training objects; the others are tested", minimum=2)
-    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
-    contact: ContactConfig = ContactConfig()
-    bootstrap: BootstrapConfig = BootstrapConfig()
-
-
-def split_condition(
-    settings: ConditionSettings, data: RealAndSimulated, split: str, part: str, seed: int = 0
-) -> tuple[list[GraspSample], list[GraspSample]]:
-    """Training and test samples of a part of a condition.
-
-    A condition is a split of the real grasps, whose parts are folds of a seed; or "", the simulated objects, whose
-    parts are the seeds of splits of the objects.
-    """
-    if not split:
-        return split_objects(labelled(data.simulated), settings.train_objects, int(part))
-    real = labelled(data.real)
-    return split_by_fold(real, make_folds(real, split, seed), part)

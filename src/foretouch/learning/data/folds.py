@@ -20,7 +20,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import DatasetError
+from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -87,7 +87,7 @@ def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fo
         return time_folds(objects, [sample.stamp_ns for sample in samples], _FOLDS)
     if split == "object":
         return group_folds(objects)
-    raise DatasetError(f"split: {split!r} is none of {', '.join(SPLITS)}")
+    raise DatasetError(f"split: {none_of(split, SPLITS)}")
 
 
 def random_folds(count: int, folds: int, rng: np.random.Generator) -> list[Fold]:

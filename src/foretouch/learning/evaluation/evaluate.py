@@ -159,7 +159,7 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
 
 
 def own_samples(card: Mapping[str, Any], data: datasets.Dataset, index: datasets.Indices) -> Bool | None:
-    """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card cannot tell."""
+    """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
     text = card["data"].get("sample_hashes")
     if not isinstance(text, str):
         same = card["data"].get("sha256") in (data.sha256, *data.aliases) and card["split"].get("name") is None

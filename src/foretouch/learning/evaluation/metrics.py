@@ -230,16 +230,6 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _D
     return _estimates(value, _skill(one, weights) - _skill(other, weights), len(one.objects), config)
 
 
-def mean_over_objects(values: Float64, config: BootstrapConfig = _DEFAULT) -> Estimate:
-    """Mean of (O,) numbers, one per object, with an interval from the same kind of draws."""
-    weights = _weights(len(values), config)
-    if not len(weights):
-        return Estimate(float(values.mean()), None, None)
-    tail = _tail(len(values), config.level)
-    low, high = np.quantile(weights @ values / len(values), [tail, 1.0 - tail])
-    return Estimate(float(values.mean()), float(low), float(high))
-
-
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
     """(draws, 5): eq. 1 by modality, and the mean of the four skills."""
     reference = weights @ errors.reference

@@ -125,7 +125,7 @@ class DeviceConfig(Settings):
         """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and there is none."""
         found = torch.cuda.is_available()
         if self.device == "cuda" and not found:
-            raise ConfigError(f"{type(self).__name__}.device: cuda: torch finds no GPU; choose auto or cpu")
+            raise ConfigError("device: cuda: torch finds no GPU; choose auto or cpu")
         return "cuda" if found and self.device != "cpu" else "cpu"
 
 
@@ -146,9 +146,7 @@ class TrainingDevice:
         """
         context = DistributedContext.of_process_group()
         if batch_size % context.world_size:
-            raise ConfigError(
-                f"{type(config).__name__}.batch_size: {batch_size} is no multiple of the {context.world_size} processes"
-            )
+            raise ConfigError(f"batch_size: {batch_size} is no multiple of the {context.world_size} processes")
         precision = torch.bfloat16 if config.precision == "bfloat16" else torch.float32
         return cls(_local_device(config.resolved_device), precision, context)
 

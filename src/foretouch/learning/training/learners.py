@@ -141,7 +141,7 @@ class NetworkLearner(Learner):
             )
         super().__init__(config, data, split)
         if config.calibrates and DistributedContext.of_process_group().world_size > 1:
-            raise ConfigError("RunConfig.calibrate: requires a single process; start the training without torchrun")
+            raise ConfigError("calibrate: requires a single process; start the training without torchrun")
         self._prepared = TrainingSet.build(data.samples, config.model, unlabelled=True)
         self._best = _Best(-1, float("inf"), {})
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
@@ -243,5 +243,5 @@ def _tensorboard_writer(folder: Path) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as err:
-        raise ConfigError("RunConfig.tensorboard: needs TensorBoard: pip install 'foretouch[tensorboard]'") from err
+        raise ConfigError("tensorboard: needs TensorBoard: pip install 'foretouch[tensorboard]'") from err
     return SummaryWriter(str(folder))

@@ -10,8 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.config import Settings, load_yaml, parse_overrides, setting
-from foretouch.errors import ConfigError, quoted
+from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
+from foretouch.errors import ConfigError, nearest, quoted, shown
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.learning.training.supervised import TrainConfig
@@ -77,26 +77,24 @@ class RunConfig(Settings):
         super().__post_init__()
         if self.name and not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,99}", self.name):
             rule = "is not 1 to 100 letters, digits, '.', '_' or '-', the first one no '.'"
-            raise ConfigError(f"RunConfig.name: {quoted(self.name)} {rule}")
+            raise ConfigError(f"name: {quoted(self.name)} {rule}")
         if self.calibrate is None:
             object.__setattr__(self, "calibrate", not self.has_network)
         for group, methods in GROUPS.items():
             given, default = (getattr(one, group).to_mapping() for one in (self, type(self)))
             changed = [key for key in given if given[key] != default[key]]
             if self.method not in methods and changed:
-                raise ConfigError(f"RunConfig.{group}.{changed[0]}: has no effect on method {self.method!r}")
+                raise ConfigError(f"{group}.{changed[0]}: has no effect on method {self.method!r}")
         if self.patience is not None and self.validation == 0.0:
-            raise ConfigError("RunConfig.patience: needs validation above 0, for nothing else may stop a training")
+            raise ConfigError("patience: needs validation above 0, for nothing else may stop a training")
         if self.validation > 0.0 and not self.has_network:
-            raise ConfigError(
-                f"RunConfig.validation: a {self.method} model has no epochs to choose from; leave it at 0"
-            )
+            raise ConfigError(f"validation: a {self.method} model has no epochs to choose from; leave it at 0")
         if self.release and (self.split is not None or self.validation > 0.0):
-            raise ConfigError("RunConfig.release: trains on all samples; leave split empty and validation at 0")
+            raise ConfigError("release: trains on all samples; leave split empty and validation at 0")
         if self.calibrates and self.model.outputs != MODALITIES:
             field = "release" if self.release else "calibrate"
             raise ConfigError(
-                f"RunConfig.{field}: model.outputs: {list(self.model.outputs)} are not all modalities, {', '.join(MODALITIES)}"
+                f"{field}: model.outputs: {list(self.model.outputs)} are not all modalities, {', '.join(MODALITIES)}"
             )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -148,15 +146,22 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
         ConfigError: If a file cannot be read, or a setting is unknown or out of bounds; names file, field and rule.
     """
     path = Path(config)
-    shipped = Path(str(resources.files("foretouch.learning"))) / _RECIPES / f"{config}.yaml"
-    if not path.exists() and str(config) in METHODS:
-        mapping: dict[str, Any] = {"method": str(config)}
-    else:
-        file = shipped if shipped.is_file() and not path.exists() else path
+    folder = Path(str(resources.files("foretouch.learning"))) / _RECIPES
+    recipes = {one.stem: one for one in sorted(folder.glob("*.yaml"))}
+    if path.is_file() or path.suffix or len(path.parts) > 1 or str(config) in recipes:
+        file = path if path.is_file() else recipes.get(str(config), path)
         mapping = _with_network(load_yaml(file), file.parent)
-    return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), str(config))
+    elif str(config) in METHODS:
+        mapping = {"method": str(config)}
+    else:
+        known = [*recipes, *METHODS]
+        raise ConfigError(f"{shown(path)}: is no file and none of {', '.join(known)}{nearest(config, known)}")
+    source = " ".join([str(config), *overrides])  # which of them is at fault, if both are, the field says
+    return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), source)
 
 
 def _with_network(mapping: dict[str, Any], folder: Path) -> dict[str, Any]:
     network = mapping.get("model")
-    return {**mapping, "model": load_yaml(folder / network)} if isinstance(network, str) else mapping
+    if isinstance(network, str) and network != EMPTY:
+        return {**mapping, "model": load_yaml(folder / network)}
+    return mapping

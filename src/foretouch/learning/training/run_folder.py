@@ -20,19 +20,11 @@ from typing import Any, Final
 
 import torch
 import yaml
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
-from foretouch.checked_files import (
-    TEXT_LIMIT,
-    open_own,
-    open_regular,
-    parse_json,
-    read_bytes,
-    replace_files,
-    write_text,
-)
+from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, write_text
 from foretouch.config import flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
 from foretouch.learning.training.trainer import Trainer
@@ -64,10 +56,10 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         FileError: If there is no state, or it is damaged or was changed.
     """
     try:
-        open_regular(path).close()
-        with safe_open(path, framework="pt") as file:
-            plain = parse_json(file.metadata()[_KEY])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        content = read_bytes(path)
+        tensors = load(content)
+        header = parse_json(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        plain = parse_json(header["__metadata__"][_KEY])
         seal = plain.pop(_SEAL)
     except FileError as err:
         if isinstance(err.__cause__, FileNotFoundError):

@@ -70,9 +70,7 @@ class SrganConfig(EpochsConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.loss.gradient_penalty > 0.0 and self.batch_norm != "frozen":
-            raise ConfigError(
-                "SrganConfig.loss.gradient_penalty: needs batch_norm frozen; else it starts in the millions"
-            )
+            raise ConfigError("loss.gradient_penalty: needs batch_norm frozen; else it starts in the millions")
 
 
 class SrganTrainer(Trainer):

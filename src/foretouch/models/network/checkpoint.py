@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load
 from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
@@ -117,7 +117,7 @@ def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
     except ConfigError as err:
         raise ModelError(str(err)) from err
     weights = file_beside(card_path, card["weights"], "weights")
-    tensors = read_tensors(weights, card["sha256"], card_path.name, load_file)
+    tensors = read_tensors(weights, card["sha256"], card_path.name, load)
     with torch.device("meta"):  # shapes alone: no random numbers are drawn for weights that are replaced at once
         net = TouchNet(config)
     _check_tensors(weights, net.state_dict(), tensors)

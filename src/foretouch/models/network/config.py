@@ -56,14 +56,14 @@ class ModelConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.outputs or len(set(self.outputs)) != len(self.outputs):
-            raise ConfigError(f"ModelConfig.outputs: {list(self.outputs)} must name at least one modality, each once")
+            raise ConfigError(f"outputs: {list(self.outputs)} must name at least one modality, each once")
         if not self.trunk_widths or len(self.tnet_widths) != 5:
             raise ConfigError(
-                f"ModelConfig.trunk_widths, tnet_widths: {list(self.trunk_widths)}, {list(self.tnet_widths)} "
+                f"trunk_widths, tnet_widths: {list(self.trunk_widths)}, {list(self.tnet_widths)} "
                 "must hold at least one and exactly five layers"
             )
         if self.metric_inputs and not self.use_grasp:
-            raise ConfigError("ModelConfig.metric_inputs: true needs use_grasp, because the width is the grasp's")
+            raise ConfigError("metric_inputs: true needs use_grasp, because the width is the grasp's")
 
     @property
     def channel_count(self) -> int:

@@ -48,9 +48,7 @@ class CameraNodeConfig(NodeConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.source != "scene" and self.faults != FaultConfig():
-            raise ConfigError(
-                f"CameraNodeConfig.faults: are supported by the camera of a scene only, not {self.source}"
-            )
+            raise ConfigError(f"faults: are supported by the camera of a scene only, not {self.source}")
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):

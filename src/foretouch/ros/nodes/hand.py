@@ -87,7 +87,7 @@ class HandConfig(NodeConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not set(_GRASPING) <= set(self.biotacs):
-            raise ConfigError(f"HandConfig.biotacs: {list(self.biotacs)} lacks TH or MF, which the hand grasps with")
+            raise ConfigError(f"biotacs: {list(self.biotacs)} lacks TH or MF, which the hand grasps with")
 
 
 class HandNode(ForetouchNode[HandConfig]):

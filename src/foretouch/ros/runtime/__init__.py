@@ -7,6 +7,7 @@ processing_node      ProcessingNode: matches its inputs by stamp and answers eve
 parameters           ROS parameters made from settings
 diagnostics          counts, rates and latencies of a node's inputs, and its report in /diagnostics
 discovery            whether publishers and subscribers have found each other; a second graph
+heartbeat            which other nodes were killed or hang
 internal_errors      errors of callbacks: counted, logged, answered, and never the end of the process
 workers              threads for topics, services and actions
 """

@@ -174,6 +174,13 @@ def diagnostic_status(
     )
 
 
+def gone_status(name: str, listener: str, last_s: float) -> DiagnosticStatus:
+    """Report in the place of a node that was killed or hangs, which another last heard at a time [s]."""
+    text = f"was killed or hangs: no heartbeat for {time.monotonic() - last_s:.1f} s at {listener}"
+    values = [KeyValue(key="state", value="gone")]
+    return DiagnosticStatus(level=DiagnosticStatus.ERROR, name=name, message=text, hardware_id="none", values=values)
+
+
 def _silence(now: InputSummary, limit_s: float | None) -> list[str]:
     if limit_s is None:
         return []

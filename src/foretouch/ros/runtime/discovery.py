@@ -8,7 +8,7 @@ default of Fast DDS.
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
@@ -26,18 +26,19 @@ _SUBSCRIBERS, _PUBLISHERS = "matched_subscribers.", "matched_publishers."
 _GRAPH: Final = frozenset({"segmentation", "grasp", "touch_predictor", "replay", "monitor"})  # see `Matching`
 
 
-def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
+def find_conflicts(node: Node, topics: Iterable[str], is_silent: Callable[[bytes], bool]) -> tuple[str, ...]:
     """Signs of a second graph in the namespace, which answers every cloud once more without any error, a line each.
 
     Args:
         node: Looks at the graph as far as it is discovered, which takes less than 0.1 ms a topic.
         topics: Names that should have one publisher at most.
+        is_silent: Whether the process of an end, by its id, has ended: such are still listed for some seconds.
     """
     own = node.get_fully_qualified_name()
     count = sum(_full_name(name, space) == own for name, space in node.get_node_names_and_namespaces())
     found = [f"{count} nodes are named {own}"] if count > 1 else []
     for topic in map(node.resolve_topic_name, topics):
-        ends = node.get_publishers_info_by_topic(topic)
+        ends = [end for end in node.get_publishers_info_by_topic(topic) if not is_silent(bytes(end.endpoint_gid))]
         # An end whose node is not discovered yet has no name.
         names = sorted(_node_of(end) for end in ends if end.node_name != "_NODE_NAME_UNKNOWN_")
         if len(names) > 1 and set(names) != {own}:

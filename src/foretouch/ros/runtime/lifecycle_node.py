@@ -28,10 +28,11 @@ from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status, gone_status
 from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, DirectPublisher, direct_topics
 from foretouch.ros.runtime.discovery import UPTIME, find_conflicts, matched_ends
 from foretouch.ros.runtime.executor import InputGroup
+from foretouch.ros.runtime.heartbeat import FINALIZED, Heartbeat
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.topics import NAMESPACE
@@ -105,8 +106,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_now)
         )
+        self._heartbeat = Heartbeat(self, lambda: self.state_name, self._input_group, self._report_now)
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
-        self.create_timer(1.0, self.look_for_second_graph, callback_group=own_group)
+        self.create_timer(1.0, self._look, callback_group=own_group)
 
     @property
     def config(self) -> _C:
@@ -228,9 +230,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
         return {bytes(end.endpoint_gid)[:ID_BYTES] for end in ends if (end.node_name, end.node_namespace) == own}
 
+    def _look(self) -> None:
+        """What is done every second."""
+        self.look_for_second_graph()
+
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
-        found = find_conflicts(self, self.exclusive_topics)
+        found = find_conflicts(self, self.exclusive_topics, self._heartbeat.is_silent)
         fresh = [text for text in found if text not in self.conflicts]
         self.conflicts = found
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
@@ -297,12 +303,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.stop()
         result = super().on_shutdown(state)
         self._release()
-        self.state_name = "finalized"
+        self.state_name = FINALIZED
         return result
 
     def destroy_node(self) -> None:
         """Stop and clean up, whatever the state."""
         self.stop()
+        self._heartbeat.stop()
         self._release()
         self._destroy()
 
@@ -363,6 +370,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 silence_s=getattr(self.config, "silence_s", None),
             )
             self._last, self._last_errors = now, errors
-            report = DiagnosticArray(status=[status])
+            gone = [gone_status(name, self.get_name(), at) for name, at in self._heartbeat.gone.items()]
+            report = DiagnosticArray(status=[status, *gone])
             report.header.stamp = self.get_clock().now().to_msg()
             self._diagnostics.publish(report)

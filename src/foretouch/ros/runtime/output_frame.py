@@ -44,11 +44,11 @@ class HandEye(Settings):
         super().__post_init__()
         for name, count in (("translation", 3), ("rotation", 4)):
             if len(getattr(self, name)) != count:
-                raise ConfigError(f"HandEye.{name}: {list(getattr(self, name))} is not {count} numbers")
+                raise ConfigError(f"{name}: {list(getattr(self, name))} is not {count} numbers")
         try:
             self.transform()
         except GraspError as err:
-            raise ConfigError(f"HandEye.rotation: {str(err).removeprefix('orientation: ')}") from err
+            raise ConfigError(f"rotation: {str(err).removeprefix('orientation: ')}") from err
 
     def transform(self) -> FrameTransform:
         """From the camera's frame to the robot's."""
@@ -106,7 +106,7 @@ class OutputFrameConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.hand_eye and not self.output_frame:
-            raise ConfigError(f"{type(self).__name__}.hand_eye: {self.hand_eye!r} is given without output_frame")
+            raise ConfigError(f"hand_eye: {self.hand_eye!r} is given without output_frame")
 
 
 class Latest(NamedTuple):

@@ -2,7 +2,8 @@
 """The base class of nodes that answer every cloud: inputs of one stamp in, one answer out.
 
 Messages of several topics that belong to one cloud are matched by their exact stamp: every output keeps the stamp
-of its cloud, so no tolerance is needed. The number of clouds that wait for a message is bounded.
+of its cloud, so no tolerance is needed. A cloud that waits too long for a message is answered with FAILED and counted as
+dropped, `no_grasps` where these are missing; while that lasts, it is an error in /diagnostics.
 
 Threads: callbacks only sort messages by stamp and queue them. A worker, whose thread the nodes of a process share unless
 `direct` is unset, computes and publishes, in the thread that took the messages or in its own (see `executor`), so that
@@ -42,17 +43,24 @@ class _StampedSet(NamedTuple):
 
 @dataclass(eq=False)
 class StampSynchronizer:
-    """Collects one message per topic for each stamp. Not thread-safe."""
+    """Collects one message per topic for each stamp. Not thread-safe.
+
+    A set that must be given up, since it waits too long or others need its place, is returned incomplete. What arrives for it
+    afterwards is left out; a message of a topic that it had begins a new set.
+    """
 
     topics: frozenset[str]  # of a set
     depth: int  # sets that may be incomplete at a time
     on_first: Callable[[], float]  # called at the first message of each set; gives its time of arrival
-    on_drop: Callable[[str], None]  # called for each dropped set: `unpaired` (replaced by newer ones), `repeated_stamp`
+    on_drop: Callable[[str], None]  # called for each set dropped for a reason such as `repeated_stamp`
     _waiting: dict[int, _StampedSet] = field(default_factory=dict)
+    _given_up: dict[int, frozenset[str]] = field(default_factory=dict)  # topics that they had, by stamp
 
     def add(self, topic: str, stamp_ns: int, message: Any) -> _StampedSet | None:
-        """Add a message of a topic; returns the set of its stamp if that is now complete."""
+        """Add a message of a topic; returns the set of its stamp if that is now complete, or one that is given up."""
         found = self._waiting.get(stamp_ns)
+        if found is None and topic not in self._given_up.pop(stamp_ns, (topic,)):
+            return None
         if found is not None and topic in found.messages:
             del self._waiting[stamp_ns]
             self.on_drop("repeated_stamp")
@@ -62,16 +70,26 @@ class StampSynchronizer:
         found.messages[topic] = message
         if found.messages.keys() == self.topics:
             return self._waiting.pop(stamp_ns)
-        if len(self._waiting) > self.depth:
-            del self._waiting[next(iter(self._waiting))]
-            self.on_drop("unpaired")
-        return None
+        return self._give_up() if len(self._waiting) > self.depth else None
+
+    def overdue(self, before_s: float) -> "list[_StampedSet]":
+        """Give up the sets that began before a time of arrival [s]."""
+        count = sum(one.arrived < before_s for one in self._waiting.values())
+        return [self._give_up() for _ in range(count)]
 
     def clear(self, reason: str) -> None:
         """Drop all incomplete sets."""
         while self._waiting:
             self._waiting.popitem()
             self.on_drop(reason)
+
+    def _give_up(self) -> _StampedSet:
+        stamp_ns, oldest = next(iter(self._waiting.items()))
+        del self._waiting[stamp_ns]
+        self._given_up[stamp_ns] = frozenset(oldest.messages)
+        while len(self._given_up) > self.depth:
+            del self._given_up[next(iter(self._given_up))]
+        return oldest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +101,13 @@ class ProcessingConfig(NodeConfig):
     )
     silence_s: float = setting(
         5.0, "Longest time without an input before a warning", unit="s", minimum=0.1, maximum=1e6
+    )
+    partner_timeout_s: float = setting(
+        3.0,
+        "Longest wait of a cloud for what belongs to it, such as its grasps, until it is answered without",
+        unit="s",
+        minimum=0.1,
+        maximum=3600.0,
     )
 
 
@@ -107,6 +132,8 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.direct_topics.thread(self.get_namespace()) if self.is_direct else None,
         )
         self._arrived = 0.0  # of the set that is being answered, `time.monotonic` [s]
+        self._lacking: Counter[str] = Counter()  # sets that were given up since the last complete one, by missing topic
+        self._lacking_s = (0.0, 0.0)  # when the first and the last of them were given up, `time.monotonic` [s]
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""
         self._silent_until = 0.0  # `time.monotonic` before which no refusal is logged [s]
@@ -136,6 +163,14 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         with self._lock:
             self._synchronizer.clear("stopped")
 
+    def errors(self) -> tuple[str, ...]:
+        """What all clouds lack for longer than `silence_s`."""
+        (first_s, last_s), limit_s = self._lacking_s, self.config.silence_s
+        if not self._lacking or last_s - first_s < limit_s or time.monotonic() - last_s > limit_s:
+            return ()
+        counts = ", ".join(f"{count} clouds without {topic}" for topic, count in dict(self._lacking).items())
+        return (f"no complete input for {last_s - first_s:.0f} s: {counts}",)
+
     def notes(self) -> dict[str, str]:
         """Numbers of answers by status, and why the last was empty."""
         return {
@@ -146,19 +181,45 @@ class ProcessingNode(ForetouchNode[_P], ABC):
     def _receive(self, topic: str, message: Any) -> None:
         with self._lock:
             found = self._synchronizer.add(topic, stamp_ns(message.header.stamp), message)
-        if found is None:
-            return
-        if self.state_name == "active":
-            self._worker.put(found)
-        else:
-            self.statistics.drop("inactive")
+        self._answer_in_turn([] if found is None else [found])
+
+    def _look(self) -> None:
+        super()._look()
+        with self._lock:
+            overdue = self._synchronizer.overdue(time.monotonic() - self.config.partner_timeout_s)
+        self._answer_in_turn(overdue)
+
+    def _answer_in_turn(self, jobs: Sequence[_StampedSet]) -> None:
+        for job in jobs:
+            if self.state_name != "active":
+                self.statistics.drop("inactive")
+            elif len(job.messages) < len(self._topics):
+                self._answer_incomplete(job)
+            else:
+                self._worker.put(job)
+
+    def _answer_incomplete(self, job: _StampedSet) -> None:
+        """Refuse a cloud for which a message has not come; not by the worker, whose queue is for clouds that it can answer."""
+        missing = next(topic for _, topic in self._topics if topic not in job.messages)
+        now = time.monotonic()
+        self._lacking_s = (self._lacking_s[0] if self._lacking else now, now)
+        self._lacking[missing] += 1
+        self.statistics.drop(f"no_{missing}")
+        reason = f"no_{missing}: none came for this cloud; /diagnostics shows which node does not work"
+        self._refuse(next(iter(job.messages.values())).header, Status.FAILED, reason)
+        self._note(Status.FAILED, reason)
 
     def _work(self, job: _StampedSet) -> None:
         self._arrived = job.arrived
+        self._lacking.clear()
         header = job.messages[self._topics[0][1]].header
         age_s = self.age_s(stamp_ns(header.stamp))
         status, reason = self._answer_or_refuse(job.messages, header)
         self.statistics.use(job.arrived, age_s)
+        self._note(status, reason)
+
+    def _note(self, status: int, reason: str) -> None:
+        """Count an answer, and log a refusal now and then."""
         self._outcomes[status_name(status)] += 1
         self._last_reason = reason
         if status not in (Status.OK, Status.INITIAL_POINTS) and time.monotonic() >= self._silent_until:

@@ -27,7 +27,7 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, TactileInput):
     """Settings of the touch predictor, with the frame of its answers, the hand's reach and its tactile messages."""
 
-    model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
+    model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
     fallback_model: str = setting(
         "", "Model to use, with a flag, if `model` cannot be loaded; none if empty", read_only=True
     )

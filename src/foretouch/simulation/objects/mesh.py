@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed triangle meshes for ray casting, and their reading from files by Open3D (extra `open3d`): OBJ, PLY, STL, GLB."""
 
+import hashlib
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
 
-from foretouch.checked_files import file_sha256
+from foretouch.checked_files import read_bytes
 from foretouch.errors import FileError, MissingDependencyError, SimulationError, shown
 from foretouch.libusb import ensure_libusb
+from foretouch.simulation.objects import mesh_reader
 from foretouch.types import Float64, Int64
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
 _MOST_FACES: Final = 1_000_000
+
+_meshes: dict[tuple[str, str], "TriangleMesh"] = {}  # by path and hash
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +88,7 @@ class TriangleMesh:
 
 
 def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
-    """A closed mesh [m], upright along z, and the SHA-256 of its file.
+    """A closed mesh [m], upright along z, and the SHA-256 of its file; read once for each content.
 
     Raises:
         FileError: If it cannot be read, is of another format, or holds no closed mesh.
@@ -91,37 +96,33 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
     """
     if Path(path).suffix.lower() not in _SUFFIXES:
         raise FileError(path, f"is none of {', '.join(_SUFFIXES)}")
-    sha256 = file_sha256(path)
-    if Path(path).stat().st_size > _LARGEST:
-        raise FileError(path, f"is larger than {_LARGEST // 1_000_000} MB")
-    return _read(path, sha256), sha256
+    content = read_bytes(path, _LARGEST)
+    sha256 = hashlib.sha256(content).hexdigest()
+    if (path, sha256) not in _meshes:
+        _meshes[path, sha256] = _read(path, content)
+    return _meshes[path, sha256], sha256
 
 
-@lru_cache(maxsize=64)
-def _read(path: str, _sha256: str) -> TriangleMesh:
-    """As `read_mesh_file`, once for each content."""
+def _read(path: str, content: bytes) -> TriangleMesh:
+    """The mesh in the content of a file."""
+    if find_spec("open3d") is None:
+        raise MissingDependencyError(f"{shown(path)}: meshes from files need Open3D: pip install open3d")
+    ensure_libusb()
     try:
-        ensure_libusb()
-        import open3d
-    except (ImportError, MissingDependencyError) as err:
-        raise MissingDependencyError(f"{shown(path)}: meshes from files need Open3D: pip install open3d") from err
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        found = open3d.io.read_triangle_mesh(Path(path))
-        found.remove_duplicated_vertices()
-        found.remove_degenerate_triangles()
-        found.remove_duplicated_triangles()
-        found.remove_unreferenced_vertices()
-    vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(found.triangles, np.int64)
+        vertices, faces = mesh_reader.read(Path(path).suffix.lower(), content)
+    except SimulationError as err:
+        raise FileError(path, str(err)) from err
     if not len(faces):
         raise FileError(path, "holds no triangle that can be read")
     if len(faces) > _MOST_FACES:
         raise FileError(path, f"holds {len(faces)} triangles, more than {_MOST_FACES}")
     if Path(path).suffix.lower() == ".glb":  # glTF has y up, all others as they were drawn: z up here
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    if np.isfinite(vertices).all() and TriangleMesh(vertices, faces).volume() < 0.0:
-        faces = faces[:, ::-1]  # it is inside out
-    mesh = TriangleMesh(vertices, np.ascontiguousarray(faces))
+    mesh = TriangleMesh(vertices, faces)
     try:
+        mesh.in_unit_box()
+        if mesh.volume() < 0.0:  # it is inside out
+            mesh = TriangleMesh(vertices, np.ascontiguousarray(faces[:, ::-1]))
         mesh.in_unit_box().closed("mesh")
     except SimulationError as err:
         raise FileError(path, str(err).removeprefix("mesh: ")) from err

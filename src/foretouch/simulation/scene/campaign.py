@@ -159,24 +159,20 @@ class CampaignConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.days or self.days[0] != 0.0:
-            raise ConfigError(f"CampaignConfig.days: {list(self.days)} does not begin with 0, the first session")
+            raise ConfigError(f"days: {list(self.days)} does not begin with 0, the first session")
         longest = self.longest_session_s / DAY_S
         for k, (day, after) in enumerate(zip(self.days, self.days[1:], strict=False)):
             if after - day < longest:
                 raise ConfigError(
-                    f"CampaignConfig.days: session {k + 1} starts {after - day:g} days after session {k}, "
+                    f"days: session {k + 1} starts {after - day:g} days after session {k}, "
                     f"which may take {longest:.3g} days"
                 )
         mounted = [(each.session, each.finger) for each in self.exchanges]
         for k, (session, finger) in enumerate(mounted):
             if session >= len(self.days):
-                raise ConfigError(
-                    f"CampaignConfig.exchanges[{k}].session: {session}, but the last session is {len(self.days) - 1}"
-                )
+                raise ConfigError(f"exchanges[{k}].session: {session}, but the last session is {len(self.days) - 1}")
             if mounted.index((session, finger)) < k:
-                raise ConfigError(
-                    f"CampaignConfig.exchanges[{k}]: the {finger} is exchanged twice at session {session}"
-                )
+                raise ConfigError(f"exchanges[{k}]: the {finger} is exchanged twice at session {session}")
 
     def repeats(self, slot: int) -> bool:
         """Whether a slot repeats the grasp of the slot before it."""

@@ -123,12 +123,15 @@ class FingersConfig(Settings):
     noise: NoiseConfig | None = None
     scan: Switch | None = None
     dead: DeadConfig | None = None
+    hand: int = setting(
+        0, "Number of the simulated hand: each has fingertips of its own; the model simulated knows 0", minimum=0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("creep", "slip", "vibration", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
-                raise ConfigError(f"FingersConfig.{name}: acts over time, but there is no timeline; give one")
+                raise ConfigError(f"{name}: acts over time, but there is no timeline; give one")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,6 +189,5 @@ class GraspsConfig(Settings):
         super().__post_init__()
         if self.balanced and self.control == "force" and self.middle is not None:
             raise ConfigError(
-                "GraspsConfig.middle: a target of its own, but balanced fingers share one force; leave it out or "
-                "set balanced: false"
+                "middle: a target of its own, but balanced fingers share one force; leave it out or set balanced: false"
             )

@@ -50,7 +50,7 @@ class ObjectConfig(Settings):
     With the shape `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
     """
 
-    name: str = setting("object", "Label of the samples")
+    name: str = setting("object", "Object name of the samples")
     shape: str = setting("can", "Shape of the object; mesh: that of a file", choices=(*SHAPES, MESH))
     file: str = setting("", "Closed mesh (OBJ, PLY, STL, GLB) for the shape mesh, upright along z [m]")
     file_sha256: str = setting("", "SHA-256 of the file; another file is refused where it is given")
@@ -88,7 +88,7 @@ class ObjectConfig(Settings):
         super().__post_init__()
         self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
-            raise ConfigError(f"ObjectConfig.size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
+            raise ConfigError(f"size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
         if self.young_pa is None and self.thickness_m is not None:
             raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
         if self.young_pa is not None and self.thickness_m is None:
@@ -143,9 +143,7 @@ class ClutterConfig(RangedSettings):
 class FamilyConfig(RangedSettings):
     """Objects of one kind. Each draws its values once, independent of the seed of the scene."""
 
-    name: str = setting(
-        "obj", "Name of the family; labels of the samples are this name and a number: obj_000, obj_001..."
-    )
+    name: str = setting("obj", "Name of the family; object names are this name and a number: obj_000, obj_001...")
     count: int = setting(10, "Number of objects", minimum=1, maximum=10_000)
     seed: int = setting(0, "Seed of what the objects draw", minimum=0, maximum=2**53)
     shapes: tuple[str, ...] = setting(
@@ -173,7 +171,7 @@ class FamilyConfig(RangedSettings):
         super().__post_init__()
         for name in ("shapes", "rests"):
             if not getattr(self, name):
-                raise ConfigError(f"FamilyConfig.{name}: there is none")
+                raise ConfigError(f"{name}: there is none")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,11 +31,10 @@ class RangedSettings(Settings):
         super().__post_init__()
         for name in self.RANGES:
             value = getattr(self, name)
-            place = f"{type(self).__name__}.{name}"
             if value is not None and (len(value) != 2 or value[0] > value[1]):
-                raise ConfigError(f"{place}: {list(value)} is not [low, high] with low <= high")
+                raise ConfigError(f"{name}: {list(value)} is not [low, high] with low <= high")
             if value is not None and value[0] < self.LOWEST:
-                raise ConfigError(f"{place}: {value[0]} is below {self.LOWEST}")
+                raise ConfigError(f"{name}: {value[0]} is below {self.LOWEST}")
 
 
 def draw(rng: np.random.Generator, limits: tuple[float, ...]) -> float:

@@ -48,10 +48,10 @@ class SceneConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.objects:
-            raise ConfigError("SceneConfig.objects: there is none")
+            raise ConfigError("objects: there is none")
         names = [item.name for item in self.objects]
         if len(set(names)) < len(names):
-            raise ConfigError(f"SceneConfig.objects: two have the name {max(names, key=names.count)}")
+            raise ConfigError(f"objects: two have the name {max(names, key=names.count)}")
         for k, item in enumerate(self.objects):
             _require_in_view(self, item, f"objects[{k}] {item.name}")
             _require_in_reach(self, item, f"objects[{k}] {item.name}")

@@ -80,7 +80,7 @@ def make_reader(config: TactileConfig) -> TactileReader:
     """The decoder for the settings; a `ConfigError` if the type has no finger of that name, or both are the same."""
     thumb, middle = config.fingers
     if thumb == middle:
-        raise ConfigError(f"TactileConfig.middle: {middle!r} is the thumb already")
+        raise ConfigError(f"middle: {middle!r} is the thumb already")
     reader: TactileReader = import_module(TACTILE_TYPES[config.type]).make_reader(config)
     return reader
 
@@ -88,7 +88,7 @@ def make_reader(config: TactileConfig) -> TactileReader:
 def named_index(name: str, names: Sequence[str], setting_name: str) -> int:
     """Index of a finger among the names that a type has; a `ConfigError` if the name is none of them."""
     if name not in names:
-        raise ConfigError(f"TactileConfig.{setting_name}: {name!r} is none of {', '.join(names)}")
+        raise ConfigError(f"{setting_name}: {name!r} is none of {', '.join(names)}")
     return names.index(name)
 
 
