@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw the pictures of docs/concepts.md: python docs/drawings.py.
+"""Draw pictures of the documents: python docs/drawings.py [PICTURE].
 
-Both show one simulated scene, as the pipeline sees it with its default settings.
+`steps` and `frames`, of docs/concepts.md, show one simulated scene, as the pipeline sees it with its default settings.
+
+`touch_recorded` shows grasps of the public recordings (FORETOUCH_DATA) that the model was not fitted to: the recipe of
+`contact-v2` is fitted to all but the last fifth of each object's grasps, in order of time. Of that last fifth, the grasps
+are drawn whose mean electrode error lies at the lower quartile, the median and the upper quartile.
 """
 
+import os
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -13,6 +19,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d.axes3d import Axes3D
+from PIL import Image
 
 from foretouch.pipeline import Pipeline, PipelineResult
 from foretouch.types import Cloud, TouchPrediction
@@ -123,12 +130,42 @@ def triad(ax: Axes3D, origin: np.ndarray, rotation: np.ndarray, length: float, n
     ax.text(*(origin - np.array([0.3, 0.0, 0.0])), name, fontsize=9)
 
 
-def main() -> None:
-    """Draw all."""
+def draw_recorded() -> None:
+    """Predicted beside read, on recorded grasps that the model was not fitted to."""
+    from foretouch.learning.data import labels_of, load_dataset, make_folds
+    from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+    from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
+    from foretouch.types import Touch
+
+    samples = load_dataset(Path(os.environ["FORETOUCH_DATA"]) / "vision2tactile").samples
+    fold = make_folds(samples, "time", 0)[-1]
+    train, test = ([samples[k] for k in index] for index in (fold.train, fold.test))
+    model = ContactPredictor(train, labels_of(train), ContactConfig())
+    values, half = model.intervals_after([], test)
+    errors = np.abs(values - labels_of(test))[:, 2:].mean(axis=1)
+    ranked = np.argsort(errors, kind="stable")
+    drawn = []
+    for share, name in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
+        k = ranked[round(share * (len(ranked) - 1))]
+        value, lower, upper = (Touch.from_vector(values[k] + sign * half[k]) for sign in (0.0, -1.0, 1.0))
+        prediction = TouchPrediction(test[k].grasp, value, lower=lower, upper=upper)
+        title = f"{test[k].object}: {name} of the errors of {len(test)} grasps, predicted from the cloud alone"
+        rest = Touch.from_vector(model.rest)
+        drawn.append(DrawnGrasp(prediction=prediction, read=test[k].touch, rest=rest, title=title))
+    path = save_touch_picture(FOLDER / "touch_recorded.png", drawn)
+    with Image.open(path) as image:
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+
+
+def main(picture: str = "") -> None:
+    """Draw one, or all of docs/concepts.md."""
+    if picture == "touch_recorded":
+        return draw_recorded()
     cloud, result = scene()
     draw_steps(cloud, result)
     draw_frames(cloud, result)
+    return None
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

@@ -98,6 +98,46 @@ def test_no_retired_word_is_used() -> None:
     assert found == [], "\n".join(found)
 
 
+RETIRED_IN_DOCUMENTS = {
+    "run folder": "model folder",
+    "training labels": "training readings",
+    "mean of the labels": "mean of the training readings",
+    "label of the object": "object name",
+    "label ratio": "training fraction",
+    "scene cloud": "cloud",
+    "calibration file": "hand-eye calibration",
+}
+
+
+def glossary() -> list[str]:
+    return re.findall(r"^\| \*\*(.+?)\*\* \|", (DOCS / "glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_one_word_is_used_for_one_thing() -> None:
+    assert len(glossary()) == 20
+    pages = [ROOT / "README.md", *DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md"), DOCS / "results" / "README.md"]
+
+    def check(page: Path) -> None:
+        text = " ".join(page.read_text(encoding="utf-8").split())
+        found = {word: instead for word, instead in RETIRED_IN_DOCUMENTS.items() if word in text.lower()}
+        assert not found, f"one word for one thing (docs/glossary.md): {found}"
+
+    every_case({page.name: page for page in pages if page.stem not in THEIR_OWN_WORDS}, check)
+
+
+THEIR_OWN_WORDS = {"papers", "accuracy_vs_time", "all_results"}
+"""Pages that quote the papers, or tables with names of their own."""
+
+
+def test_data_collectors_meet_few_concepts() -> None:
+    text = FENCED.sub("", (DOCS / "tutorials" / "collector.md").read_text(encoding="utf-8")).lower()
+    text = LINK.sub("", text).replace("are run in", "")  # targets of links; a verb
+    singular = {name: name.removesuffix("s") for name in glossary()}
+    met = [name for name, word in singular.items() if re.search(rf"\b{re.escape(word)}(s|es)?\b", text)]
+    assert {"readings", "tare", "sample"} <= set(met)
+    assert len(met) <= 12, met
+
+
 def test_every_field_of_every_interface_is_listed_with_its_comment(reference) -> None:
     text = reference.messages()
 
@@ -203,14 +243,13 @@ def test_the_page_of_scenes_has_the_example_every_shape_and_every_field(referenc
 def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> None:
     from recording_builders import write_dataset
 
-    from foretouch.cloud import write_cloud
     from foretouch.pipeline import Pipeline
     from foretouch.simulation import random_scene
 
     scene = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render().cloud()
-    write_cloud(tmp_path / "scene.npz", scene)
     write_dataset(tmp_path / "session", 4, points=100)
-    (tmp_path / "config").symlink_to(ROOT / "config")
+    for name in ("config", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
     target = Pipeline().run(scene).targets[0]
     given = {"cloud": target.target.cloud, "plane": target.target.plane, "grasps": target.plan.grasps, "tare": None}

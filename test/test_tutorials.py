@@ -63,7 +63,7 @@ def appears(quoted: str, output: str) -> bool:
     line = words(quoted)
     about = [float(one) for one in re.findall(rf"~({NUMBER})", line)]
     pattern = re.sub(r"(\\ )?…(\\ )?", ".*?", re.escape(line))
-    pattern = re.sub(r"\\?~(\\?[+-])?(\d|\\?\.)+", lambda _: f"({NUMBER})", pattern)
+    pattern = re.sub(r"\\?~(\\?[+-])?\d*(\\\.)?\d+", lambda _: f"({NUMBER})", pattern)
     found = re.finditer(f"(?={pattern})", words(output))
     return any(
         all(abs(float(a) - b) <= 0.2 * abs(b) for a, b in zip(one.groups(), about, strict=True)) for one in found
@@ -84,7 +84,7 @@ def prepare(folder: Path, files: dict[str, str]) -> dict[str, str]:
     for name, content in files.items():
         (clone / name).write_text(content, encoding="utf-8")
     (clone / ".venv" / ".runtime").touch()
-    (clone / ".venv" / "bin" / "activate").touch()
+    (clone / ".venv" / "bin" / "activate").write_text(f"export VIRTUAL_ENV={sys.prefix}\n", encoding="utf-8")
     scripts = {
         "git": f'[ "$1" = clone ] && mv {clone} "$(basename "$2")"',
         "foretouch": f'exec {sys.executable} -m foretouch "$@"',
@@ -151,9 +151,16 @@ def test_a_block_that_is_not_run_is_reported(step) -> None:
 
 def test_a_quoted_line_stands_for_numbers_that_are_near() -> None:
     output = "│ samples   │ 41 │\nskill -0.31 [-.4, .2] of\n run/model: ok"
-    for line in ("samples ~40", "skill ~-0.3 [-.4, .2]", "~.2] … ok", "run/model: ok", "skill ~-.3"):
+    for line in (
+        "samples ~40",
+        "skill ~-0.3 [-.4, .2]",
+        "~.2] … ok",
+        "run/model: ok",
+        "skill ~-.3",
+        "samples ~40 … ~.2]",
+    ):
         assert appears(line, output), line
-    for line in ("samples ~20", "skill ~0.3", "skill ~-0.4", "sample s", "run/modelx"):
+    for line in ("samples ~20", "skill ~0.3", "skill ~-0.4", "samples ~40 … ~.9]", "sample s", "run/modelx"):
         assert not appears(line, output), line
 
 

@@ -11,6 +11,8 @@ from foretouch.simulation import fingertip
 from foretouch.simulation.contact import PadConfig, contact_frame, pad_direction, pad_window
 from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.world import World
 from foretouch.tactile import P2_RANGES, electrode_positions, to_kohm, touch_faults
 from foretouch.types import Touch
 
@@ -122,3 +124,11 @@ def test_weights_are_of_the_nearest_electrodes_and_depend_on_neither_grid_nor_wi
     weights = weights_at(0.0, 0.9, wide)
     assert np.isfinite(weights).all()
     assert not weights[:, ~np.isfinite(pad_window(wide, pad_direction(0.0, 0.9)).depth).ravel()].any()
+
+
+def test_fingertips_are_those_of_the_hand_whatever_the_seed_of_the_scene() -> None:
+    scenes = ({}, {"seed": 7}, {"fingers": {"hand": 1}})
+    first, seeded, other = (World.of(SceneConfig.from_mapping(one)).fingers for one in scenes)
+    for k in range(2):
+        assert_array_equal(first[k].electrode_gain, seeded[k].electrode_gain)
+        assert not np.isclose(first[k].electrode_rest, other[k].electrode_rest).any()

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
         " or `camera`, the RealSense",
     )
-    parser.add_argument("--serial", help="serial number of the camera")
+    parser.add_argument("--serial", help="serial number of the camera (default: any)")
     parser.add_argument(
         "--dwell",
         type=positive_value,
@@ -50,9 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="time that each object of a scene stays on the table (default: 3)",
     )
     add_replay_arguments(parser, "recorded times; files one by one; scenes at 5")
-    parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
+    parser.add_argument(
+        "--count",
+        type=positive_number,
+        metavar="N",
+        help="end after N answered clouds (default: at the end of the source, or Ctrl-C)",
+    )
     add_options(parser, "--model", "--params")
-    parser.add_argument("--picture", metavar="PNG", help="save a picture of the last prediction")
+    parser.add_argument(
+        "--picture",
+        metavar="PNG",
+        help="save a picture of the last predictions, and of what the simulated hand then read (.png, .pdf, .svg or .jpg)",
+    )
     parser.add_argument(
         "--serve",
         type=_address,
@@ -111,6 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
+    monitor["count"] = arguments.count
     if arguments.json:
         monitor["on_touch"] = arguments.printer = _Printer()
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
@@ -120,6 +130,8 @@ def run(arguments: argparse.Namespace) -> int:
             states = [(name, node.state_name) for name, node in graph.nodes.items()]
             listed = "; ".join(f"{name}: {state}" for name, state in states if state != "active")
             raise ForetouchError(f"a node did not start; see its log ({listed})")
+        if graph.replay is not None:
+            graph.default("touch_predictor", late_after_s=0.0)  # the stamps are those of the recording
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
         return _finish(graph, arguments, complete=_watch(graph, arguments))
@@ -224,7 +236,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
         graph.stop_source()
     graph.wait_for_hand(timeout_s=10.0)
     # A live source does not wait for answers: the nodes count what they had to drop.
-    return replay is None or graph.wait_for_answers(graph.played())
+    return replay is None or graph.wait_for_answers(min(graph.played(), arguments.count or graph.played()))
 
 
 def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
@@ -293,17 +305,17 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    prediction, readings = prediction_from_msg(found.prediction), found.readings
+    message, readings = found.prediction, found.readings
+    prediction = prediction_from_msg(message)
     title = f"object {found.target.id}"
     if prediction.value is not None:
         knows = "does not know (unfamiliar)" if "unfamiliar" in prediction.flags else "knows"
-        by = f"{found.prediction.model} ({reference_text(found.prediction)})"
         others = [flag for flag in prediction.flags if flag != "unfamiliar"]
-        title = ", ".join([f"{title}, of a kind that the model {knows}; predicted by {by}", *others])
+        when = "" if readings is None else f"{'after' if message.touches else 'before the first touch:'} "
+        based = f"predicted by {message.model} {when}{reference_text(message)}"
+        title = ", ".join([f"An object that the model {knows}", based, *others])
     drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
-    if readings is None:
-        return drawn
-    return replace(drawn, rest=readings.tare, read=readings.touch, title=f"{title}; readings of the simulated hand")
+    return drawn if readings is None else replace(drawn, rest=readings.tare, read=readings.touch)
 
 
 class _Printer:

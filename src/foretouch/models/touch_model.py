@@ -133,6 +133,11 @@ class TouchModel:
         self.estimator = estimator
         self._widen = widen
 
+    @property
+    def simulated(self) -> bool:
+        """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
+        return "scene_sha256" in self.card.get("data", {})
+
     def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
         """The same model with a cheaper estimator, and (50,) factors of the half widths of its intervals."""
         return TouchModel(estimator, self.card, self.calibration, widen)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
@@ -22,6 +23,8 @@ from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPred
 
 _FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _SHEET_COLUMNS = 2  # samples side by side
+_ROW_INCH = 2.2  # height of a grasp
+_SCALE_INCH = 0.85  # height of the scale of colours
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 _TARGET_COLOUR = "#ff8000"
 
@@ -30,8 +33,8 @@ _TARGET_COLOUR = "#ff8000"
 class DrawnGrasp:
     """One grasp to draw: its object, its prediction, and what was read where it was executed."""
 
-    target: FoundObject  # the object
     prediction: TouchPrediction  # a refused one is drawn without its electrodes
+    target: FoundObject | None = None  # the object; None draws neither scene nor contacts
     scene: Cloud | None = None  # the whole cloud; None if there is only the object
     rest: Touch | None = None  # reading without contact; electrodes are then coloured by their drop from it
     read: Touch | None = None  # reading of the executed grasp
@@ -40,6 +43,8 @@ class DrawnGrasp:
 
 def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     """Write one PNG with a row for each grasp: scene, contacts, electrodes predicted and read, and how they agree.
+
+    Electrodes that were read outside of their intervals have a ring.
 
     Args:
         path: Path of the file; its folder is created.
@@ -56,24 +61,36 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
         for grasp in grasps
     ]
     most = max(map(len, panels))
-    figure = new_figure(7.2 + 2.5 * most, 3.9 * len(grasps) + 0.2)
+    left = [2.6, 1.9] if any(one.target for one in grasps) else []  # scene and contacts
+    figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     scale = _Scale([(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
-    parts = np.atleast_1d(np.asarray(figure.subfigures(len(grasps), 1, hspace=0.02)))
+    heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
+    *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     for part, one, row in zip(parts, grasps, panels, strict=True):
-        part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=11)
-        axes = part.subplots(1, 2 + most, squeeze=False, width_ratios=[1.5, 1.3] + [1.0] * most)[0]
-        _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
-        _draw_front(axes[1], one.target.cloud, one.prediction.grasp)
-        for panel in axes[2 + len(row) :]:
+        part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=10)
+        axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
+        if one.target is not None:
+            _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+            _draw_front(axes[1], one.target.cloud, one.prediction.grasp)
+        for panel in [*axes[: len(left) if one.target is None else 0], *axes[len(left) + len(row) :]]:
             panel.set_axis_off()
-        for panel, (name, what, touch) in zip(axes[2:], row, strict=False):
-            scale.draw(panel, touch, one.rest, name)
+        for panel, (name, what, touch) in zip(axes[len(left) :], row, strict=False):
+            scale.draw(panel, touch, one.rest, name, size=100, outside=_outside(one, name) if what == "read" else None)
             half = _half_width(one.prediction, name) if what == "predicted" else ""
             title = f"{FINGER_NAMES[name]} {what}\nPDC {finger_parts(touch, name)[0]:.0f}{half}"
             panel.set_title(title, color=_FINGER_COLOURS[name], fontsize=10)
-        if row:
-            scale.add_to(part, list(axes[2 : 2 + len(row)]))
-    return save(figure, Path(path))
+    if scale.drawn is not None:
+        scale.add_to(below, None)
+    return save(figure, Path(path), dpi=100)
+
+
+def _outside(one: DrawnGrasp, name: str) -> npt.NDArray[np.bool_] | None:
+    """(24,) which electrodes of a finger were read outside of their intervals; None without both."""
+    lower, upper = one.prediction.lower, one.prediction.upper
+    if one.read is None or lower is None or upper is None:
+        return None
+    read, low, high = (finger_parts(touch, name)[1] for touch in (one.read, lower, upper))
+    return (read < low) | (read > high)
 
 
 def _half_width(prediction: TouchPrediction, name: str) -> str:
@@ -90,14 +107,12 @@ def _agreement(one: DrawnGrasp) -> str:
         return f"not predicted: {one.prediction.reason}"
     if read is None:
         return ""
-    thumb, middle, *electrodes = np.abs(value.vector() - read.vector())
-    text = f"Predicted and read differ by {thumb:.0f} (thumb) and {middle:.0f} (middle finger) counts of pressure, "
-    text += f"and by {np.mean(electrodes):.0f} counts an electrode"
+    text = f"mean difference {np.mean(np.abs(value.vector() - read.vector())[2:]):.0f} counts an electrode"
     if one.prediction.lower is None or one.prediction.upper is None:
-        return f"{text}."
+        return text
     inside = (read.vector() >= one.prediction.lower.vector()) & (read.vector() <= one.prediction.upper.vector())
-    of = f"{inside[:2].sum()} of 2 pressures, {inside[2:].sum()} of {inside[2:].size} electrodes"
-    return f"{text}; within their 90 % intervals: {of}."
+    of = f"{inside[2:].sum()} of {inside[2:].size} electrodes, {inside[:2].sum()} of 2 pressures"
+    return f"{text}; within their 90 % intervals: {of}"
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
@@ -154,26 +169,39 @@ class _Scale:
     def _levels(self, touch: Touch, rest: Touch | None, name: str) -> Float64:
         return electrode_levels(touch, rest if self._tared else None, name)
 
-    def draw(self, axes: Axes, touch: Touch, rest: Touch | None, name: str, size: float = 150) -> None:
-        """Draw the 24 electrodes of one fingertip, unrolled from the core; size: of a dot [points squared]."""
+    def draw(
+        self,
+        axes: Axes,
+        touch: Touch,
+        rest: Touch | None,
+        name: str,
+        size: float,
+        outside: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Draw the 24 electrodes of one fingertip, unrolled from the core, and a ring around some of them.
+
+        Across is the angle around the core, up the place along the finger; size is that of a dot [points squared].
+        """
         levels, (low, high) = self._levels(touch, rest, name), self.limits
         x, y, z = 1e3 * electrode_positions().T
         around = np.degrees(np.arctan2(y, -z))
         colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
         style: dict[str, Any] = {"vmin": low, "vmax": high, "edgecolors": _FINGER_COLOURS[name]}
         self.drawn = axes.scatter(around, x, s=size, c=levels, cmap=colours, **style)
-        for k, (angle, along, value) in enumerate(zip(around, x, levels, strict=True), 1):
-            ink = "white" if value > (low + high) / 2.0 else "black"
-            axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color=ink)
-        axes.set_xlabel("around the core [°]", fontsize=8)
-        axes.set_ylabel("along the finger [mm]", fontsize=8)
-        axes.tick_params(labelsize=8)
+        if outside is not None:
+            ring: dict[str, Any] = {"s": 2.2 * size, "facecolors": "none", "edgecolors": "black", "linewidths": 1.3}
+            axes.scatter(around[outside], x[outside], **ring)
+        axes.set(xticks=[], yticks=[])
         axes.margins(0.15)
 
-    def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes]) -> None:
-        """Add the bar of colours below some axes."""
-        label = "drop of an electrode from rest [counts]" if self._tared else "electrode [counts]"
-        figure.colorbar(self.drawn, ax=axes, location="bottom", label=label, shrink=0.5, aspect=50)
+    def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
+        """Add the bar of colours below some axes, or alone to a figure without any."""
+        what = "drop of an electrode from rest [counts]" if self._tared else "electrode [counts]"
+        label = f"{what}\nacross: around the core; up: towards the tip; ringed: outside of its 90 % interval"
+        own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
+        if axes is None:
+            own = {"cax": figure.subplots(), "orientation": "horizontal"}
+        figure.colorbar(self.drawn, label=label, **own)
 
 
 def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
@@ -181,14 +209,13 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
 
     An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
     """
-    drawn: Any
     title = f"what the camera sees\nof the table, {abs(target.plane.offset):.2f} m away"
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
         rows, columns = np.divmod(target.pixels, target.image_shape[1])
         near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
         # Over less than 0.1 m, noise on a table would be all there is to see.
-        drawn = axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
+        axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
         inside = np.zeros(depth.shape)
         inside[rows, columns] = 1.0
         axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
@@ -199,9 +226,8 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
         axes.set_title(title, fontsize=10)
     else:
         points = _finite_subset(scene)
-        drawn = axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
+        axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
         _as_image(axes, title)
-    axes.figure.colorbar(drawn, ax=axes, location="bottom", label="depth [m]", shrink=0.9)
 
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:

@@ -7,6 +7,7 @@ nodes of `perception` work one at a time, and a cloud goes through all their ste
 the interpreter's lock. With the parameter `direct` unset they also may (see `runtime.workers`).
 """
 
+import argparse
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -15,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
-from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
+from foretouch.ros.runtime.parameter_files import check_parameters
+from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
@@ -55,9 +58,11 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
     """
+    arguments = list(sys.argv if args is None else args)
+    _parser(names).parse_args(arguments[1:])
     raise_interrupts()
     try:
-        return _serve(names, list(sys.argv if args is None else args))
+        return _serve(names, arguments)
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
@@ -67,8 +72,22 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         end_at_once()
 
 
+def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
+    """Refuses what is not for ROS, with exit status 2, and answers `--help`."""
+    program = next((name for name, nodes in EXECUTABLES.items() if nodes == tuple(names)), "nodes")
+    parser = argparse.ArgumentParser(
+        f"foretouch_{program}",
+        description=f"Run {', '.join(names)} until Ctrl-C. Parameters: docs/reference/parameters.md, or `ros2 param list`.",
+        epilog=f"example: foretouch_{program} --ros-args -r __ns:=/left --params-file left.yaml",
+        allow_abbrev=False,
+    )
+    options = "-p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE, -r TOPIC:=OTHER, --log-level LEVEL"
+    parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], metavar="…", help=options)
+    return parser
+
+
 def _serve(names: Sequence[str], arguments: list[str]) -> int:
-    start_rclpy(arguments)
+    begin(arguments, names)
     import rclpy
 
     try:
@@ -78,6 +97,17 @@ def _serve(names: Sequence[str], arguments: list[str]) -> int:
     finally:
         with uninterrupted():
             rclpy.try_shutdown()
+
+
+def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
+    """Check the parameters of a command line for some nodes and start rclpy.
+
+    Raises:
+        ConfigError: If an argument or a parameter file is malformed, or names an unknown node or parameter.
+    """
+    prepare_environment()
+    check_parameters(arguments, NODES, names, namespace)
+    start_rclpy(arguments)
 
 
 def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
@@ -95,7 +125,6 @@ def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
         for node in nodes:
             node.destroy_node()
         raise
-    _warn_of_unknown_parameters(nodes)
     return nodes
 
 
@@ -127,11 +156,3 @@ def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:
             for node in nodes:
                 node.destroy_node()
     return any(node.has_failed for node in nodes)
-
-
-def _warn_of_unknown_parameters(nodes: "Sequence[ForetouchNode[Any]]") -> None:
-    """Warn of parameters that none of the nodes has: each is given to all nodes of the process."""
-    for node in nodes:
-        for name in sorted(getattr(node, "_parameter_overrides", {})):
-            if not (any(other.has_parameter(name) for other in nodes) or name.startswith("qos_overrides.")):
-                node.get_logger().warning(f"parameter {name}: unknown to {node.get_name()}; it has no effect")

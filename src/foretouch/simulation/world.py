@@ -55,13 +55,13 @@ class World:
     view: CameraView  # the camera
     rays: Float64  # (H, W, 3) float64, ray of each pixel in the world, one metre deep along the optical axis
     plane: Plane  # the table top in the camera frame, its normal towards the camera
-    fingers: tuple[Finger, Finger]  # thumb and middle finger: one pair a scene, drawn from its seed
+    fingers: tuple[Finger, Finger]  # thumb and middle finger of the scene's hand, whatever its seed
 
     @classmethod
     def of(cls, scene: SceneConfig) -> Self:
         """From a scene."""
         view = scene.camera.view()
         plane = Plane.from_coefficients(view.table_plane())
-        hand = SampleKey(scene.seed, 0).stream("fingers of the scene")
+        hand = SampleKey(scene.fingers.hand, 0).stream("fingers of the scene")
         fingers = draw_finger(scene.fingers.thumb, hand), draw_finger(scene.fingers.middle, hand)
         return cls(view, view.directions(), plane, fingers)

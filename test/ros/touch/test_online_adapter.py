@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Online adaptation: readings move the predictions as they move those of the core, without DDS and over it."""
 
+import io
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -8,17 +11,21 @@ import numpy as np
 import pytest
 from calibrated_models import REST as TOUCH_REST
 from calibrated_models import make_tracked_calibration, save_calibrated_network
+from diagnostic_msgs.msg import DiagnosticStatus
 from pair_builders import REST, level
+from rich.console import Console
 from robot_builders import FRAME, MS, QUICK, Robot
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
@@ -33,6 +40,7 @@ from foretouch_msgs.srv import PredictTouch
 pytestmark = pytest.mark.ros
 
 PAIRING = {name.removeprefix("pairing__"): value for name, value in QUICK.items()}
+ACROSS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of a hand that closes along x
 DEAD = np.r_[-22072.0, REST[1:]]
 
 
@@ -54,7 +62,7 @@ class CanRobot(Robot):
         """The messages of a cloud of now and of two grasps on it."""
         self.cloud = Cloud((self.can + np.array([self.shift, 0.0, 0.0])).astype(np.float32), None, FRAME, self.now)
         self.planned = [
-            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), np.eye(3), 1.0 - k, f"{name}{' too' * k}", "7")
+            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
         cloud = objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
@@ -380,4 +388,18 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
     (node,) = graph.add("touch_predictor", model=model_card)
     assert graph.probe.count_subscribers("/rh/tactile") == 0
     assert "no calibration" in node.notes()["regime"]
+    reports, monitor = graph.reports("touch_predictor"), MonitorNode()
+    graph.serve(monitor)
+    text = "model small gives no intervals and does not adapt to readings: "
+    graph.until(lambda: reports and reports[-1].level == DiagnosticStatus.WARN and text in reports[-1].message)
+    console = Console(file=io.StringIO(), width=200)
+    graph.until(lambda: console.print(live_panel(monitor.view(), "")) or text in console.file.getvalue())
     assert graph.call(Trigger, "forget_touches").message == "0 touches forgotten"
+    for words, status, text in (
+        (("touches",), 0, "0 touches forgotten\n"),
+        (("history", "--wait", "0.2", "--namespace", "/no"), 1, ""),
+    ):
+        command = [sys.executable, "-m", "foretouch", "forget", *words]
+        done = subprocess.run(command, env=graph.environment(), capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stdout) == (status, text), done.stderr
+    assert done.stderr == "foretouch: /no/forget_history: no such service within 0.2 s: is the graph running?\n"

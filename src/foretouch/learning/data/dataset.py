@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
-from foretouch.dataset.store import content_sha256
+from foretouch.dataset.store import Store, content_sha256, is_store
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
@@ -54,7 +54,7 @@ class Dataset:
         splits: The parts of each kind of split.
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
-        origin: `source`, `licence` and known `limits` of public data, for a card.
+        origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
     """
 
     name: str
@@ -169,5 +169,20 @@ def load_dataset(path: str | Path) -> Dataset:
         splits.parts,
         (folder_sha256(path),) if public else (),
         splits.omitted,
-        _VISION2TACTILE if public else {},
+        _VISION2TACTILE if public else _simulated(path),
     )
+
+
+def _simulated(path: Path) -> dict[str, Any]:
+    """The origin of a store that `foretouch simulate` wrote; nothing of another dataset."""
+    about = Store(path).manifest.get("about", {}) if is_store(path) else {}
+    if "scene_sha256" not in about:
+        return {}
+    scene = about.get("scene_file", "a scene")
+    return {
+        "source": f"foretouch simulate {scene}",
+        "scene_sha256": about["scene_sha256"],
+        "limits": [
+            f"For the simulated hand only: it knows no real fingertip or camera, and no other objects than {scene} has."
+        ],
+    }

@@ -73,6 +73,7 @@ class MonitorNode(GuardedCallbacks, Node):
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
         with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
         on_touch: Called with each `touch` message, in the executor's thread; must not call the monitor.
+        count: Number of `touch` messages after which the view is closed; None for any number.
     """
 
     def __init__(
@@ -82,18 +83,20 @@ class MonitorNode(GuardedCallbacks, Node):
         with_clouds: bool = False,
         with_hand: bool = False,
         on_touch: Callable[[TouchPredictionArray], None] | None = None,
+        count: int | None = None,
         **options: Any,
     ) -> None:
         super().__init__("monitor", namespace=namespace, **options)
         self._lock = threading.Lock()
         self._view = View()
-        self._on_touch = on_touch
+        self._on_touch, self._count = on_touch, count
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
         self._kept = 32 if with_hand else 8  # clouds: enough to find that of an answer again, or of an executed grasp
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
-        self._executed: dict[bool, Drawable] = {}  # by whether the model does not know the object
+        # The last by whether the model does not know the object, and by the touches of it before, up to two.
+        self._executed: dict[tuple[bool, int], Drawable] = {}
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
         self._with_hand = with_hand
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
@@ -122,13 +125,17 @@ class MonitorNode(GuardedCallbacks, Node):
         return self.view()
 
     def last_drawables(self) -> list[Drawable]:
-        """The last prediction on an object that the model knows, and the last on one that it does not, as far as there are such.
+        """The last predictions on an object that the model knows, and on one that it does not, as far as there are such.
 
-        They are the last whose grasps were executed; if none was, the newest whose clouds are still kept.
+        Of executed grasps they are the last before the first touch of an object, and the last after two touches, or after one
+        where none came after two. If none was executed, they are the newest whose clouds are still kept.
         """
         with self._lock:
-            found = dict(self._executed)
-            answers = [] if found else list(self._drawable)
+            executed = dict(self._executed)
+            answers = [] if executed else list(self._drawable)
+        if executed:
+            return [executed[key] for key in sorted(executed) if key[1] != 1 or (key[0], 2) not in executed]
+        found: dict[bool, Drawable] = {}
         for answer in reversed(answers):
             one = answer.predictions[0]
             if _is_unfamiliar(one) not in found and (drawn := self._drawn(one)) is not None:
@@ -155,6 +162,7 @@ class MonitorNode(GuardedCallbacks, Node):
             if self._closed:
                 return
             self._view.answers[status_name(message.status)] += 1
+            self._closed = self._view.answers.total() == self._count
             if message.reason:
                 self._view.reasons[message.reason] += 1
             self._view.last = message
@@ -188,8 +196,8 @@ class MonitorNode(GuardedCallbacks, Node):
                         drawn = self._drawn(one, result.cut)
                         with self._lock:
                             self._view.executed = one, result.cut
-                            if drawn is not None:
-                                self._executed[_is_unfamiliar(one)] = drawn
+                            if drawn is not None and one.touches <= 2:
+                                self._executed[_is_unfamiliar(one), one.touches] = drawn
 
     def _receive_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:

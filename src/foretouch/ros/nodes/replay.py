@@ -275,17 +275,27 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def _wait_for_subscribers(self) -> bool:
         """Wait for those of the clouds, and then for all that discovery shows; False if the replay must stop."""
         config, clouds = self.config, self._topic_publishers[CLOUDS]
-        while not (
-            self.state_name == "active"
-            and clouds.get_subscription_count() >= config.subscribers
-            and (not config.lockstep or self.count_publishers("touch"))
-        ):
+        began, logged = time.monotonic(), False
+        while self.state_name != "active" or (missing := self._missing_ends(clouds)):
             if self._stopping.wait(_POLL_S):
                 return False
+            if self.state_name == "active" and time.monotonic() - began >= 0.5 and not logged:
+                logged = True
+                self.get_logger().info(
+                    f"waits for {missing}; is the graph running? --no-wait (subscribers: 0) waits for none"
+                )
         if not config.subscribers and not config.wait_for:
             return True
         # The subscribers must have discovered this node too.
         return not self._stopping.wait(0.3) and self._wait_for_matches()
+
+    def _missing_ends(self, clouds: Any) -> str:
+        """Which subscribers and publishers the first cloud waits for; "" if none."""
+        found, wanted = clouds.get_subscription_count(), self.config.subscribers
+        missing = [f"subscribers of {clouds.topic_name}, {found} of {wanted}"] if found < wanted else []
+        if self.config.lockstep and not self.count_publishers("touch"):
+            missing.append("a publisher of touch")
+        return " and ".join(missing)
 
     def _wait_for_matches(self) -> bool:
         """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""

@@ -150,6 +150,22 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         fault = (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
         return (*fault, *super().errors())
 
+    def warnings(self) -> tuple[str, ...]:
+        """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
+        model, found = self._predictor.model if self._predictor else None, list(super().warnings())
+        if model is not None and model.calibration is None:
+            reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
+            found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+        if model is not None and model.simulated:
+            topic = self.resolve_topic_name(self.config.tactile_topic)
+            others = {end.node_name for end in self.get_publishers_info_by_topic(topic)} - {"hand"}
+            if others:
+                senders = ", ".join(sorted(others))
+                found.append(
+                    f"model {model.name} is made for the simulated hand only, but {topic} comes from {senders}"
+                )
+        return tuple(found)
+
     def notes(self) -> dict[str, str]:
         """The model's name and hash, and the state of online adaptation too."""
         predictor, found = self._predictor, super().notes()

@@ -7,11 +7,9 @@ The user's own are never changed.
 import ctypes
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
 
 from foretouch.errors import ConfigError
 from foretouch.interrupts import uninterrupted
@@ -53,52 +51,23 @@ def start_rclpy(arguments: Sequence[str]) -> None:
         arguments: Command line with ROS arguments.
 
     Raises:
-        ConfigError: If an argument or a parameter file is malformed; rcl's own text names its sources instead of the rule.
+        ConfigError: If an argument is malformed.
     """
     prepare_environment()
     stale_bytes(free=True)
-    for option, path in pairwise(arguments):
-        if option == "--params-file":
-            _check_parameter_file(path)
     import rclpy
-    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
 
     with uninterrupted():
         try:
             _name_log_folder()
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        except (RCLError, ValueError) as err:
+        except (RCLError, ValueError, UnknownROSArgsError) as err:
             rclpy.try_shutdown()
-            raise ConfigError(f"ROS arguments: {' '.join(str(err).split())}") from err
 
 
-def _name_log_folder() -> None:
-    """Give ROS another folder for its logs where the user has no home, or one that cannot be written."""
-    if any(name in os.environ for name in ("ROS_LOG_DIR", "ROS_HOME")):
-        return
-    home = Path(os.environ.get("HOME") or "/", ".ros", "log")
-    exists = next(path for path in (home, *home.parents) if path.exists())
-    if not os.environ.get("HOME") or not exists.is_dir() or not os.access(exists, os.W_OK):
-        os.environ["ROS_LOG_DIR"] = mkdtemp(prefix="foretouch-log-")
-
-
-def _check_parameter_file(path: str) -> None:
-    from foretouch.config import load_yaml
-
-    for name, value in load_yaml(path).items():
-        if not isinstance(value, Mapping) or not _holds_parameters(value):
-            raise ConfigError(
-                f"{path}: {name}: holds no ros__parameters; a parameter file is "
-                "NODE: {ros__parameters: {NAME: VALUE}}"
-            )
-
-
-def _holds_parameters(node: Mapping[str, Any]) -> bool:
-    """Whether the parameters of a node, or of nodes in a namespace, follow."""
-    if "ros__parameters" in node:
-        return isinstance(node["ros__parameters"], Mapping)
-    return any(isinstance(value, Mapping) and _holds_parameters(value) for value in node.values())
+from tempfile import mkdtemp
 
 
 def _keep_large_blocks() -> None:

@@ -123,6 +123,9 @@ class FingersConfig(Settings):
     noise: NoiseConfig | None = None
     scan: Switch | None = None
     dead: DeadConfig | None = None
+    hand: int = setting(
+        0, "Number of the simulated hand: each has fingertips of its own; the model simulated knows 0", minimum=0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -50,7 +50,7 @@ class ObjectConfig(Settings):
     With the shape `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
     """
 
-    name: str = setting("object", "Label of the samples")
+    name: str = setting("object", "Object name of the samples")
     shape: str = setting("can", "Shape of the object; mesh: that of a file", choices=(*SHAPES, MESH))
     file: str = setting("", "Closed mesh (OBJ, PLY, STL, GLB) for the shape mesh, upright along z [m]")
     file_sha256: str = setting("", "SHA-256 of the file; another file is refused where it is given")
@@ -143,9 +143,7 @@ class ClutterConfig(RangedSettings):
 class FamilyConfig(RangedSettings):
     """Objects of one kind. Each draws its values once, independent of the seed of the scene."""
 
-    name: str = setting(
-        "obj", "Name of the family; labels of the samples are this name and a number: obj_000, obj_001..."
-    )
+    name: str = setting("obj", "Name of the family; object names are this name and a number: obj_000, obj_001...")
     count: int = setting(10, "Number of objects", minimum=1, maximum=10_000)
     seed: int = setting(0, "Seed of what the objects draw", minimum=0, maximum=2**53)
     shapes: tuple[str, ...] = setting(

@@ -77,6 +77,7 @@ _OFF: Final = {
     "pdc_span": fingertip.PDC_SPAN,
     "method": "original",
     "first_variant": 0,
+    "hand": 0,
     "file_sha256": "",
     "slow_share": 0.0,
     "slow_s": 30.0,
