@@ -65,9 +65,18 @@ def start_rclpy(arguments: Sequence[str]) -> None:
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         except (RCLError, ValueError, UnknownROSArgsError) as err:
             rclpy.try_shutdown()
+            rule = "unknown: " if isinstance(err, UnknownROSArgsError) else ""
+            raise ConfigError(f"ROS arguments: {rule}{' '.join(str(err).split())}") from err
 
 
-from tempfile import mkdtemp
+def _name_log_folder() -> None:
+    """Give ROS another folder for its logs where the user has no home, or one that cannot be written."""
+    if any(name in os.environ for name in ("ROS_LOG_DIR", "ROS_HOME")):
+        return
+    home = Path(os.environ.get("HOME") or "/", ".ros", "log")
+    exists = next(path for path in (home, *home.parents) if path.exists())
+    if not os.environ.get("HOME") or not exists.is_dir() or not os.access(exists, os.W_OK):
+        os.environ["ROS_LOG_DIR"] = mkdtemp(prefix="foretouch-log-")
 
 
 def _keep_large_blocks() -> None:
