@@ -40,6 +40,7 @@ from foretouch_msgs.srv import PredictTouch
 pytestmark = pytest.mark.ros
 
 PAIRING = {name.removeprefix("pairing__"): value for name, value in QUICK.items()}
+ACROSS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of a hand that closes along x
 DEAD = np.r_[-22072.0, REST[1:]]
 
 
@@ -61,7 +62,7 @@ class CanRobot(Robot):
         """The messages of a cloud of now and of two grasps on it."""
         self.cloud = Cloud((self.can + np.array([self.shift, 0.0, 0.0])).astype(np.float32), None, FRAME, self.now)
         self.planned = [
-            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), np.eye(3), 1.0 - k, f"{name}{' too' * k}", "7")
+            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
         cloud = objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
@@ -282,7 +283,8 @@ def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back
     for hours, lines in ((1, 1), (1, 1), (0, 1), (2, 2)):
         hand.now = start - hours * 3_600_000 * MS
         assert (hand.reference(), len(hand.said)) == ("tare", lines)
-    assert hand.said[0].startswith("tare: refused: stamp: is 3600.0 s before that of the newest reading")
+    assert hand.said[0] == "history: the clock was set back: readings that are ahead of it count as taken now"
+    assert hand.keeper.history.tracker.evidence(hand.now).readings == 4
 
 
 class Hand(CanRobot):
