@@ -129,11 +129,7 @@ def prepare_domain(domain: int) -> None:
 
 
 def spawn(
-    nodes: Sequence[str],
-    parameters: Mapping[str, Any],
-    log: Path | None = None,
-    start: Sequence[str] = (),
-    source: Path | None = None,
+    nodes: Sequence[str], parameters: Mapping[str, Any], log: Path | None = None, start: Sequence[str] = ()
 ) -> subprocess.Popen[bytes]:
     """Start nodes in a child process.
 
@@ -142,15 +138,13 @@ def spawn(
         parameters: Of all of them.
         log: File that receives what the child writes, after what it holds; else it is not kept.
         start: Arguments of Python before the names of the nodes; their usual executable if empty.
-        source: Folder `src` of another version.
     """
     code = "import sys; from foretouch.ros.executables import run; n = sys.argv.index('--ros-args'); "
     usual = ("-c", code + "sys.exit(run(*sys.argv[1:n], args=[sys.argv[0], *sys.argv[n:]]))")
     given = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
     command = [sys.executable, *(start or usual), *nodes, "--ros-args", *given]
-    environ = {**os.environ, "PYTHONPATH": str(source)} if source else None
     with (log or Path(os.devnull)).open("ab") as file:
-        return subprocess.Popen(command, stdout=file, stderr=file, env=environ, cwd=ROOT)
+        return subprocess.Popen(command, stdout=file, stderr=file, cwd=ROOT)
 
 
 def end(process: subprocess.Popen[bytes], timeout_s: float = 20.0) -> bool:

@@ -47,12 +47,6 @@ def ends(values: Iterable[float], decimals: int = 1) -> str:
     return f"{min(values):.{decimals}f} to {max(values):.{decimals}f}"
 
 
-def times(variant: str, *requests: int) -> list[str]:
-    """Processor times of a model for some numbers of grasps, in the comparison of models [ms]."""
-    found = [float(rows("tradeoff/model/tradeoff.csv", variant=variant, request=n)[0]["cpu_ms"]) for n in requests]
-    return [f"{one:.1f}" if one < 10.0 else f"{one:.0f}" for one in found]
-
-
 def card(name: str) -> dict[str, Any]:
     return json.loads((ROOT / f"src/foretouch/models/weights/{name}.json").read_text())
 
@@ -163,10 +157,9 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
     ],
     "docs/models.md": [
         *(
-            (rf"\| `{name}`[^|]* \| {{}} \| {{}} \| {{}} \| {{}} ms \| {{}} ms \|", lambda name=name: [*card_skills(name), *times(name, 1, 100)])
+            (rf"\| `{name}`[^|]* \| {{}} \| {{}} \| {{}} \|", lambda name=name: card_skills(name))
             for name in ("contact-v2", "touchnet-v1")
         ),
-        ("in which the four separate networks of the papers took {} ms for one grasp", lambda: times("papers' four networks", 1)),
         ("without a touch, no model differs significantly from the mean of the training readings", no_model_is_better_than_the_mean),
         (
             "a clock alone has {} {} {} {} there",

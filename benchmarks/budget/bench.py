@@ -24,25 +24,27 @@ from typing import Any, Self
 
 import numpy as np
 
-from foretouch.ros.runtime.environment import prepare_environment
+from benchmarks.ros import prepare_domain
 
-prepare_environment()
+if __name__ == "__main__":  # processes that this one starts inherit it
+    prepare_domain(1 + os.getpid() % 80)
 
-import rclpy  # noqa: E402
-from rclpy.executors import ExternalShutdownException  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from sensor_msgs.msg import PointCloud2  # noqa: E402
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
 
-from benchmarks.common import OthersLoad, markdown, read_csv, replace_marked, write_csv  # noqa: E402
-from foretouch.models.budget import Answer, profile_scene  # noqa: E402
-from foretouch.pipeline import FoundObject  # noqa: E402
-from foretouch.ros.executables import make_nodes, spin  # noqa: E402
-from foretouch.ros.messages.clouds import objects_to_msg  # noqa: E402
-from foretouch.ros.messages.conversions import grasp_to_msg  # noqa: E402
-from foretouch.timing import cpu_name  # noqa: E402
-from foretouch.types import ASSUMED_TABLE  # noqa: E402
-from foretouch_msgs.msg import GraspArray  # noqa: E402
+from benchmarks.common import OthersLoad, markdown, read_csv, replace_marked, write_csv
+from foretouch.models.budget import Answer, profile_scene
+from foretouch.pipeline import FoundObject
+from foretouch.ros.executables import make_nodes, spin
+from foretouch.ros.messages.clouds import objects_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.timing import cpu_name
+from foretouch.types import ASSUMED_TABLE
+from foretouch_msgs.msg import GraspArray
 
 HERE = Path(__file__).parent
 LOADS = IDLE, _, PRIORITISED = "none", "comes and goes", "comes and goes, real-time priority"  # the node's priority
@@ -76,15 +78,18 @@ class Seen:
     affordable: bool
 
 
-def publish(domain: int, number: int, rate_hz: float, begin: Any) -> None:
+def publish(number: int, rate_hz: float, begin: Any) -> None:
     """Publish requests at a fixed rate; runs in a process of its own."""
-    rclpy.init(domain_id=domain)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # it ends with its parent
     node = Node("source", namespace="/foretouch")
     outputs = [node.create_publisher(PointCloud2, "object_cloud", 10), node.create_publisher(GraspArray, "grasps", 10)]
     cloud, grasps = profile_scene(max(COUNTS))
     message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", 1)
     posed = [grasp_to_msg(one) for one in grasps]
+    until = time.monotonic() + 120.0
     while not all(one.get_subscription_count() for one in outputs):
+        if time.monotonic() > until:
+            raise SystemExit("the node does not subscribe to object_cloud and grasps")
         time.sleep(0.05)
     time.sleep(0.5)
     begin.wait()
@@ -152,7 +157,7 @@ class Waits(threading.local):
 def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
     """Record each answer of the topic as it is published."""
     budget, publisher, sets = node._predictor.budget, node._touch, node._synchronizer  # noqa: SLF001
-    begin, original, first = budget.begin, publisher.publish, sets._on_first  # noqa: SLF001
+    begin, original, first = budget.begin, publisher.publish, sets.on_first
     waits, begun, received = Waits(), {}, {}
 
     def receive() -> float:
@@ -172,19 +177,18 @@ def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
         original(message)
         seen.append((now - answer.arrived, waited, answer, count, message))
 
-    budget.begin, publisher.publish, sets._on_first = note, published, receive  # noqa: SLF001
+    budget.begin, publisher.publish, sets.on_first = note, published, receive
 
 
 def measure(budget_ms: float, number: int, rate_hz: float, load_name: str) -> tuple[list[Seen], str]:
     """One node, one budget; its answers, and the state of the machine when the profile was measured."""
-    domain = 1 + os.getpid() % 80
     context = multiprocessing.get_context("spawn")
     begin = context.Event()
-    source = context.Process(target=publish, args=(domain, number, rate_hz, begin), daemon=True)
+    source = context.Process(target=publish, args=(number, rate_hz, begin), daemon=True)
     source.start()
     if load_name == PRIORITISED:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REALTIME))  # the threads that follow inherit it
-    rclpy.init(domain_id=domain)
+    rclpy.init()
     overrides = [Parameter("latency_budget_ms", value=budget_ms), Parameter("late_after_s", value=0.0)]
     (node,) = make_nodes("touch_predictor", parameter_overrides=overrides)
     thread = threading.Thread(target=serve, args=(node,), daemon=True)

@@ -7,15 +7,18 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from every_case import every_case
 
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.framework.frontier import frontier, spread
+from foretouch.experiments.framework.frontier import Panel, frontier, spread, tables
 from foretouch.experiments.framework.manifest import read_results
 from foretouch.experiments.framework.tradeoff import find_area, list_areas
+from foretouch.experiments.shared.scores import equal_columns
+from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.timing import MachineLoad
 
 SOURCE = """
@@ -64,7 +67,7 @@ EXPERIMENT = Area(
     question="How many digits in a millisecond?",
     module=__name__,
     settings=TradeoffSettings,
-    presets={"small": {"timing_s": 0.3, "requests": [1, 3]}, "full": {}},
+    presets={"small": {"timing_s": 0.3, "requests": [1, 3], "pause_s": 0.001}, "full": {}},
     load=lambda settings, path: Words(path),
     cells=lambda settings, data: [Cell(name.replace(" ", "_"), {"variant": name}) for name in TERMS],
     run=lambda cell, settings, data: [{"skill": 1.0 - abs(series(TERMS[cell.values["variant"]]) - math.pi)}],
@@ -119,12 +122,13 @@ def test_an_area_gives_table_picture_and_sentences(lab: Path, run) -> None:
         assert row["calls"] >= 5
         assert row["state"] in ("idle", "loaded")
         assert row["size_mb"] > 0.0
+        assert row["hot_cpu_ms"] > 0.0
     (short,) = (row for row in rows if row["variant"] == "short" and row["request"] == 1)
     assert short["ratio"] == pytest.approx(6.0, rel=0.3)  # to the reference in the same run
     assert short["difference"] == pytest.approx(0.350, abs=0.001)  # of its answers to those of the shipped one
     summary = (lab / "out/summary.md").read_text()
     for text in (
-        "Most skilful: long", "Fastest: short", "shipped (shipped) is on the frontier",
+        "Most skilful on the frontier: long", "Fastest: short", "shipped (shipped) is on the frontier",
         "Skipped: other library: fast_pi is not installed.", "other processes used",
     ):  # fmt: skip
         assert text in summary
@@ -182,6 +186,34 @@ def test_areas_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
         find_area("nothing")
     assert main(["tradeoff", "list", "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[0])["name"] == "model"
+
+
+def test_of_variants_that_do_not_differ_significantly_the_fastest_is_on_the_frontier() -> None:
+    errors = np.array([[100.0] * 8, [60.0] * 8, [57.0, 62.0] * 4, [20.0] * 8, [19.0, 21.1] * 4])  # of each object
+    names = ("mean", "quick", "slow", "best", "fast")
+    made = {
+        name: [
+            {"object": str(k), "count": 1, "squared": [one] * 50, "reference": [100.0] * 50, "part": "all", "seed": 0}
+            for k, one in enumerate(own)
+        ]
+        for name, own in zip(names, errors, strict=True)
+    }
+    found = equal_columns("skill", made, BootstrapConfig(draws=500))
+    equals = {name: row["skill_equals"] for name, row in found.items()}
+    assert equals == {"mean": "mean", "quick": "slow", "slow": "slow", "best": "best", "fast": "best"}
+    assert found["slow"]["skill_behind"] == pytest.approx(-0.395)
+    assert found["slow"]["skill_behind_low"] < -0.395 < found["slow"]["skill_behind_high"] < 0.0
+    rows: list[Row] = [
+        {"variant": name, "ms_p50": ms, "cpu_ms": ms, "state": "idle", "request": 1, "factor": "", "ms_p95": ms,
+         "ms_p99": ms, "ratio": None, "skill": 1.0 - own.mean() / 100.0, **found[name]}
+        for name, own, ms in zip(names, errors, (1.0, 2.0, 3.0, 5.0, 4.0), strict=True)
+    ]  # fmt: skip
+    assert [row["variant"] for row in frontier(rows, "skill")] == ["mean", "quick", "fast"]
+    (told,) = tables([Panel("skill", 1, "All")], rows)
+    assert [line[3] for line in told.rows] == ["", "slow (0.405)", "best (0.800)"]
+    assert any(text.startswith("Within 5 ms in 95 of 100 calls: fast") for text in told.notes)
+    loaded = [{**row, "state": "loaded"} for row in rows]
+    assert not any("Within" in text for text in tables([Panel("skill", 1, "All")], loaded)[0].notes)
 
 
 def test_the_frontier_holds_what_nothing_beats() -> None:

@@ -48,7 +48,11 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     assert len(cells) == 8
     rows = table(area, settings, GRASPS, cells[:1])
     contact = {one.name for one in area.variants(settings) if one.values["kind"] == "contact"}
-    assert rows.keys() == {"mean of labels", "touchnet-v1", *contact}
+    contact -= {one.name for one in area.variants(settings) if one.factor in ("clouds", "processes")}  # times alone
+    others = {"mean of the object", "mean of labels + readings", "contact-v2 + readings"}
+    assert rows.keys() == {"mean of labels", "touchnet-v1", *contact, *others}
+    assert rows["mean of the object"]["object"] == 0.0  # of an object without training grasps
+    assert rows["mean of labels + readings"]["object"] > 0.1
     assert rows["mean of labels"]["object"] == 0.0
     assert rows["contact-v2"]["object_rmse_PDC_TH"] > 0.0
     assert rows["10 trees"]["object"] != rows["contact-v2"]["object"]
@@ -56,10 +60,25 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     with pytest.raises(ConfigError, match="must hold at least one"):
         settings.replace(seeds=())
     kinds = {"contact-v2", "10 trees", "no surroundings", "kernel alone", "cloud of 200", "mean of labels"}
-    kinds |= {"touchnet-v1", "voxel 256", "net bf16", "papers' four networks"}
-    for one in area.variants(settings):
-        if one.name in kinds:
-            assert area.timed(one, settings, GRASPS).answer(2).shape == (2, 50)
+    kinds |= {"touchnet-v1", "voxel 256", "net bf16", "papers' four networks", *others, "contact-v2, 4 clouds"}
+    made = {one.name: area.timed(one, settings, GRASPS) for one in area.variants(settings) if one.name in kinds}
+    for name, one in made.items():
+        assert one.answer(2).shape == (8 if "clouds" in name else 2, 50)
+    counts = made["contact-v2"].answer(1)
+    assert np.array_equal(made["contact-v2, 4 clouds"].answer(1).shape, (4, 50))
+    assert not np.array_equal(made["contact-v2 + readings"].answer(1), counts)
+
+
+def test_two_processes_answer_at_once_and_as_one() -> None:
+    area = tradeoff_model.EXPERIMENT
+    settings = tradeoff_model.ModelSettings(requests=(1, 2), detail="few")
+    one, both = (
+        area.timed(variant, settings, GRASPS)
+        for variant in area.variants(settings)
+        if variant.name in ("contact-v2", "contact-v2, 2 processes")
+    )
+    assert np.array_equal(one.answer(2), both.answer(2))
+    assert np.array_equal(one.answer(1), both.answer(1))
 
 
 def perceived(step: str, changes: dict[str, object], **values: object) -> list[Row]:

@@ -426,8 +426,8 @@ EXPERIMENT = Area(
     reference=_ALL_POINTS,
     skills={"iou": "mean IoU of the objects, 95 % interval", "score": "mean original score, 95 % interval"},
     panels=(
-        Panel("iou", 1, "Segmentation, 848x480: masks of the objects", 0.99),
-        Panel("score", 1, "GeoGrasp: score of the best grasp at full resolution", 0.98),
+        Panel("iou", 1, "Segmentation, 848x480: masks of the objects"),
+        Panel("score", 1, "GeoGrasp: score of the best grasp at full resolution"),
     ),
     unit="m",
     notes=_notes,

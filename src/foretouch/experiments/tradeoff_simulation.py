@@ -304,11 +304,9 @@ EXPERIMENT = Area(
     panels=(
         Panel("digits_rigid", 1, "Rigid objects: correct digits of the electrodes' pattern"),
         Panel("digits_deformables", 1, "Deformable objects: correct digits of the electrodes' pattern"),
-        Panel("trained_rigid", 1, "Rigid objects: skill of a model trained on it, on the finest level", 0.98),
-        Panel(
-            "trained_deformables", 1, "Deformable objects: skill of a model trained on it, on the finest level", 0.98
-        ),
-        Panel("trained_everything", 1, "Effects left out: skill of a model trained without, with all effects", 0.98),
+        Panel("trained_rigid", 1, "Rigid objects: skill of a model trained on it, on the finest level"),
+        Panel("trained_deformables", 1, "Deformable objects: skill of a model trained on it, on the finest level"),
+        Panel("trained_everything", 1, "Effects left out: skill of a model trained without, with all effects"),
     ),
     notes=_notes,
 )

@@ -15,10 +15,10 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Row
 from foretouch.experiments.framework.frontier import Panel, of_request
-from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, skill_columns
+from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
 from foretouch.experiments.shared.predictors import network
-from foretouch.experiments.shared.scores import error_rows, labelled, load
+from foretouch.experiments.shared.scores import error_rows, labelled, load, skill_columns
 from foretouch.experiments.shared.simulated_data import beside, simulate_store
 from foretouch.experiments.tradeoff_model import describe
 from foretouch.learning.data import Dataset, labels_of, make_folds

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables, sentences and picture."""
+"""The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables, sentences and picture.
+
+Where variants were compared in pairs, those that do not differ significantly from the same most skilful one count as
+equal: of these, the fastest is on the frontier.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,8 +17,14 @@ from foretouch.report.panels import Axes, new_figure, save_small
 _BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _LINE: Final = 0.05  # height of a label, as a share of the axes
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
-_COLUMNS: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
-_HEAD: Final = ("frontier", "skill", "p50 [ms]", "p95 [ms]", "p99 [ms]", "CPU [ms]", "times as fast as the reference")
+_COLUMNS: Final = {
+    "ms_p50": "p50 [ms]",
+    "ms_p95": "p95 [ms]",
+    "ms_p99": "p99 [ms]",
+    "cpu_ms": "CPU [ms]",
+    "hot_cpu_ms": "CPU in a loop without pauses [ms]",
+    "ratio": "times as fast as the reference",
+}
 
 
 class Panel(NamedTuple):
@@ -23,7 +33,6 @@ class Panel(NamedTuple):
     skill: str
     request: int
     title: str
-    share: float = 0.9  # of the best skill that a good variant keeps
 
 
 def best_state(rows: Sequence[Row]) -> list[Row]:
@@ -48,27 +57,63 @@ def frontier(rows: Sequence[Row], skill: str) -> list[Row]:
         rows: Of one size of request and one state of the machine.
         skill: Column; rows without it are ignored.
     """
-    column = time_column(rows)
+    column, found = time_column(rows), known(rows, skill)
     result: list[Row] = []
-    for row in sorted((row for row in rows if row.get(skill) is not None), key=lambda one: (one[column], -one[skill])):
-        if not result or row[skill] > result[-1][skill]:
+    for row in sorted(found, key=lambda one: (one[column], -_level(one, skill, found))):
+        if not result or _level(row, skill, found) > _level(result[-1], skill, found):
             result.append(row)
     return result
+
+
+def known(rows: Sequence[Row], skill: str) -> list[Row]:
+    """Rows that have a skill."""
+    return [row for row in rows if row.get(skill) is not None]
+
+
+def _level(row: Row, skill: str, rows: Sequence[Row]) -> float:
+    """Skill of the most skilful one that it equals; its own where they were not compared."""
+    best = row.get(f"{skill}_equals")
+    return float(next((one[skill] for one in rows if one["variant"] == best), row[skill]))
 
 
 def tables(panels: Sequence[Panel], rows: Sequence[Row]) -> list[Table]:
     """A table of the frontier and plain sentences for each panel that has rows."""
     found = []
     for panel in panels:
-        chosen = of_request(rows, panel.request)
-        if line := frontier(chosen, panel.skill):
-            body = [
-                [row["variant"], f"{row[panel.skill]:.3f}", *(f"{row[name]:.3g}" for name in _COLUMNS),
-                 "" if row["ratio"] is None else f"{row['ratio']:.1f}"]
-                for row in line
-            ]  # fmt: skip
-            found.append(Table(panel.title, _HEAD, body, list(_sentences(panel, chosen, line))))
+        chosen, skill = of_request(rows, panel.request), panel.skill
+        if not (line := frontier(chosen, skill)):
+            continue
+        paired = line[0].get(f"{skill}_equals") is not None
+        columns = {name: text for name, text in _COLUMNS.items() if line[0].get(name) is not None or name == "ratio"}
+        head = [
+            "frontier",
+            "skill",
+            *(["less than the best, 95 % interval", "as skilful, and slower"] if paired else []),
+            *columns.values(),
+        ]
+        body = []
+        for row in line:
+            level = _level(row, skill, chosen)
+            equal = [one for one in known(chosen, skill) if one is not row and _level(one, skill, chosen) == level]
+            paired_cells = [interval(row, f"{skill}_behind"), _counted(equal, skill)] if paired else []
+            times = ("" if row[name] is None else f"{row[name]:.3g}" for name in columns)
+            body.append([row["variant"], f"{row[skill]:.3f}", *paired_cells, *times])
+        found.append(Table(panel.title, head, body, list(_sentences(panel, chosen, line))))
     return found
+
+
+def interval(row: Row, name: str) -> str:
+    """A skill with its interval, such as `-0.021 [-0.05, 0.01]`."""
+    ends = [row[f"{name}_low"], row[f"{name}_high"]]
+    return f"{row[name]:.3f}" + ("" if None in ends else " [{:.2f}, {:.2f}]".format(*ends))
+
+
+def _counted(rows: Sequence[Row], skill: str) -> str:
+    """The most skilful of some rows, and how many others there are."""
+    if not rows:
+        return ""
+    best = max(rows, key=lambda row: row[skill])
+    return f"{best['variant']} ({best[skill]:.3f})" + (f" and {len(rows) - 1} others" if len(rows) > 1 else "")
 
 
 def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row]) -> Iterator[str]:
@@ -77,20 +122,18 @@ def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row]) -> Iterat
     def at(row: Row) -> str:
         return f"{row['variant']}, skill {row[skill]:.2f} in {row[column]:.3g} ms"
 
-    best, fastest = line[-1], line[0]
-    yield f"Most skilful: {at(best)}."
-    yield f"Fastest: {at(fastest)}."
-    good = next((row for row in line if row[skill] >= panel.share * best[skill]), best)  # the best may be negative
-    faster = best[column] / good[column]
-    yield f"At least {panel.share:.0%} of the best skill: {at(good)}, {faster:.1f} times as fast as the most skilful."
+    yield f"Fastest: {at(line[0])}."
+    yield f"Most skilful on the frontier: {at(line[-1])}."
+    if column == "cpu_ms":
+        yield "The machine was loaded: processor times, and nothing is said about answers within a time."
     said = ""
-    for budget in _BUDGETS_MS:
+    for budget in _BUDGETS_MS if column == "ms_p50" else ():
         within = [row for row in line if row["ms_p95"] <= budget]
         if within and within[-1]["variant"] != said:
             said = within[-1]["variant"]
             yield f"Within {budget:g} ms in 95 of 100 calls: {said}, skill {within[-1][skill]:.2f} (p99 {within[-1]['ms_p99']:.3g} ms)."
-    for row in rows:
-        if row["factor"] == "shipped" and row.get(skill) is not None:
+    for row in known(rows, skill):
+        if row["factor"] == "shipped":
             ratio = ""
             if row["ratio"] and row["reference"] != row["variant"]:
                 ratio = f", {row['ratio']:.1f} times as fast as {row['reference']} in the same run"
@@ -139,14 +182,16 @@ def draw(panels: Sequence[Panel], skills: Mapping[str, str], rows: Sequence[Row]
 
 def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], factors: Sequence[str]) -> None:
     column, skill = time_column(rows), panel.skill
-    known = [row for row in rows if row.get(skill) is not None]
-    line = frontier(rows, skill)
-    skills = [row[skill] for row in known]
-    low, high = line[0][skill], line[-1][skill]
+    skilled, line = known(rows, skill), frontier(rows, skill)
+    skills = [row[skill] for row in skilled]
+    named = sorted(
+        (row for row in skilled if row in line or row["factor"] == "shipped"), key=lambda row: float(row[skill])
+    )
+    low, high = named[0][skill], max(skills)
     span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
     floor = low - _LOWEST * span
     axes.step([row[column] for row in line], [row[skill] for row in line], where="post", color="black", linewidth=1)
-    for row in known:
+    for row in skilled:
         number, on_line, shipped = factors.index(row["factor"]), row in line, row["factor"] == "shipped"
         marker = "v" if row[skill] < floor else "*" if shipped else "os^Dv"[number // 10 % 5]
         style: dict[str, Any] = {"alpha": 1.0, "zorder": 3} if on_line else {"alpha": 0.55, "zorder": 2}
@@ -164,7 +209,10 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
     axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
     axes.set_ylabel(meaning)
     axes.set_title(panel.title, fontsize=10)
-    name_points(axes, {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in line}, _LINE)
+    named = sorted(
+        (row for row in skilled if row in line or row["factor"] == "shipped"), key=lambda row: float(row[skill])
+    )
+    name_points(axes, {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in named}, _LINE)
 
 
 def name_points(axes: Axes, points: Mapping[str, tuple[float, float]], gap: float) -> None:

@@ -29,13 +29,13 @@ from foretouch.experiments.framework.experiment import (
     list_experiments,
 )
 from foretouch.experiments.framework.manifest import read_results, require_experiment, write_results
-from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, skills
-from foretouch.tactile import MODALITIES
 from foretouch.timing import MachineLoad, cpu_name, time_calls
 
 _PREFIX: Final = "tradeoff_"
 _COMPARED: Final = 10  # size of the requests whose answers are compared, or the next smaller one
 _TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
+_HOT: Final = "hot_cpu_ms"  # median processor time in a loop without pauses, where there are pauses
+_HOT_SHARE: Final = 0.2  # of the time of all timings, for calls without a pause
 
 Answer = npt.NDArray[np.floating]
 
@@ -45,6 +45,9 @@ class TradeoffSettings(Settings):
     """Settings of every area."""
 
     timing_s: float = setting(60.0, "Time of all timings together", unit="s", minimum=0.1, maximum=3600.0)
+    pause_s: float = setting(
+        0.0, "Time asleep before each call, as in a graph that waits for clouds", unit="s", minimum=0.0, maximum=10.0
+    )
     requests: tuple[int, ...] = setting((1,), "Sizes of the requests that are timed", minimum=1)
     detail: str = setting("all", "few: the main variants; all: all variants and pairs", choices=("few", "all"))
 
@@ -74,7 +77,8 @@ class Area(Experiment[S, D]):
     """Declaration of one area. Its settings are `TradeoffSettings`, and its presets are `small` and `full`.
 
     `tabulate` returns one row for each variant with the columns `variant` and, for each of `skills`, `<skill>`,
-    `<skill>_low` and `<skill>_high` (its spread), and errors as the area likes. A variant without a row has times alone.
+    `<skill>_low` and `<skill>_high` (its spread), those of `equal_columns` where variants are compared in pairs, and
+    errors as the area likes. A variant without a row has times alone.
 
     Attributes:
         variants: All variants of a preset's settings.
@@ -147,9 +151,9 @@ class Area(Experiment[S, D]):
         }
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """Frontiers, and what is true of all variants."""
+        """What the area summarises, frontiers, and what is true of all variants."""
         general = [*self.notes(rows), *_answers(self, rows), *frontier.general_notes(rows, tuple(self.skills))]
-        return [*frontier.tables(self.panels, rows), Table("All settings", [], [], general)]
+        return [*self.summarise(rows), *frontier.tables(self.panels, rows), Table("All settings", [], [], general)]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
         """Draw `tradeoff.png`, and the figure of the area's own."""
@@ -199,31 +203,6 @@ def measure_times(
     return write_results(out, area.finish(settings, data, skilled, out, progress), area.results)
 
 
-def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) -> Row:
-    """Mean skill with its interval, its deviation over folds, and skill and error by modality, of `error_rows`.
-
-    Args:
-        name: Column of the mean skill, and beginning of the names of the others.
-        rows: With the column `part`; without any, all columns are None.
-        bootstrap: Of the interval.
-    """
-    ends = ["", "_low", "_high", "_sd", *(f"_{one}" for one in MODALITIES), *(f"_rmse_{one}" for one in MODALITIES)]
-    if not rows:
-        return {f"{name}{end}": None for end in ends}
-    errors = ObjectErrors.of_rows(rows)
-    found, rmse = skills(errors, bootstrap), errors.rmse()
-    folds = {(one["part"], one.get("seed")) for one in rows}
-    quick = bootstrap.replace(draws=100)  # of which only the mean is used
-    each = [
-        skills(ObjectErrors.of_rows([one for one in rows if (one["part"], one.get("seed")) == fold]), quick)
-        for fold in folds
-    ]
-    mean = found[MEAN]
-    values = [mean.value, mean.low, mean.high, float(np.std([one[MEAN].value for one in each]))]
-    values += [*(found[one].value for one in MODALITIES), *(rmse[one] for one in MODALITIES)]
-    return {f"{name}{end}": value for end, value in zip(ends, values, strict=True)}
-
-
 def _time_variants(
     area: Area[S, D], settings: Any, data: D, progress: Callable[[int, int], None]
 ) -> Iterator[tuple[Variant, Row]]:
@@ -245,10 +224,19 @@ def _time_variants(
             except ForetouchError as err:
                 skipped[variant.name] = str(err)
         load = MachineLoad()
-        times = time_calls({name: one.answer for name, one in ready.items()}, requests, settings.timing_s, progress)
+        calls = {name: one.answer for name, one in ready.items()}
+        hot = time_calls(calls, requests, _HOT_SHARE * settings.timing_s, progress) if settings.pause_s else {}
+        share = 1.0 - _HOT_SHARE if hot else 1.0
+        times = time_calls(calls, requests, share * settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
-    found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}
+    found = {
+        key: {
+            **_quantiles(calls, ready[key[0]].whole),
+            _HOT: 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None,
+        }
+        for key, calls in times.items()
+    }
     for variant in variants:
         other, reference = variant.compared_with or area.shipped, variant.reference or area.reference
         facts = {
@@ -268,7 +256,7 @@ def _time_variants(
                     {"request": request, "calls": len(times[variant.name, request]), **own, "ratio": ratio, **facts},
                 )
         if variant.name in skipped:
-            yield variant, {**dict.fromkeys(("request", "calls", *_TIMES, "ratio")), **facts}
+            yield variant, {**dict.fromkeys(("request", "calls", *_TIMES, _HOT, "ratio")), **facts}
 
 
 def _quantiles(times: npt.NDArray[np.float64], whole: float) -> Row:

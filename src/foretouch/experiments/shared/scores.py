@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Squared errors of predictors by object, and the table of their skills with comparisons."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -122,3 +124,61 @@ def interval_columns(name: str, estimate: Estimate | None) -> Row:
     """Three columns of an estimate: its value and the ends of its interval."""
     values = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
     return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
+
+
+def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) -> Row:
+    """Mean skill with its interval, and skill and error by modality, of `error_rows`.
+
+    Args:
+        name: Column of the mean skill, and beginning of the names of the others.
+        rows: Without any, all columns are None.
+        bootstrap: Of the interval.
+    """
+    ends = ["", "_low", "_high", *(f"_{one}" for one in MODALITIES), *(f"_rmse_{one}" for one in MODALITIES)]
+    if not rows:
+        return {f"{name}{end}": None for end in ends}
+    errors = ObjectErrors.of_rows(rows)
+    found, rmse = skills(errors, bootstrap), errors.rmse()
+    mean = found[MEAN]
+    values = [
+        mean.value,
+        mean.low,
+        mean.high,
+        *(found[one].value for one in MODALITIES),
+        *(rmse[one] for one in MODALITIES),
+    ]
+    return {f"{name}{end}": value for end, value in zip(ends, values, strict=True)}
+
+
+def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: BootstrapConfig) -> dict[str, Row]:
+    """Which variants are equally skilful, in pairs on the same grasps: columns of each variant.
+
+    `<name>_equals` is the most skilful variant from which this one does not differ significantly: the first is that of
+    all, the next that of those that are worse than it, and so on. `<name>_behind` with its interval is the skill less
+    that of the most skilful of all.
+
+    Args:
+        name: Column of the mean skill.
+        rows: By variant, of `error_rows` with the columns `part` and `seed`.
+        bootstrap: Of the intervals.
+    """
+    cells = {one: {(row["part"], row.get("seed")) for row in own} for one, own in rows.items() if own}
+
+    def errors(name: str, common: set[tuple[Any, Any]]) -> ObjectErrors:
+        return ObjectErrors.of_rows([row for row in rows[name] if (row["part"], row.get("seed")) in common])
+
+    @cache
+    def less(one: str, other: str) -> Estimate:
+        common = cells[one] & cells[other]
+        return compare(errors(one, common), errors(other, common), bootstrap)[MEAN]
+
+    quick = bootstrap.replace(draws=100)  # of which only the mean is used
+    skill = {one: skills(ObjectErrors.of_rows(rows[one]), quick)[MEAN].value for one in cells}
+    left = best = sorted(skill, key=skill.__getitem__, reverse=True)
+    result: dict[str, Row] = {one: interval_columns(f"{name}_behind", less(one, best[0])) for one in left}
+    while left:
+        equal = [one for one in left if one == left[0] or less(one, left[0]).verdict in ("tie", "better")]
+        for one in equal:
+            result[one] |= {f"{name}_equals": left[0]}
+        left = [one for one in left if one not in equal]
+    return result
