@@ -47,8 +47,9 @@ class Robot:
         xyz = (0.03 * self._rng.normal(size=(300, 3)) + [0.0, 0.0, 0.5]).astype(np.float32)
         self.cloud = Cloud(xyz, None, FRAME, self.now)
         self.clouds.publish(objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
-        grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")
-        other = Grasp(np.array([0.0, 0.02, 0.5]), np.array([0.0, -0.02, 0.5]), np.eye(3), 0.5, f"{name} too", "7")
+        along = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # its Z along y
+        grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), along, 1.0, name, "7")
+        other = Grasp(np.array([0.0, 0.02, 0.5]), np.array([0.0, -0.02, 0.5]), along, 0.5, f"{name} too", "7")
         messages = [grasp_to_msg(grasp), grasp_to_msg(other)]
         self.grasps.publish(GraspArray(header=header_to_msg(FRAME, self.now), grasps=messages))
         self.sent["object_cloud"] += 1

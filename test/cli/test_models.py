@@ -26,9 +26,10 @@ def test_every_model_of_the_package_has_skill_files_and_intervals(call) -> None:
         assert any(name.endswith(".trust.safetensors") for name in record["files"])
 
     every_case({record["name"]: record for record in answer.records}, check)
-    remarks = [line.partition(": ") for line in call("models").out.splitlines() if ": " in line]
-    assert len({remark for _, _, remark in remarks}) == len(remarks), "what several have in common is printed once"
-    assert any(names == "all models" for names, _, _ in remarks)
+    table, one = call("models").out, call("models", available_models()[0]).out
+    assert "One pair of fingers" not in table  # the limits of a model stand behind its name
+    assert "foretouch models NAME" in table
+    assert "\n- One pair of fingers" in one
 
 
 def test_coverage_is_that_of_the_card_and_a_flipped_byte_or_an_absent_file_is_found(call, tmp_path) -> None:

@@ -97,6 +97,26 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call, model, session, tm
         (wanted,) = core.predict(sample.cloud, [sample.grasp], tare=tare)
         assert_reported(result["predictions"][0], wanted)
         assert (wanted.reference, result["touched"]) == ("tare", 0)
+    assert "contact" not in answer.err
+
+
+def test_a_tare_that_is_like_a_reading_in_contact_is_warned_of_by_file_and_channel(call, session, tmp_path) -> None:
+    rest = load_model("contact-v2").calibration.rest
+    for name, vector in (("rest", rest + 30.0), ("held", rest + np.r_[400.0, 0.0, np.zeros(24), np.full(24, -700.0)])):
+        touch = Touch.from_vector(vector)
+        fields = {
+            "pdc_th": touch.pdc_th,
+            "pdc_mf": touch.pdc_mf,
+            "e_th": touch.e_th.tolist(),
+            "e_mf": touch.e_mf.tolist(),
+        }
+        (tmp_path / f"{name}.json").write_text(json.dumps(fields))
+    words = ("predict", session, "--model", "contact-v2", "--json")
+    answer = call(*words, "--tare", tmp_path / "rest.json", "--tare", tmp_path / "held.json")
+    (line,) = [one for one in answer.err.splitlines() if "contact" in one]
+    assert line.startswith(f"foretouch: {tmp_path / 'held.json'}: as in contact, or of another hand; a tare is")
+    assert "PDC_TH: 3119 is far above the rest level, 2719 ± " in line
+    assert line.endswith("E_MF: 24 electrodes are far below their rest level")
 
 
 def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -> None:

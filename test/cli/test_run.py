@@ -58,6 +58,9 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     def check(words: tuple[object, ...], line: str) -> None:
         call(*words).check_refused(f"foretouch: {line}")
 
+    picture = ("--picture", tmp_path / "touch.txt")
+    check(("run", "--source", none, *picture), f"{picture[1]}: the extension is none of .png, .pdf, .svg, .jpg")
+
     cases = [
         (("run", "--source", none), f"{none}: does not exist\n"),
         (("replay", none), f"{none}: does not exist\n"),

@@ -87,6 +87,17 @@ def test_tables_are_whole_and_folded_on_a_terminal(call, files, tmp_path, monkey
         assert "…" not in answer.out
 
     every_case([(width, words) for width in (60, 80) for words in commands], check)
+    (session,) = dataset.glob("*.mcap")
+    monkeypatch.chdir(tmp_path)
+    for width in (60, 80):  # no name is broken
+        monkeypatch.setenv("COLUMNS", str(width))
+        session.write_bytes(session.read_bytes()[:-3000])
+        answer = call("dataset", "repair", dataset.name)
+        assert {f"{dataset.name}/{session.name}", "repaired"} < set(answer.out.split()), answer.out
+        assert f"{dataset.name}/{session.name}" in call("dataset", "verify", dataset.name).out
+        info = call("dataset", "info", dataset).out
+        assert "│ points a cloud " in info
+        assert "│ /foretouch/samples " in info
     assert "score (higher" in whole(on_a_terminal(60, environment, "grasp", files / "scene.npz"), 60)
 
 

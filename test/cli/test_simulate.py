@@ -37,6 +37,10 @@ def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_pa
     store.verify()
     assert record["samples"] == len(store) == 3
     assert (record["sha256"], record["samples_per_s"] > 0) == (store.sha256, True)
+    again = call("simulate", scene, "-n", 2, "-o", tmp_path / "again", "--workers", 1, "--no-sheet").out
+    assert "render" in again
+    assert "depth_noise" not in again
+    assert "effects that ran; --explain lists the other " in again
     calls = {e["name"]: e["calls"] for e in record["effects"]}
     assert (calls["counts"], calls["contact_layer"]) == (3, 0)
     assert store.manifest["about"]["scene_sha256"] == record["scene_sha256"]

@@ -49,9 +49,8 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     rows = table(area, settings, GRASPS, cells[:1])
     contact = {one.name for one in area.variants(settings) if one.values["kind"] == "contact"}
     contact -= {one.name for one in area.variants(settings) if one.factor in ("clouds", "processes")}  # times alone
-    others = {"mean of the object", "mean of labels + readings", "contact-v2 + readings"}
+    others = {"mean of labels + readings", "contact-v2 + readings"}  # the mean of the object is not known here
     assert rows.keys() == {"mean of labels", "touchnet-v1", *contact, *others}
-    assert rows["mean of the object"]["object"] == 0.0  # of an object without training grasps
     assert rows["mean of labels + readings"]["object"] > 0.1
     assert rows["mean of labels"]["object"] == 0.0
     assert rows["contact-v2"]["object_rmse_PDC_TH"] > 0.0
@@ -60,7 +59,15 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     with pytest.raises(ConfigError, match="must hold at least one"):
         settings.replace(seeds=())
     kinds = {"contact-v2", "10 trees", "no surroundings", "kernel alone", "cloud of 200", "mean of labels"}
-    kinds |= {"touchnet-v1", "voxel 256", "net bf16", "papers' four networks", *others, "contact-v2, 4 clouds"}
+    kinds |= {
+        "touchnet-v1",
+        "voxel 256",
+        "net bf16",
+        "papers' four networks",
+        *others,
+        "mean of the object",
+        "contact-v2, 4 clouds",
+    }
     made = {one.name: area.timed(one, settings, GRASPS) for one in area.variants(settings) if one.name in kinds}
     for name, one in made.items():
         assert one.answer(2).shape == (8 if "clouds" in name else 2, 50)

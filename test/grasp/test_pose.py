@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import GraspError
-from foretouch.grasp.pose import check_rotation, fast_accept_rotations, hand_rotation, is_parallel, quaternion_xyzw
+from foretouch.grasp.pose import (
+    check_closing,
+    check_rotation,
+    fast_accept_rotations,
+    hand_rotation,
+    is_parallel,
+    quaternion_xyzw,
+)
+from foretouch.types import Grasp
 
 X, Y, Z = np.eye(3)
 vectors = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 3).map(np.array)
@@ -40,6 +48,17 @@ def test_turns_with_the_object_and_half_about_z_with_a_negated_axis(rng):
     turn, rotation = Rotation.random(random_state=1).as_matrix(), hand_rotation(g1, g2, axis)
     np.testing.assert_allclose(hand_rotation(turn @ g1, turn @ g2, turn @ axis), turn @ rotation, atol=1e-12)
     np.testing.assert_allclose(hand_rotation(g1, g2, -axis), rotation @ np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
+
+
+def test_a_hand_must_close_along_its_contacts_within_thirty_degrees():
+    for angle_deg in (0.0, 29.9, 30.1, 90.0, 180.0):
+        turned = Rotation.from_rotvec(np.radians(angle_deg) * Y).as_matrix()  # its Z leaves that of the camera
+        grasp = Grasp(0.03 * Z, -0.03 * Z, turned)
+        if angle_deg < 30.0:
+            check_closing(grasp)
+        else:
+            with pytest.raises(GraspError, match=f"pose: its Z is {angle_deg:.0f} degrees from g1 - g2, more than 30"):
+                check_closing(grasp)
 
 
 def test_what_has_no_pose_is_refused():

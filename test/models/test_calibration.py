@@ -11,9 +11,12 @@ from calibrated_models import REST, make_calibration, make_tracked_calibration
 from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 
+from foretouch.dataset.vision2tactile import read_touch
 from foretouch.errors import ModelError
+from foretouch.models import load_model
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 from foretouch.models.tracker import SensorTracker
+from foretouch.types import Touch
 
 SIZE = 50
 Change = Callable[[np.ndarray], np.ndarray | None]
@@ -136,3 +139,16 @@ def test_a_calibration_that_amplifies_is_refused() -> None:
     tensors["new/within"] = np.r_[1e6, 1e-3, np.ones(SIZE - 2)]
     with pytest.raises(ModelError, match=r"^between, within: no tracker can be made of them: .* 10 is allowed"):
         Calibration.from_tensors(tensors)
+
+
+def test_readings_in_contact_are_found_and_what_drifts_at_rest_is_not(rng: np.random.Generator, request) -> None:
+    calibration = load_model("contact-v2").calibration
+    assert calibration is not None
+    tracker = calibration.tracker_parameters
+    drift = (rng.normal(size=(500, SIZE)) * np.sqrt(tracker.slow + tracker.fast)) @ tracker.basis.T
+    found = [bool(calibration.contact_signs(Touch.from_vector(row))) for row in calibration.rest + drift]
+    assert np.mean(found) < 0.02
+    paths = sorted((request.getfixturevalue("real_data") / "vision2tactile").rglob("*.tac"))
+    touched = [bool(calibration.contact_signs(read_touch(path)[0])) for path in paths]
+    assert len(touched) >= 400
+    assert np.mean(touched) > 0.98

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foretouch.checked_files import read_json
+from foretouch.cli.output import warn
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
 from foretouch.tactile import make_tare, tdc_of
 from foretouch.types import ELECTRODES, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 if TYPE_CHECKING:
+    from foretouch.models.calibration import Calibration
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
@@ -161,7 +163,7 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
     labels = sorted({sample.object for sample in touched} - {_UNKNOWN})
     if len(labels) > 1:
         raise DatasetError(f"--touched: {', '.join(labels)}: touches must be of one object")
-    tare = _read_tare(arguments.tare) if arguments.tare and not own else None
+    tare = _read_tare(arguments.tare, model.calibration) if arguments.tare and not own else None
     files = [path for path in arguments.history if path.endswith(".safetensors")]
     if len(files) > 1:
         raise ConfigError(f"--history: {', '.join(files)}: more than one file of a hand")
@@ -172,8 +174,11 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
     return Adaptation(model, tare, touched, own, history, read_history(Path(files[0]), model) if files else None)
 
 
-def _read_tare(paths: Sequence[str]) -> tuple[Touch, Float64]:
-    """The median of all readings in some files with its TDC; errors name the field and the rule that it breaks."""
+def _read_tare(paths: Sequence[str], calibration: Calibration | None = None) -> tuple[Touch, Float64]:
+    """The median of all readings in some files with its TDC; errors name the field and the rule that it breaks.
+
+    Prints a warning for each file whose readings are like those in contact.
+    """
     from foretouch.dataset.vision2tactile import read_touch
 
     readings: list[tuple[Touch, Float64]] = []
@@ -185,9 +190,11 @@ def _read_tare(paths: Sequence[str]) -> tuple[Touch, Float64]:
             document = read_json(path)
             fresh = [_reading(path, entry) for entry in (document if isinstance(document, list) else [document])]
         try:
-            make_tare([touch for touch, _ in fresh])
+            tare = make_tare([touch for touch, _ in fresh])
         except TactileError as err:
             raise FileError(path, str(err)) from err
+        if signs := calibration.contact_signs(tare) if calibration is not None else ():
+            warn(f"{path}: as in contact, or of another hand; a tare is a reading at rest: {'; '.join(signs)}")
         readings += fresh
     return make_tare([touch for touch, _ in readings]), np.median([tdc for _, tdc in readings], axis=0)
 

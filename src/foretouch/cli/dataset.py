@@ -52,9 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
     )
     one = edit.add_mutually_exclusive_group()
-    one.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
+    one.add_argument("--relabel", metavar="NAME", help="give the samples another object name")
     one.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
-    one.add_argument("--merge", nargs=2, metavar=("LABEL", "INTO"), help="merge two objects into one")
+    one.add_argument("--merge", nargs=2, metavar=("A", "B"), help="give all samples of the object A the name B")
     one.add_argument("--undo", action="store_true", help="undo the latest edit that is in force")
 
     build = _action(actions, "build", _build, "Build a training store with splits")
@@ -104,9 +104,14 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
             metavar="TOPIC",
             help=f"topic of the {content} (default: %(default)s)",
         )
-    group.add_argument("--thumb", default="", metavar="NAME", help="name of the thumb in the tactile messages")
-    group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger")
-    group.add_argument("--object", default="unknown", help="label of the object on the table")
+    group.add_argument(
+        "--thumb",
+        default="",
+        metavar="NAME",
+        help="name of the thumb in the tactile messages (default: TH or 0, by their type)",
+    )
+    group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger (default: MF or 1)")
+    group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
     group.add_argument(
         "--fingers", type=_fingers, metavar="TH,MF", help="indices of both fingers instead of names (default: 4,1)"
     )

@@ -40,7 +40,13 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
         presets: Help text on the presets.
     """
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
-    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="output folder of manifest, table and figures")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of manifest, table and figures; required except for `list`",
+    )
     parser.add_argument("--preset", default=preset, help=presets)
     parser.add_argument(
         "--data",
@@ -55,9 +61,12 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
     parser.add_argument(
         "--workers",
         type=positive_number,
+        metavar="N",
         help="number of processes (default: one per core); does not change the results",
     )
-    parser.add_argument("--address", help="run on Ray: auto, ray://host:port, or local for a node on this machine")
+    parser.add_argument(
+        "--address", help="run on Ray: auto, ray://host:port, or local for a node on this machine (default: not on Ray)"
+    )
     parser.add_argument("--redraw", action="store_true", help="only rewrite tables and figures from the table in DIR")
     parser.add_argument("--json", action="store_true", help="print one JSON object per cell, and a summary last")
 

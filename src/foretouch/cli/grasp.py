@@ -19,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and the settings of GeoGrasp."""
     inputs.add_input_arguments(parser)
     inputs.add_plan_arguments(parser)
-    parser.add_argument("--tip-mm", type=float, help="size of the gripper's fingertip [mm]")
-    parser.add_argument("--count", type=int, help="maximum number of grasps")
+    parser.add_argument("--tip-mm", type=float, metavar="MM", help="size of the gripper's fingertip [mm] (default: 25)")
+    parser.add_argument("--count", type=int, metavar="K", help="maximum number of grasps (default: 1)")
     slide = parser.add_mutually_exclusive_group()
     slide_help = "shift the grasp plane along the object's axis by this distance [m]"
     slide.add_argument("--slide-m", type=float, default=0.0, metavar="δ", help=slide_help)

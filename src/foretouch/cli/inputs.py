@@ -19,12 +19,12 @@ Record = dict[str, Any]
 
 
 _OPTIONS: dict[str, dict[str, Any]] = {
-    "--topic": {"help": "point cloud topic of a recording"},
-    "--config": {"metavar": "YAML", "help": "pipeline settings"},
-    "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "override one pipeline setting"},
-    "--model": {"help": "name of a model, or path of its card, weights or model folder"},
+    "--topic": {"help": "point cloud topic of a recording (default: its only one)"},
+    "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
+    "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "change one setting of the pipeline"},
+    "--model": {"help": "name of a model, or path of its card, weights or model folder (default: contact-v2)"},
     "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
-    "--namespace": {"help": "namespace of the graph (default: /foretouch)"},
+    "--namespace": {"metavar": "NAME", "help": "namespace of the graph (default: /foretouch)"},
 }
 
 
@@ -36,7 +36,12 @@ def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     """IN…, --topic, --config, --set and --json."""
-    parser.add_argument("inputs", metavar="IN", nargs="+", help=".pcd, .ply, .npz or .npy, a folder, or a recording")
+    parser.add_argument(
+        "inputs",
+        metavar="IN",
+        nargs="+",
+        help="cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
+    )
     add_options(parser, "--topic", "--config", "--set")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
@@ -47,10 +52,14 @@ def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
         "--plane",
         type=numbers,
         metavar="a,b,c,d",
-        help="table ax+by+cz+d=0 [m]; the cloud then contains only the object",
+        help="table ax+by+cz+d=0 [m]; the cloud then contains only the object (default: found in the cloud)",
     )
-    parser.add_argument("--scene", action="store_true", help="segment unorganised clouds too")
-    parser.add_argument("--target", choices=["nearest", "largest", "all"], help="objects of a scene to use")
+    parser.add_argument("--scene", action="store_true", help="find table and objects in unorganised clouds too")
+    parser.add_argument(
+        "--target",
+        choices=["nearest", "largest", "all"],
+        help="objects of a cloud to use (default: nearest; all for predict)",
+    )
 
 
 def numbers(text: str, count: int = 4) -> list[float]:

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from foretouch import __version__
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
 
@@ -30,6 +31,7 @@ COMMANDS = {
     "run": "Run the whole ROS graph in one terminal",
     "record": "Record grasps and tactile readings to a dataset",
     "replay": "Replay a recording or a folder of clouds to the ROS graph",
+    "forget": "Let a running graph forget readings of the object or of the hand",
     "view": "Show clouds, grasps and predicted touch in Rerun",
     "models": "List and verify touch models",
     "doctor": "Check dependencies and print the fixes",
@@ -99,7 +101,7 @@ def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Na
 
 def _parser(chosen: str | None) -> argparse.ArgumentParser:
     """The parser of all commands; only the module of the chosen one is imported for its arguments."""
-    parser = argparse.ArgumentParser(prog="foretouch", description="Feel before you touch.")
+    parser = CommandParser(prog="foretouch", description="Feel before you touch.")
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, summary in COMMANDS.items():

@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
         for record in records:
             print_json(record)
     else:
-        _show(records)
+        _show(records, in_full=bool(arguments.models))
     return int(any(record["status"] != "ok" for record in records))
 
 
@@ -92,23 +92,21 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}
 
 
-def _show(records: list[dict[str, Any]]) -> None:
-    rows, named = [], dict[str, list[str]]()
-    for record in records:
-        rows.append([record["name"], record.get("kind", record["status"]), *_cells(record)])
-        for line in _notes(record):
-            named.setdefault(line, []).append(record["name"])
-    title = (
-        "Touch models. Skill on the test samples of each split: 0 equals the mean of the training labels, 1 is perfect. "
-        "Coverage: share of readings inside the intervals, for held-out objects"
+def _show(records: list[dict[str, Any]], *, in_full: bool) -> None:
+    """Print a table of models, and below it what is wrong with damaged ones, and in full the limits of the others."""
+    rows = [[record["name"], record.get("kind", record["status"]), *_cells(record)] for record in records]
+    print_table(
+        "Touch models: skill on held-out samples by split (0: the mean of the labels, 1: perfect), coverage of 90 % intervals",
+        ["model", "kind", "files", "kB", *_SPLITS, "coverage"],
+        rows,
     )
-    print_table(title, ["model", "kind", "files", "kB", *_SPLITS, "coverage"], rows)
     for record in records:
         if record["status"] != "ok":
             print_text(record["reason"])  # which names the file
-    sound = sum(record["status"] == "ok" for record in records)
-    for line, names in sorted(named.items(), key=lambda item: -len(item[1])):  # what several have in common, once
-        print_text(f"{'all models' if len(names) == sound > 1 else ', '.join(names)}: {line}")
+        for line in _notes(record) if in_full else ():
+            print_text(f"{record['name']}: {line}" if len(records) > 1 else f"- {line}")
+    if not in_full:
+        print_text("What each is good for and its limits: foretouch models NAME")
 
 
 def _cells(record: Mapping[str, Any]) -> list[str]:

@@ -98,17 +98,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="dataset; an existing one is extended")
     parser.add_argument(
-        "--object", default="", metavar="LABEL", help="label of the object on the table (default: unknown)"
+        "--object", default="", metavar="NAME", help="name of the object on the table (default: unknown)"
     )
     parser.add_argument("--note", default="", help="note for every sample")
     parser.add_argument(
         "--tactile-topic", metavar="TOPIC", help=f"topic of the tactile messages (default: {TACTILE_TOPIC})"
     )
     parser.add_argument(
-        "--tactile-type", choices=list(TACTILE_TYPES), help=f"their type (default: {TactileConfig().type})"
+        "--tactile-type",
+        choices=list(TACTILE_TYPES),
+        metavar="TYPE",
+        help=f"{', '.join(TACTILE_TYPES)} (default: {TactileConfig().type})",
     )
-    parser.add_argument("--thumb", metavar="NAME", help="name of the thumb in the tactile messages")
-    parser.add_argument("--middle", metavar="NAME", help="name of the middle finger")
+    parser.add_argument(
+        "--thumb", metavar="NAME", help="name of the thumb in the tactile messages (default: TH or 0, by their type)"
+    )
+    parser.add_argument("--middle", metavar="NAME", help="name of the middle finger (default: MF or 1)")
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
     parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
     parser.add_argument("--points", action="store_true", help="record the camera's whole clouds too")
@@ -117,9 +122,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="assign contacts without a report to the best grasp of the last cloud before them",
     )
-    parser.add_argument("--seconds", type=positive_value, metavar="S", help="end after this time")
     parser.add_argument(
-        "--samples", type=positive_number, metavar="N", help="end after this number of labelled samples"
+        "--seconds", type=positive_value, metavar="S", help="end after this time [s] (default: at Ctrl-C)"
+    )
+    parser.add_argument(
+        "--samples",
+        type=positive_number,
+        metavar="N",
+        help="end after this number of samples with readings (default: at Ctrl-C)",
     )
     add_options(parser, "--params", "--namespace")
     parser.add_argument("--json", action="store_true", help="one JSON object a second, the last with the final counts")

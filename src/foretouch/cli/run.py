@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
         " or `camera`, the RealSense",
     )
-    parser.add_argument("--serial", help="serial number of the camera")
+    parser.add_argument("--serial", help="serial number of the camera (default: any)")
     parser.add_argument(
         "--dwell",
         type=positive_value,
@@ -50,12 +50,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="time that each object of a scene stays on the table (default: 3)",
     )
     add_replay_arguments(parser, "recorded times; files one by one; scenes at 5")
-    parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
+    parser.add_argument(
+        "--count",
+        type=positive_number,
+        metavar="N",
+        help="end after N answered clouds (default: at the end of the source, or Ctrl-C)",
+    )
     add_options(parser, "--model", "--params")
     parser.add_argument(
         "--picture",
         metavar="PNG",
-        help="save a picture of the last predictions, and of what the simulated hand then read",
+        help="save a picture of the last predictions, and of what the simulated hand then read (.png, .pdf, .svg or .jpg)",
     )
     parser.add_argument(
         "--serve",

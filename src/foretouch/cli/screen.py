@@ -98,7 +98,7 @@ class FittedTable:
         high = any(line > 4 * width for line, width in zip(lines, widths, strict=True))
         if self.title:
             yield Text(self.title, "italic")
-        if not self.live and (sum(words) > bare or high):
+        if not self.live and len(words) > 2 and (sum(words) > bare or high):
             yield from self._lists()
         else:
             yield self._table(widths, framed=framed)
@@ -110,7 +110,11 @@ class FittedTable:
         cells = [list(map(str, column)) for column in zip(self.columns, *self.rows, strict=True)]
         words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in cells]
         lines = [max((len(line) for cell in column for line in cell.splitlines()), default=0) for column in cells]
-        return [min(word, 24) for word in words], lines  # longer ones, such as paths and hashes, are folded anywhere
+        if self.live:
+            return [
+                min(word, 24) for word in words
+            ], lines  # longer ones, such as paths and hashes, are folded anywhere
+        return [lines[0] if lines[0] <= 36 else words[0], *words[1:]], lines  # names in the first column are not broken
 
     def _table(self, widths: Sequence[int], *, framed: bool) -> Table:
         padding = (0, 1) if framed else (0, 1, 0, 0)

@@ -25,16 +25,28 @@ _SHEET_SAMPLES = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The scene, how many samples, and where to."""
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
-    parser.add_argument("-n", "--count", type=positive_number, metavar="N", help="number of samples")
-    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of the data set; must not exist")
-    parser.add_argument("--seed", type=seed_number, help="seed in place of the scene's")
+    parser.add_argument(
+        "-n",
+        "--count",
+        type=positive_number,
+        metavar="N",
+        help="number of samples; required except with --explain and --replay",
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="DIR", help="training store to create, which must not exist; required as -n"
+    )
+    parser.add_argument("--seed", type=seed_number, help="random seed (default: that of the scene)")
     parser.add_argument(
         "--workers",
         type=positive_number,
         help="number of processes (default: one a core); the samples do not depend on it",
     )
     parser.add_argument(
-        "--set", metavar="KEY=VALUE", action="append", default=[], help="change one setting of the scene"
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="change one setting of the scene; camera.noise={} switches an effect on, camera.noise=null off",
     )
     parser.add_argument(
         "--explain",
@@ -172,8 +184,10 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "path": str(arguments.out),
         })  # fmt: skip
         return
-    rows = [[plan.name, str(t.calls), f"{1e3 * t.seconds / count:.2f}", plan.reason] for plan, t in timed]
-    print_table("effects", ["effect", "calls", "ms a sample", "for"], rows)
+    ran = [(plan, t) for plan, t in timed if t.calls]
+    rows = [[plan.name, str(t.calls), f"{1e3 * t.seconds / count:.2f}", plan.reason] for plan, t in ran]
+    title = f"effects that ran; --explain lists the other {len(timed) - len(ran)}"
+    print_table(title, ["effect", "calls", "ms each", "for"], rows)
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")
     print(f"sha256 {sha256}")

@@ -39,15 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "release=true (scores on three splits in the card)",
     )
     target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("-o", "--out", type=Path, metavar="RUN", help="folder of the run; it can be used as a model")
+    target.add_argument("-o", "--out", type=Path, metavar="MODEL", help="model folder to create")
     target.add_argument(
         "--compare",
         metavar="SPLITS",
-        help="score model and baselines on splits such as random,time,object; write nothing",
+        help="write no model: score the method and the baselines on splits such as random,time,object",
     )
-    parser.add_argument("--resume", action="store_true", help="continue the run in RUN, if there is one")
+    parser.add_argument("--resume", action="store_true", help="continue the training in MODEL, if there is one")
     parser.add_argument(
-        "--workers", type=positive_number, default=1, metavar="N", help="processes for cross-validation and calibration"
+        "--workers", type=positive_number, default=1, metavar="N", help="processes for cross-validation and intervals"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per epoch, and the result")
 

@@ -37,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="write a file for Rerun instead of opening a window")
     parser.add_argument("--screenshot", type=Path, metavar="F.png", help="draw a picture instead of opening a window")
     parser.add_argument(
-        "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds, samples or answers"
+        "--count",
+        type=inputs.positive_number,
+        metavar="N",
+        help="show the first N clouds, samples or answers (default: all)",
     )
     inputs.add_options(parser, "--topic", "--config", "--set", "--model")
     inputs.add_plan_arguments(parser)

@@ -220,7 +220,9 @@ def _with_readings(
     own, plain, seen = np.tile(data.labels[fold.train].mean(axis=0), (3, len(names), 1))
     for name in np.unique(names[fold.train]):
         own[names == name] = data.labels[fold.train][names[fold.train] == name].mean(axis=0)
-    yield _OBJECT, own[fold.test]
+    known_objects = bool(np.isin(names[fold.test], names[fold.train]).all())
+    if known_objects:
+        yield _OBJECT, own[fold.test]
     for part in folds:
         sessions[part.test] = [f"{name}/{part.name}" for name in names[part.test]]
         if part.name != fold.name:
@@ -234,7 +236,7 @@ def _with_readings(
     for name, expected in ((_MEAN, plain), (SHIPPED, seen)):
         recording = Recording.of_samples(data.samples, data.labels, expected, level)
         held_out = HeldOutPredictions(expected[train], data.labels[train], names[train], sessions[train])
-        group = fit_group(held_out, new=not np.isin(names[fold.test], names[train]).any())
+        group = fit_group(held_out, new=not known_objects)
         tracker = SensorTracker(fit_tracker(recording.take(train), group, group))
         counts = np.empty_like(expected)
         counts[order] = replay(tracker, recording.take(order)).counts
@@ -507,11 +509,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     skills = [split for split in ("time", "object") if split in rows[0]]
     served = dict.fromkeys(row["variant"] for row in rows if row["factor"] in _SERVED)
     body = [
-        [
-            name,
-            *("–" if row[one] is None else interval(row, one) for one in skills),
-            *(cell(name, count) for count in requests),
-        ]
+        [name, *(interval(row, one) or "–" for one in skills), *(cell(name, count) for count in requests)]
         for name in (*_SHOWN, *served)
         if (row := found.get((name, requests[0]))) is not None
     ]
@@ -521,7 +519,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         *(f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests),
     ]
     kinds = "p50, p95, p99 of the wall time" if wall else "medians of the processor time"
-    note = f"Times: {kinds} after a pause of 20 ms; in brackets the processor time in a loop without pauses."
+    note = f"Times: {kinds}; in brackets the processor time in a loop without the pause before each call."
     return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]
 
 

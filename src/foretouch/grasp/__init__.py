@@ -5,7 +5,7 @@ from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
-from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
+from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw
 
 __all__ = [
     "GeoGraspConfig",
@@ -14,6 +14,7 @@ __all__ = [
     "HeldGrasp",
     "LiveGeoGraspConfig",
     "PlanStatus",
+    "check_closing",
     "hand_rotation",
     "object_axis",
     "plan_grasps",

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
+import math
+
 import numpy as np
 
 from foretouch.errors import GraspError
@@ -10,6 +12,7 @@ _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding nois
 _IDENTITY = np.eye(3)
 _LEAST_M = 1e-12  # from the midpoint to a contact; shorter vectors have no certain direction
 _SKEWED = 1e-3  # largest deviation of a rotation times its transpose from the identity
+_TILTED_DEG = 30.0  # fingers of a hand that is tilted further against the line of its contacts do not close on both
 
 
 def cross(a: Float64, b: Float64) -> Float64:
@@ -92,6 +95,18 @@ def check_rotation(rotation: Float64) -> None:
     proper = rotation.shape == (3, 3) and bool((np.abs(rotation) < 2.0).all())  # no overflow in the product
     if not proper or np.abs(rotation @ rotation.T - np.eye(3)).max() > _SKEWED or np.linalg.det(rotation) < 0:
         raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
+
+
+def check_closing(grasp: Grasp) -> None:
+    """Check that the fingers close along the line of the contacts: the hand's Z is within 30 degrees of g1 - g2.
+
+    Raises:
+        GraspError: With the angle.
+    """
+    cosine = float(_unit(grasp.g1 - grasp.g2, "g1 - g2") @ grasp.rotation[:, 2])
+    angle_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+    if angle_deg > _TILTED_DEG:
+        raise GraspError(f"pose: its Z is {angle_deg:.0f} degrees from g1 - g2, more than {_TILTED_DEG:g}")
 
 
 def fast_accept_rotations(rotations: Float64) -> Bool:

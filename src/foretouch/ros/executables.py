@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
-from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
+from foretouch.ros.runtime.parameter_files import check_parameters
+from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
@@ -85,7 +87,7 @@ def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _serve(names: Sequence[str], arguments: list[str]) -> int:
-    start_rclpy(arguments)
+    begin(arguments, names)
     import rclpy
 
     try:
@@ -95,6 +97,17 @@ def _serve(names: Sequence[str], arguments: list[str]) -> int:
     finally:
         with uninterrupted():
             rclpy.try_shutdown()
+
+
+def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
+    """Check the parameters of a command line for some nodes and start rclpy.
+
+    Raises:
+        ConfigError: If an argument or a parameter file is malformed, or names an unknown node or parameter.
+    """
+    prepare_environment()
+    check_parameters(arguments, NODES, names, namespace)
+    start_rclpy(arguments)
 
 
 def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
@@ -112,7 +125,6 @@ def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
         for node in nodes:
             node.destroy_node()
         raise
-    _warn_of_unknown_parameters(nodes)
     return nodes
 
 
@@ -144,11 +156,3 @@ def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:
             for node in nodes:
                 node.destroy_node()
     return any(node.has_failed for node in nodes)
-
-
-def _warn_of_unknown_parameters(nodes: "Sequence[ForetouchNode[Any]]") -> None:
-    """Warn of parameters that none of the nodes has: each is given to all nodes of the process."""
-    for node in nodes:
-        for name in sorted(getattr(node, "_parameter_overrides", {})):
-            if not (any(other.has_parameter(name) for other in nodes) or name.startswith("qos_overrides.")):
-                node.get_logger().warning(f"parameter {name}: unknown to {node.get_name()}; it has no effect")

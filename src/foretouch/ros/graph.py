@@ -12,10 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.ros.executables import make_nodes
+from foretouch.ros.executables import begin, make_nodes
 from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.hand import HandNode
@@ -63,7 +64,7 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        start_rclpy(self._arguments)
+        begin(self._arguments, list(self._parameters), **self._namespace)
         from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
@@ -180,6 +181,33 @@ class Graph:
         for node in self.nodes.values():
             with uninterrupted():
                 node.autostart()
+
+
+def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
+    """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
+
+    Raises:
+        ForetouchError: If there is no such service or no answer within the time.
+    """
+    namespace = _checked(namespace or NAMESPACE)
+    start_rclpy([])
+    import rclpy
+    from std_srvs.srv import Trigger
+
+    name = f"{namespace.rstrip('/')}/{service}"
+    node = rclpy.create_node("caller", namespace=namespace)
+    try:
+        client = node.create_client(Trigger, name)  # type: ignore[var-annotated]
+        if not client.wait_for_service(timeout_sec=wait_s):
+            raise ForetouchError(f"{name}: no such service within {wait_s:g} s: is the graph running?")
+        future = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(node, future, timeout_sec=wait_s)
+        if (answer := future.result()) is None:
+            raise ForetouchError(f"{name}: no answer within {wait_s:g} s")
+        return answer.success, answer.message
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def _checked(namespace: str) -> str:

@@ -66,9 +66,14 @@ def planner(graph, target, grasps, model_card):
     return Planner(graph, target, grasps, model=model_card)
 
 
-def without_orientation(message):
-    message.rotation, message.pose.orientation = np.zeros(9), Quaternion(w=0.0)
+def oriented(message, orientation):
+    """The message with this orientation alone."""
+    message.rotation, message.pose.orientation = np.zeros(9), orientation
     return message
+
+
+def without_orientation(message):
+    return oriented(message, Quaternion(w=0.0))
 
 
 def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_be(planner, model_card):
@@ -118,6 +123,7 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         ("beyond 1e+100", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", np.full(4, 1e308))),
         ("farther away than 1000 m", Status.BAD_PLANE, lambda r: setattr(r.table[0], "coef", [0.0, 0.0, 1.0, 1e20])),
         ("is not 1", Status.BAD_GRASP, lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160)),
+        ("degrees from g1 - g2, more than 30", Status.BAD_GRASP, lambda r: oriented(r.grasps[0], Quaternion())),
         ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "rotation", np.full(9, 1e160))),
         ("'77' is none of", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "object_id", "77")),
         ("1e+160 m apart, more than max_width_m 0.2", Status.BAD_GRASP, far_without_orientation),
@@ -242,6 +248,8 @@ def test_reach_and_limits_of_objects_are_those_of_the_parameters(graph, tmp_path
     request = planner.request(3)
     first, second, _ = request.grasps
     first.g1.x, second.g1.x = first.g2.x + 0.35, second.g2.x + 0.45
+    without_orientation(first)
+    without_orientation(second)
     wide, wider, fine = planner.ask(request).predictions
     assert (wide.status, wider.status, fine.status) == (Status.OK, Status.BAD_GRASP, Status.OK), wide.reason
     assert "m apart, more than max_width_m 0.4" in wider.reason

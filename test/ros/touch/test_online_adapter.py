@@ -2,6 +2,8 @@
 """Online adaptation: readings move the predictions as they move those of the core, without DDS and over it."""
 
 import io
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -38,6 +40,7 @@ from foretouch_msgs.srv import PredictTouch
 pytestmark = pytest.mark.ros
 
 PAIRING = {name.removeprefix("pairing__"): value for name, value in QUICK.items()}
+ACROSS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of a hand that closes along x
 DEAD = np.r_[-22072.0, REST[1:]]
 
 
@@ -59,7 +62,7 @@ class CanRobot(Robot):
         """The messages of a cloud of now and of two grasps on it."""
         self.cloud = Cloud((self.can + np.array([self.shift, 0.0, 0.0])).astype(np.float32), None, FRAME, self.now)
         self.planned = [
-            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), np.eye(3), 1.0 - k, f"{name}{' too' * k}", "7")
+            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
         cloud = objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
@@ -391,3 +394,11 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
     console = Console(file=io.StringIO(), width=200)
     graph.until(lambda: console.print(live_panel(monitor.view(), "")) or text in console.file.getvalue())
     assert graph.call(Trigger, "forget_touches").message == "0 touches forgotten"
+    for words, status, text in (
+        (("touches",), 0, "0 touches forgotten\n"),
+        (("history", "--wait", "0.2", "--namespace", "/no"), 1, ""),
+    ):
+        command = [sys.executable, "-m", "foretouch", "forget", *words]
+        done = subprocess.run(command, env=graph.environment(), capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stdout) == (status, text), done.stderr
+    assert done.stderr == "foretouch: /no/forget_history: no such service within 0.2 s: is the graph running?\n"

@@ -103,7 +103,9 @@ def tables(panels: Sequence[Panel], rows: Sequence[Row]) -> list[Table]:
 
 
 def interval(row: Row, name: str) -> str:
-    """A skill with its interval, such as `-0.021 [-0.05, 0.01]`."""
+    """A skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
+    if row.get(name) is None:
+        return ""
     ends = [row[f"{name}_low"], row[f"{name}_high"]]
     return f"{row[name]:.3f}" + ("" if None in ends else " [{:.2f}, {:.2f}]".format(*ends))
 

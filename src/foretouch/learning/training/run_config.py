@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.config import Settings, load_yaml, parse_overrides, setting
-from foretouch.errors import ConfigError, none_of, quoted, shown
+from foretouch.errors import ConfigError, nearest, quoted, shown
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.learning.training.supervised import TrainConfig
@@ -155,7 +155,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
         mapping = {"method": str(config)}
     else:
         known = [*recipes, *METHODS]
-        raise ConfigError(f"{shown(path)}: is no file, and no recipe: {none_of(config, known)}")
+        raise ConfigError(f"{shown(path)}: is no file and none of {', '.join(known)}{nearest(config, known)}")
     source = " ".join([str(config), *overrides])  # which of them is at fault, if both are, the field says
     return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), source)
 

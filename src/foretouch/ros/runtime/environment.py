@@ -7,10 +7,8 @@ The user's own are never changed.
 import ctypes
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from foretouch.errors import ConfigError
 from foretouch.interrupts import uninterrupted
@@ -51,12 +49,9 @@ def start_rclpy(arguments: Sequence[str]) -> None:
         arguments: Command line with ROS arguments.
 
     Raises:
-        ConfigError: If an argument or a parameter file is malformed; rcl's own text names its sources instead of the rule.
+        ConfigError: If an argument is malformed.
     """
     prepare_environment()
-    for option, path in pairwise(arguments):
-        if option == "--params-file":
-            _check_parameter_file(path)
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
@@ -68,24 +63,6 @@ def start_rclpy(arguments: Sequence[str]) -> None:
             rclpy.try_shutdown()
             rule = "unknown: " if isinstance(err, UnknownROSArgsError) else ""
             raise ConfigError(f"ROS arguments: {rule}{' '.join(str(err).split())}") from err
-
-
-def _check_parameter_file(path: str) -> None:
-    from foretouch.config import load_yaml
-
-    for name, value in load_yaml(path).items():
-        if not isinstance(value, Mapping) or not _holds_parameters(value):
-            raise ConfigError(
-                f"{path}: {name}: holds no ros__parameters; a parameter file is "
-                "NODE: {ros__parameters: {NAME: VALUE}}"
-            )
-
-
-def _holds_parameters(node: Mapping[str, Any]) -> bool:
-    """Whether the parameters of a node, or of nodes in a namespace, follow."""
-    if "ros__parameters" in node:
-        return isinstance(node["ros__parameters"], Mapping)
-    return any(isinstance(value, Mapping) and _holds_parameters(value) for value in node.values())
 
 
 def _keep_large_blocks() -> None:

@@ -34,9 +34,15 @@ class NodeSettings(Generic[_S]):
         self._cls = cls
         self._on_change = on_change
         self._names = {info.name for info in setting_infos(cls)}
+        self._floats = {info.name for info in setting_infos(cls) if info.type is float and not info.is_list}
         self.value: _S = cls.from_mapping({info.name: _declare(node, info) for info in setting_infos(cls)})
+        node.add_pre_set_parameters_callback(self._as_declared)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
+
+    def _as_declared(self, parameters: "list[Parameter[Any]]") -> "list[Parameter[Any]]":
+        """Whole numbers as floats where these are declared, such as 10 for 10.0."""
+        return [_as_float(one) if one.name in self._floats else one for one in parameters]
 
     def _changed(self, parameters: Sequence["Parameter[Any]"]) -> _S | None:
         changes = {p.name: _plain(p.value) for p in parameters if p.name in self._names}
@@ -76,10 +82,18 @@ def _declare(node: Node, info: SettingInfo) -> Any:
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    overrides = getattr(node, "_parameter_overrides", {})
+    if info.type is float and info.name in overrides:
+        overrides[info.name] = _as_float(overrides[info.name])
     try:
         return _plain(node.declare_parameter(info.name, _plain(info.default), descriptor).value)
     except ParameterException as err:
         raise ConfigError(f"{info.name}: {' '.join(str(err).split())}") from err
+
+
+def _as_float(parameter: "Parameter[Any]") -> "Parameter[Any]":
+    value = parameter.value
+    return Parameter(parameter.name, value=float(value)) if type(value) is int else parameter
 
 
 def _plain(value: Any) -> Any:

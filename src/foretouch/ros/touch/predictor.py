@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
-from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
+from foretouch.grasp import GeoGraspConfig, check_closing, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr
@@ -242,6 +242,10 @@ def _made(message: TouchAnswer, *, encoded: bool) -> Any:
 
 def _outcome(prediction: Prediction) -> Prediction | Refusal:
     if prediction.value is not None:
+        try:
+            check_closing(prediction.grasp)  # the constructor of a message makes w = 1, which is an orientation
+        except GraspError as err:
+            return _refusal_of(err)
         return prediction
     return Refusal(Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED, prediction.reason)
 

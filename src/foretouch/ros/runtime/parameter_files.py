@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters in files and on the command line, checked before any node starts: ROS ignores names that nobody has.
+
+A parameter of a named node must be one of that node's; one for all nodes (`/**`), of one of them. Nodes of other packages
+may stand in the same file, outside of the namespace of the graph and with names unlike those of our nodes.
+"""
+
+import re
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from importlib import import_module
+from itertools import pairwise
+from typing import Any, Final
+
+from foretouch.config import EMPTY, flattened, load_yaml, setting_infos
+from foretouch.errors import ConfigError, nearest
+from foretouch.topics import NAMESPACE
+
+_SHARED: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
+
+
+def check_parameters(arguments: Sequence[str], nodes: Mapping[str, str], own: Sequence[str], namespace: str) -> None:
+    """Check the parameter files and parameters of a command line.
+
+    Args:
+        arguments: The command line.
+        nodes: Module and class of all nodes of foretouch, `module:class` by name.
+        own: Names of the nodes of this process.
+        namespace: Of these nodes, unless the command line remaps it.
+
+    Raises:
+        ConfigError: If a file is none, or a node or a parameter is unknown: names it with the nearest known one.
+    """
+    remapped = [word.partition(":=")[2] for word in arguments if re.match(r"(\w+:)?__ns:=", word)]
+    namespace = f"/{(remapped or [namespace])[-1].strip('/')}"
+    for option, value in pairwise(arguments):
+        if option == "--params-file":
+            for name, given in _nodes_of_file(value):
+                _check(value, name, given, nodes, namespace)
+        elif option in {"-p", "--param"} and ":=" in value:
+            name, _, parameter = value.partition(":=")[0].rpartition(":")
+            _require_known(f"{option} {value}", [name] if name in nodes else own, {parameter: None}, nodes)
+
+
+def _nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Full names of the nodes in a file, with their parameters by dotted name."""
+
+    def walk(name: str, value: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+        groups = value if isinstance(value, Mapping) else {}
+        given = groups.get("ros__parameters")
+        inner = [(f"{name}/{str(key).strip('/')}", one) for key, one in groups.items() if key != "ros__parameters"]
+        if (given is None and not inner) or not isinstance(given, Mapping | None):
+            rule = "holds no ros__parameters; a parameter file is NODE: {ros__parameters: {NAME: VALUE}}"
+            raise ConfigError(f"{path}: {name.lstrip('/')}: {rule}")
+        if given is not None:
+            yield name, flattened(given)
+        for key, one in inner:
+            yield from walk(key, one)
+
+    for name, value in load_yaml(path).items():
+        yield from walk(f"/{str(name).strip('/')}", value)
+
+
+def _check(path: str, name: str, given: Mapping[str, Any], nodes: Mapping[str, str], namespace: str) -> None:
+    place, _, short = name.rpartition("/")
+    place = place or "/"
+    if short in nodes and (place in {namespace, NAMESPACE} or "*" in place or not _taken_for(place, ("/", NAMESPACE))):
+        _require_known(f"{path}: {name}", [short], given, nodes)
+    elif "*" in short:
+        _require_known(f"{path}: {name}", list(nodes), given, nodes)
+    elif short in nodes or place == namespace or _taken_for(short, nodes):
+        graph = f"{namespace.rstrip('/')}/"
+        hint = nearest(short, nodes).replace("mean ", f"mean {graph}")
+        raise ConfigError(f"{path}: {name}: there is no such node; in {graph} are {', '.join(nodes)}{hint}")
+
+
+def _taken_for(name: str, known: typing.Iterable[str]) -> bool:
+    return bool(get_close_matches(name, list(known), 1, _ALIKE))
+
+
+def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Mapping[str, str]) -> None:
+    """Refuse a parameter that none of some nodes has, or that has no value."""
+    known = [info for name in names for info in _parameters_of(nodes[name])]
+    for parameter, value in given.items():
+        if parameter not in known and parameter.partition(".")[0] not in _SHARED:
+            raise ConfigError(f"{place}: {parameter}: unknown parameter{nearest(parameter, known)}")
+        if value is EMPTY:
+            raise ConfigError(f"{place}: {parameter}: is empty")
+
+
+def _parameters_of(node: str) -> list[str]:
+    module, _, name = node.partition(":")
+    (config,) = typing.get_args(getattr(import_module(module), name).__orig_bases__[0])
+    return [info.name for info in setting_infos(config)]
