@@ -10,7 +10,7 @@ from every_case import every_case
 from experiment_samples import make_samples
 
 from foretouch.experiments import find_experiment
-from foretouch.experiments.ablation import FEATURE_SETS, FULL, fit_variants
+from foretouch.experiments.ablation import BLIND, FEATURE_SETS, FULL, fit_variants
 from foretouch.learning.data import labels_of
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.estimator import by_modality
@@ -41,6 +41,9 @@ def test_variants_are_the_released_model_without_what_they_leave_out() -> None:
         np.testing.assert_array_equal(expected[name], expected[FULL])
         after = models[name].predict(ASKED, TOUCHED, tare=False)
         assert np.abs(after - models[FULL].predict(ASKED, TOUCHED, tare=False)).max() > 1e-3
+    mean = models[BLIND]
+    np.testing.assert_allclose(mean.predict(ASKED, NONE, tare=False), np.tile(mean.recording.expected[0], (7, 1)))
+    assert np.abs(mean.predict(ASKED, TOUCHED, tare=True) - mean.recording.expected[ASKED]).max() > 1e-3
     whole, diagonal = (models[name].calibration.tracker for name in (FULL, "diagonal B"))
     for part in ("slow", "fast", "object", "noise", "tare_noise"):
         wanted = getattr(whole, part) @ (whole.basis**2).T
@@ -77,4 +80,4 @@ def test_differences_are_from_the_full_model_or_from_no_adaptation(tmp_path: Pat
 @pytest.mark.real_data
 def test_sweep(swept, real_data: Path) -> None:
     rows = swept("ablation", real_data / "vision2tactile", samples=10, **{"contact.trees": 2})
-    assert {row["predictor"] for row in rows} >= {FULL, "kernel alone", "without slopes"}
+    assert {row["predictor"] for row in rows} >= {FULL, BLIND, "kernel alone", "without slopes"}

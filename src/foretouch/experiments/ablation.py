@@ -39,11 +39,11 @@ from foretouch.experiments.shared.tables import (
     unique,
     with_notes,
 )
-from foretouch.learning.data import Indices, labels_of, make_folds
+from foretouch.learning.data import Fold, Indices, labels_of, make_folds
 from foretouch.learning.evaluation.baselines import geometry_features
 from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording, predict_after
-from foretouch.learning.training.calibration import resting_labels
+from foretouch.learning.training.calibration import calibrate_on_folds, resting_labels
 from foretouch.learning.training.contact import (
     ContactConfig,
     ContactPredictor,
@@ -71,6 +71,7 @@ _TITLES: Final = {
 _COMPARED: Final = 3  # touches after which the variants are compared
 
 FULL: Final = "full"  # the complete model, as released
+BLIND: Final = "without vision"  # the mean of the training labels, with a tracker of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,19 +180,23 @@ def fit_variants(
 
     parts = _predict(full.estimator, describe_samples(test))
     result = {name: _variant(parts, combine) for name, combine in COMBINATIONS.items()}
-    copies = thinned_samples(train, config)
+    copies, resting = thinned_samples(train, config), resting_labels(train, labels_of(train), full.rest)
     for name, describe in FEATURE_SETS.items():
-        labels, thinned = (
-            resting_labels(train, labels_of(train), full.rest),
-            None if copies is None else describe(copies),
-        )
-        estimator = fit_contact(describe(train), labels, [sample.object for sample in train], config, thinned)
+        thinned = None if copies is None else describe(copies)
+        estimator = fit_contact(describe(train), resting, [sample.object for sample in train], config, thinned)
         result[name] = _variant(_predict(estimator, describe(test)), COMBINATIONS[FULL])
     if calibrated:
         calibration = full.calibration[0]
         for name, edit in {FULL: lambda parameters: parameters, **TRACKER_EDITS}.items():
             tracker = edit(calibration.tracker_parameters)
             result[name] = replace(result[FULL], calibration=replace(calibration, tracker=tracker))
+
+    def _mean(fold: Fold) -> Float64:
+        return np.tile(resting[fold.train].mean(axis=0), (len(fold.test), 1))
+
+    calibrations = calibrate_on_folds(train, labels_of(train), _mean, config.seed)[:1] if calibrated else [None]
+    mean = np.tile(resting.mean(axis=0), (len(test), 1))
+    result[BLIND] = _ModelVariant(Recording.of_samples(test, labels_of(test), mean, full.rest), *calibrations)
     return result
 
 

@@ -219,9 +219,9 @@ def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings)
     train = finest[: settings.train] if scene == best else _samples(scene, settings.train)
     test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
     predictor = ContactPredictor(train, labels_of(train), ContactConfig(trees=settings.trees))
-    labels, predicted = labels_of(test), predictor.predict(test)
-    squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
-    return ObjectErrors.total([(test[k].id, 1.0, squared[k], reference[k]) for k in range(len(test))])
+    return ObjectErrors.of_predictions(
+        np.array([one.id for one in test]), predictor.predict(test), labels_of(test), mean
+    )
 
 
 def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:

@@ -69,10 +69,9 @@ def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path)
 
 def test_without_touches_it_is_the_estimate_from_vision_and_touches_help_on_a_new_object(bare) -> None:
     remaining = BARE[40:]
-    wanted, familiar = bare.estimator.predict_rows(describe_samples(remaining))
+    wanted, _ = bare.estimator.predict_rows(describe_samples(remaining))
     assert_array_equal(bare.predict(remaining), wanted)
     assert_array_equal(bare.predict_after([], remaining), wanted)
-    assert_array_equal(bare.familiar(remaining), familiar)
     touched, others = BARE[40:43], BARE[43:]
     before, after = (np.abs(bare.predict_after(one, others) - labels_of(others)).mean() for one in ([], touched))
     assert after < before

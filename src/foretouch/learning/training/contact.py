@@ -184,10 +184,6 @@ class ContactPredictor:
         """(S, 50) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
-    def familiar(self, samples: Sequence[GraspSample]) -> npt.NDArray[np.bool_]:
-        """(S,) whether each sample's object is in the distribution of the training data."""
-        return self._estimate(samples)[1]
-
     def predict_after(
         self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
     ) -> Float64:
