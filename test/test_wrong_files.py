@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that are consistent and wrong: nothing is overwritten, nothing hangs, and each is refused by name."""
 
+import fcntl
 import os
+import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -10,13 +12,18 @@ import pytest
 from every_case import every_case, every_refusal
 from recording_builders import write_dataset
 
-from foretouch.checked_files import replace_files
+from foretouch.checked_files import FileBytes, read_bytes, replace_files, require_schema
+from foretouch.cli.output import print_table, warn
+from foretouch.cloud.io.files import read_cloud
+from foretouch.config import dump_yaml, load_yaml, parse_overrides
 from foretouch.dataset.editing import drop
 from foretouch.dataset.recording import repair_dataset
 from foretouch.errors import ConfigError, FileError
+from foretouch.experiments.framework.manifest import read_results
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.hand_history import HistoryFile
+from foretouch.ros.runtime.shared_memory import stale_bytes
 
 
 def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_path: Path) -> None:
@@ -48,3 +55,102 @@ def test_names_of_models_are_names_of_files() -> None:
     cases = [("name: .* is not 1 to 100 letters", {"name": name}) for name in names]
     every_refusal(ConfigError, cases, RunConfig.from_mapping)
     assert RunConfig(name="grasp-v2.1_b").name == "grasp-v2.1_b"
+
+
+def test_numbers_of_yaml_are_decimal_and_a_key_that_occurs_twice_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "settings.yaml"
+    found = parse_overrides(
+        ["a=010", "b=1:30", "c=1_0", "d=1e3", "e=-7", "f=.5", "g=0x1f", "h=1.", "i=.inf", "j=-08.5"]
+    )
+    assert found == {"a": 10, "b": "1:30", "c": "1_0", "d": 1000.0, "e": -7, "f": 0.5, "g": "0x1f", "h": 1.0} | {
+        "i": float("inf"), "j": -8.5,
+    }  # fmt: skip
+    for text in ("a: 1\na: 2\n", "x: {b: 1, b: 1}\n", "l: [{c: 1, c: 2}]\n", "{a: 1, 'a': 2}"):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=r"settings.yaml: not YAML: key [abc] occurs twice"):
+            load_yaml(path)
+    document = {"z": "1e3", "a": ["010", "1:30", "0x1f", "yes", "", "1_0"], "n": [1, 0.5, 1e-7, True, None]}
+    path.write_text(dump_yaml(document))
+    assert load_yaml(path) == document
+    assert list(load_yaml(path)) == ["z", "a", "n"]
+
+
+def test_files_with_other_types_are_refused_by_name_though_nothing_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    schema = {"a": int, "b?": [float], "c?": {"d": (str, type(None))}}
+    good = {"a": 1, "b": [1, 2.5], "c": {"d": None}, "other": {}}
+    assert require_schema(path, good, schema) == good
+    cases = [
+        ("file.json: .* is of type list, not dict", [good]),
+        ("file.json: a: is missing", {}),
+        ("file.json: a: True is of type bool, not int", {"a": True}),
+        ("file.json: a: 1000.* is no number that can be used", {"a": 10**400}),
+        (r"file.json: b\[1\]: inf is no number", {"a": 1, "b": [1, float("inf")]}),
+        (r"file.json: b\[0\]: 'x' is of type str, not float", {"a": 1, "b": ["x"]}),
+        ("file.json: c.d: 3 is of type int, not str or null", {"a": 1, "c": {"d": 3}}),
+    ]
+    every_refusal(FileError, cases, lambda value: require_schema(path, value, schema))
+
+
+def test_tables_of_experiments_are_read_as_they_were_written_or_refused(tmp_path: Path) -> None:
+    path = tmp_path / "results.csv"
+    for content in (b"a,b\n1\n", b"a,b\n1,2,3\n", b"\xff\xfe", b'a\n"1'):
+        path.write_bytes(content)
+        with pytest.raises(FileError, match=r"results\.csv"):
+            read_results(path)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(FileError, match=r"results.csv: is a FIFO"):
+        read_results(path)
+
+
+def test_a_file_of_the_kernel_that_waits_and_one_that_grows_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="more than 10 bytes"):
+        read_bytes("/proc/self/status", 10)
+    path = tmp_path / "file"
+    path.write_bytes(bytes(100_000))
+    data = FileBytes(path)
+    assert data[10:20] == bytes(10)
+    os.truncate(path, 50_000)
+    with pytest.raises(FileError, match=r"file: byte 50000: was truncated while it was read"):
+        data[20_000:90_000]
+
+
+def test_a_text_of_one_line_takes_a_few_times_its_size_and_long_words_are_refused(tmp_path: Path) -> None:
+    path, points = tmp_path / "line.pcd", 400_000
+    head = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {points}\nHEIGHT 1\nDATA ascii\n".encode()
+    path.write_bytes(head + b"1 2 3 " * points)
+    read_cloud(path)
+    tracemalloc.start()
+    cloud = read_cloud(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (cloud.xyz == [1, 2, 3]).all()
+    assert peak < 12 * path.stat().st_size
+    for body, rule in ((b"1 2 3 " * points + b"4", "1200001 numbers"), (b"1" * 200_000, "a word of more than")):
+        path.write_bytes(head + body)
+        with pytest.raises(FileError, match=rule):
+            read_cloud(path)
+
+
+def test_names_with_control_characters_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table("a\x1b[2Jb", ["name"], [["x\x1b]0;title\x07y"], ["two\nlines"]])
+    warn("name\x1b[31m\nsecond line")
+    out, err = capsys.readouterr()
+    assert "\x1b" not in out + err
+    assert r"a\x1b[2Jb" in out
+    assert err == "foretouch: name\\x1b[31m\\nsecond line\n"
+
+
+def test_shared_memory_of_processes_that_ended_is_freed_and_that_of_others_kept(tmp_path: Path) -> None:
+    for name in ("fastdds_dead", "fastrtps_dead", "fastdds_alive", "fastdds_port7412"):
+        (tmp_path / name).write_bytes(bytes(1000))
+        (tmp_path / f"{name}_el").touch()
+    (tmp_path / "fastdds_link_el").symlink_to(tmp_path / "fastdds_dead")
+    with (tmp_path / "fastdds_alive_el").open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert stale_bytes(tmp_path) == 2000
+        assert stale_bytes(tmp_path, free=True) == 2000
+        assert stale_bytes(tmp_path) == 0
+    left = sorted(path.name for path in tmp_path.iterdir() if not path.name.endswith("_el"))
+    assert left == ["fastdds_alive", "fastdds_port7412"]

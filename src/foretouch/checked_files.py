@@ -241,7 +241,14 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
         if limit is not None and size > limit:
             raise FileError(path, f"{size} bytes exceed {limit}", field="size")
         with _named(path):
-            return file.read()
+            content: bytes | None = file.read(size + 1)
+            while content and (limit is None or len(content) <= limit) and (more := file.read(65536)):
+                content += more  # it grows, or is one of the kernel's, which have no size
+        if content is None:  # some of the kernel's wait
+            raise FileError(path, "has no content now")
+        if limit is not None and len(content) > limit:
+            raise FileError(path, f"more than {limit} bytes", field="size")
+        return content
 
 
 def read_json(path: str | Path) -> Any:

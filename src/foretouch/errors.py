@@ -31,7 +31,14 @@ def shown(value: Any, limit: int = _SHOWN) -> str:
         text = f"a {type(value).__name__} that cannot be printed: {err}"
     if len(text) > limit:
         text = f"{text[: limit // 2]}…{text[-limit // 2 :]}"
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return escaped(text)
+
+
+def escaped(text: str, keep: str = "") -> str:
+    """A text whose characters that are not printable, but for some to keep, are written as Python escapes them."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode() for c in text)
 
 
 def quoted(value: Any) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.checked_files import read_json
+from foretouch.checked_files import read_json, require_schema
 from foretouch.cli.output import warn
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
@@ -209,8 +209,7 @@ def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
         if name not in entry:
             continue
         numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
-        if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
-            raise FileError(path, "is not numbers", field=name)
+        require_schema(path, numbers, [float], name)
         values[name] = np.array(entry[name], np.float64)
         if values[name].shape != shape:
             raise FileError(path, f"is not {f'{ELECTRODES} numbers' if shape else 'one number'}", field=name)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
+from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.tactile import MODALITIES
 from foretouch.tactile.messages.table import stamp_ns
@@ -104,8 +104,8 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
             record = parse_json(line)
         except ValueError as err:
             raise FileError(path, f"is no JSON: {err}", field=f"line {number}") from err
-        if not isinstance(record, dict):
-            raise FileError(path, "is no JSON object", field=f"line {number}")
+        types = {"stamp_ns?": (int, type(None)), "predictions?": list, "status?": str}
+        require_schema(path, record, types, f"line {number}")
         if "predictions" in record or "status" in record:
             records.append(record)
     if not records:
@@ -138,7 +138,7 @@ def prediction_from_record(record: Any) -> TouchPrediction:
         value, lower, upper = touches
         others: dict[str, Any] = {name: record[name] for name in ("reference", "status", "reason")}
         return TouchPrediction(grasp, value, lower, upper, flags=tuple(record["flags"]), **others)
-    except (KeyError, TypeError, ValueError, AttributeError) as err:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
         raise ConfigError(
             f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
         ) from err

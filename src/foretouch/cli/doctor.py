@@ -24,6 +24,7 @@ from packaging.requirements import Requirement
 
 from foretouch.cli.output import announce, print_json, print_table, print_text, progress_bar
 from foretouch.errors import ForetouchError, MissingDependencyError
+from foretouch.ros.runtime.shared_memory import stale_bytes
 
 _State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
@@ -162,10 +163,12 @@ def _shared_memory() -> _Finding:
         free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
     except OSError:
         return _Finding("shared memory", "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
-    if free_mb >= 256:  # three segments of 64 MB and a reserve
-        return _Finding("shared memory", "ok", f"{free_mb:.0f} MB free")
-    fix = "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
-    return _Finding("shared memory", "mismatch", f"{free_mb:.0f} MB free", fix)
+    found = f"{free_mb:.0f} MB free"
+    if (stale_mb := stale_bytes() / 1e6) > 0.0:
+        found += f"; {stale_mb:.0f} MB of processes that were killed, which the next node frees"
+    if free_mb + stale_mb >= 256:  # three segments of 64 MB and a reserve
+        return _Finding("shared memory", "ok", found)
+    return _Finding("shared memory", "mismatch", found, "docker run --shm-size=1g")
 
 
 def _own_parts() -> Iterator[_Finding]:

@@ -134,7 +134,11 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
     rows = read_results(arguments.out / experiment.results)
     if not rows:
         raise FileError(arguments.out / experiment.results, "contains no row: no cell has finished")
-    figures = _report(experiment, rows, arguments.out)
+    try:
+        figures = _report(experiment, rows, arguments.out)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as err:
+        rule = f"is no table of {experiment.name}: {type(err).__name__}: {err}"
+        raise FileError(arguments.out / experiment.results, rule) from err
     if arguments.json:
         print_json({"status": "done", "figures": figures})
     else:

@@ -93,7 +93,7 @@ def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Na
     """Parse; `key=value` may also follow the options, where argparse alone rejects further positionals."""
     parsed, rest = parser.parse_known_args(arguments)
     if any(word.startswith("-") or "=" not in word for word in rest) or (rest and not hasattr(parsed, "overrides")):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+        parser.error(f"there is no such argument: {' '.join(rest)}")
     if rest:
         parsed.overrides += rest
     return parsed

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.errors import ForetouchError
+from foretouch.errors import ForetouchError, escaped
 
 
 def print_json(record: Mapping[str, Any]) -> None:
@@ -33,7 +33,9 @@ def print_text(text: str, style: str = "") -> None:
     from foretouch.cli.screen import terminal
 
     console = terminal()
-    console.print(text, style=style, highlight=False, markup=False, soft_wrap=not console.is_terminal)
+    console.print(
+        escaped(text, keep="\n"), style=style, highlight=False, markup=False, soft_wrap=not console.is_terminal
+    )
 
 
 def announce(wait: str) -> None:
@@ -84,7 +86,7 @@ def progress_bar(
 
 def warn(message: str) -> None:
     """Print one line on stderr."""
-    print(f"foretouch: {message}", file=sys.stderr)
+    print(f"foretouch: {escaped(message)}", file=sys.stderr)
 
 
 def _plain(value: Any) -> Any:

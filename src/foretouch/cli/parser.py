@@ -4,7 +4,7 @@
 import argparse
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 from foretouch.errors import nearest, none_of
 
@@ -107,10 +107,6 @@ class CommandParser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, none_of(value, action.choices))
-
-    def error(self, message: str) -> NoReturn:
-        """Usage and the message on stderr; exit status 2."""
-        super().error(message.replace("unrecognized arguments", "there is no such argument"))
 
 
 class _Formatter(argparse.HelpFormatter):

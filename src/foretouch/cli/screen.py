@@ -21,6 +21,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from foretouch.errors import escaped
+
 _NUMBER = re.compile(r"[-+–]?\d(?!.*[a-z]{3})|–?$")
 _REFRESH_S = 0.2
 _STDERR = 2
@@ -140,7 +142,7 @@ class FittedTable:
 
 
 def _text(cell: str | Text) -> Text:
-    return Text(cell) if isinstance(cell, str) else cell
+    return Text(escaped(cell, keep="\n")) if isinstance(cell, str) else cell
 
 
 def _widths(words: Sequence[int], lines: Sequence[int], room: int) -> list[int]:

@@ -345,8 +345,10 @@ def _sample(batch: _Batch, row: int) -> GraspSample:
 def _numbers(text: str) -> dict[str, float]:
     """The named numbers of a sample."""
     numbers = parse_json(text)
-    if not isinstance(numbers, dict) or not all(type(value) in (int, float) for value in numbers.values()):
-        raise ValueError(f"extra: {shown(text)} is no list of named numbers")
+    if not isinstance(numbers, dict) or not all(
+        type(value) in (int, float) and abs(value) < 1e300 for value in numbers.values()
+    ):
+        raise ValueError(f"extra: {shown(text)} is no list of named numbers that are finite")
     return numbers
 
 

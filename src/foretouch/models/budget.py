@@ -27,7 +27,7 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.checked_files import read_json, write_text
-from foretouch.errors import FileError
+from foretouch.errors import FileError, shown
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import by_modality
 from foretouch.models.registry import load_model
@@ -169,8 +169,8 @@ def _read(path: Path, own: Mapping[str, Any]) -> Profile:
             name: dict(sorted((int(count), float(value)) for count, value in document["p95_s"][name].items()))
             for name in own["levels"]
         }
-    except (KeyError, TypeError, ValueError, AttributeError) as err:
-        raise FileError(path, f"is damaged: {err}") from err
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
+        raise FileError(path, f"is damaged: {shown(str(err))}") from err
     if not all(one and np.isfinite(list(one.values())).all() and min(one.values()) > 0.0 for one in times.values()):
         raise FileError(path, "a time is not above 0 and finite", field="p95_s")
     return Profile(times, str(document.get("state")), str(path))
@@ -196,7 +196,7 @@ def profile_scene(count: int) -> tuple[Cloud, list[Grasp]]:
     xyz = np.column_stack([along, 0.035 * np.cos(angle), 1.15 - 0.035 * np.sin(angle)])
     cloud = Cloud((xyz + rng.normal(0.0, 5e-4, xyz.shape)).astype(np.float32))
     place = rng.uniform(-0.04, 0.04, count)
-    turned = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).T  # z across the can
+    turned = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # z across the can
     return cloud, [Grasp(np.array([x, 0.034, 1.148]), np.array([x, -0.034, 1.148]), turned) for x in place]
 
 

@@ -342,7 +342,7 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hand
     if found is None or bytes(found) != hashlib.sha256(packed(tensors)[0]).digest():
         raise FileError(path, "damaged: its content has another hash")
     version = tensors.get("version", np.array([-1]))
-    if version.shape != (1,) or int(version[0]) != VERSION:
+    if version.shape != (1,) or version.dtype.kind not in "iu" or int(version[0]) != VERSION:
         raise FileError(path, f"version: {version.tolist()} is not [{VERSION}]")
     for name, own in (("hand", hand), ("model", model.name)):
         stored = _read_text(tensors, name)

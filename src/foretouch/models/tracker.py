@@ -102,6 +102,8 @@ class SensorTracker:
         touches: Number of those of the current object.
         revision: Changes whenever a reading is added or an object begins.
         tdc_readings: Readings with the temperature of a finger at least.
+        redated: How often the newest reading was more than 60 s ahead of the clock: the readings so far then count as
+            taken now.
         tdc_jumps: How often the temperature of a finger jumped, as after a power cycle.
     """
 
@@ -125,7 +127,7 @@ class SensorTracker:
         self._expected = np.zeros(TOUCH_SIZE)  # sum over the touches of the object
         self.touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
-        self.revision = 0
+        self.revision = self.redated = 0
 
     def copy(self) -> SensorTracker:
         """An independent tracker in the same state."""
@@ -356,6 +358,11 @@ class SensorTracker:
         if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
             raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
         stamp = int(stamp_ns)
+        if now_ns is not None and self._newest_ns - now_ns > _AHEAD_NS:  # the clock was ahead, and was set right
+            self.redated += 1
+            self._newest_ns, self._object_ns, self._tdc_ns = (
+                min(one, now_ns) for one in (self._newest_ns, self._object_ns, self._tdc_ns)
+            )
         if now_ns is not None and stamp - now_ns > _AHEAD_NS:
             raise TactileError(f"stamp: is {(stamp - now_ns) / 1e9:.1f} s ahead of the clock, 60 s are allowed")
         if self._newest_ns < 0:

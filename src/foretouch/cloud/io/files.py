@@ -115,7 +115,8 @@ def _unpacked(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, siz
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise FileError(path, f"compression {member.compress_type} is not deflate", field=member.filename)
     check_unpacked(path, member.file_size, size, member.filename)
-    return archive.read(member)
+    with archive.open(member) as file:
+        return file.read(member.file_size)  # without a limit, it would unpack everything and then cut it off
 
 
 def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:

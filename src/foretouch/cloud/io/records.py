@@ -5,6 +5,7 @@ Both are decoded here. The libraries for them take the memory that a header asks
 return fewer points of a truncated file (pypcd4), or fill up with zeros and warn (Open3D).
 """
 
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +17,8 @@ from foretouch.types import AnyArray, Cloud, UInt8
 Records = AnyArray  # (N,) of a structured dtype
 
 SIZE_LIMIT: Final = 2_000_000_000  # of a file with a cloud [bytes]
+_TEXT_BLOCK: Final = 65536  # characters that are parsed at once
+_SPACE: Final = re.compile(rb"\s")
 HEADER_LIMIT: Final = 65536  # bytes within which a header must end
 
 
@@ -59,16 +62,27 @@ def ascii_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, fi
     kinds = {name: dtype[name] for name in dtype.names or ()}
     widths = [int(np.prod(kind.shape)) for kind in kinds.values()]
     size = points * sum(widths)
-    words = body.split() if alone else body.split(None, size)[:size]
-    if len(words) != size:
-        raise FileError(path, f"{len(words)} numbers are not {points} points of {sum(widths)} = {size}", field=field)
-    try:
-        table = np.array(words, np.float64).reshape(points, sum(widths))
-    except ValueError as err:
-        raise FileError(path, f"not a number: {shown(str(err))}", field=field) from err
+    table = np.empty(min(size, len(body) // 2 + 1))
+    filled, at = 0, 0
+    while at < len(body) and (filled < size or alone):
+        found = _SPACE.search(body, at + _TEXT_BLOCK, at + 2 * _TEXT_BLOCK)
+        end = found.end() if found else min(at + 2 * _TEXT_BLOCK, len(body))
+        if not found and end < len(body):
+            raise FileError(path, f"not a number: a word of more than {_TEXT_BLOCK} characters", field=field)
+        words = body[at:end].split()
+        part = table[filled : filled + len(words)]
+        filled, at = filled + len(words), end
+        try:
+            part[:] = np.array(words[: len(part)], np.float64)
+        except ValueError as err:
+            raise FileError(path, f"not a number: {shown(str(err))}", field=field) from err
+    if filled < size or (alone and filled > size):
+        raise FileError(path, f"{filled} numbers are not {points} points of {sum(widths)} = {size}", field=field)
     records = np.zeros(points, dtype)
     with np.errstate(invalid="ignore", over="ignore"):
-        for name, columns in zip(kinds, np.split(table, np.cumsum(widths)[:-1], axis=1), strict=True):
+        for name, columns in zip(
+            kinds, np.split(table[:size].reshape(points, sum(widths)), np.cumsum(widths)[:-1], axis=1), strict=True
+        ):
             records[name] = columns.reshape(records[name].shape)
     return records
 

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import read_json, write_text
+from foretouch.checked_files import TEXT_LIMIT, read_bytes, read_json, require_schema, write_text
 from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
@@ -120,7 +120,7 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
         file = _cell_file(out, cell)
         if not file.exists():
             continue
-        record = _read_mapping(file)
+        record = require_schema(file, read_json(file), {"values?": dict, "rows?": [dict]})
         if record.get("values") != json.loads(json.dumps(cell.values)) or "rows" not in record:
             raise FileError(file, "was run with other values than the experiment has now; start a new sweep")
         found[cell.key] = [{**record["values"], **row} for row in record["rows"]]
@@ -149,10 +149,11 @@ def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> l
 def read_results(path: Path) -> list[Row]:
     """Rows that `write_results` wrote; a `FileError` if the file cannot be read."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            return [{name: _parsed(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
+        text = io.StringIO(read_bytes(path, TEXT_LIMIT).decode("utf-8"), newline="")
+        header, *rows = [row for row in csv.reader(text, strict=True) if row] or [[]]
+        if any(len(row) != len(header) for row in rows):
+            raise csv.Error("a row has another number of fields than the first")
+        return [dict(zip(header, map(_parsed, row), strict=True)) for row in rows]
     except (UnicodeDecodeError, csv.Error) as err:
         raise FileError(path, str(err)) from err
 
@@ -219,22 +220,20 @@ def _cell_file(out: Path, cell: Cell) -> Path:
     return out / _CELLS / f"{cell.key}.json"
 
 
-def _read_mapping(file: Path) -> dict[str, Any]:
-    record = read_json(file)
-    if not isinstance(record, dict):
-        raise FileError(file, "contains no mapping")
-    return record
+_SCHEMA: Final = {
+    "sessions": [{"foretouch": str, "git": (str, type(None)), "started": str, "cpu": str}],
+    "experiment?": str,
+    "preset?": str,
+    "settings?": dict,
+    "data?": {"sha256": str},
+}
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
     """A manifest whose sessions can be continued and whose cells, if it was once written to the end, are counted."""
-    manifest = _read_mapping(file)
-    if not isinstance(manifest.get("sessions"), list):
-        raise FileError(file, "sessions: is no list")
-    cells = manifest.get("cells", {})
-    counts = [cells.get(name) for name in ("all", "finished")] if isinstance(cells, dict) else [None]
-    if cells != {} and not (all(isinstance(count, int) for count in counts) and isinstance(cells.get("failed"), dict)):
-        raise FileError(file, "cells: holds no counts `all` and `finished` and no mapping `failed`")
+    manifest: dict[str, Any] = require_schema(file, read_json(file), _SCHEMA)
+    if manifest.get("cells", {}) != {}:
+        require_schema(file, manifest["cells"], {"all": int, "finished": int, "failed": dict}, "cells")
     return manifest
 
 

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.config import Settings, load_yaml, parse_overrides, setting
+from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
 from foretouch.errors import ConfigError, nearest, quoted, shown
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.srgan import SrganConfig
@@ -162,4 +162,6 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
 
 def _with_network(mapping: dict[str, Any], folder: Path) -> dict[str, Any]:
     network = mapping.get("model")
-    return {**mapping, "model": load_yaml(folder / network)} if isinstance(network, str) else mapping
+    if isinstance(network, str) and network != EMPTY:
+        return {**mapping, "model": load_yaml(folder / network)}
+    return mapping

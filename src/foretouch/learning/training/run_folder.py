@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-import yaml
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
 from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, write_text
-from foretouch.config import flattened, load_yaml
+from foretouch.config import dump_yaml, flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
 from foretouch.learning.training.trainer import Trainer
 
@@ -122,7 +121,7 @@ class RunFolder:
                     text = f"{key}: {before.get(key)!r} is not {value!r}; a run resumes as it began"
                     raise ConfigError(f"{file}: {text}")
             return (self.path / STATE_FILE).exists()
-        write_text(file, yaml.safe_dump(dict(resolved), sort_keys=False))
+        write_text(file, dump_yaml(resolved))
         return False
 
     def keep_log(self, epochs: int) -> None:
@@ -163,5 +162,5 @@ class RunFolder:
         try:
             trainer.restore(tensors, plain)
             return best, dict(plain["best"])
-        except (ModelError, KeyError) as err:
+        except (ModelError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
             raise FileError(file, f"is not the state of this training: {err}") from err

@@ -9,10 +9,12 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import mkdtemp
 
 from foretouch.errors import ConfigError
 from foretouch.interrupts import uninterrupted
 from foretouch.processes import ONE_THREAD
+from foretouch.ros.runtime.shared_memory import stale_bytes
 
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 """Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""
@@ -52,17 +54,29 @@ def start_rclpy(arguments: Sequence[str]) -> None:
         ConfigError: If an argument is malformed.
     """
     prepare_environment()
+    stale_bytes(free=True)
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
 
     with uninterrupted():
         try:
+            _name_log_folder()
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         except (RCLError, ValueError, UnknownROSArgsError) as err:
             rclpy.try_shutdown()
             rule = "unknown: " if isinstance(err, UnknownROSArgsError) else ""
             raise ConfigError(f"ROS arguments: {rule}{' '.join(str(err).split())}") from err
+
+
+def _name_log_folder() -> None:
+    """Give ROS another folder for its logs where the user has no home, or one that cannot be written."""
+    if any(name in os.environ for name in ("ROS_LOG_DIR", "ROS_HOME")):
+        return
+    home = Path(os.environ.get("HOME") or "/", ".ros", "log")
+    exists = next(path for path in (home, *home.parents) if path.exists())
+    if not os.environ.get("HOME") or not exists.is_dir() or not os.access(exists, os.W_OK):
+        os.environ["ROS_LOG_DIR"] = mkdtemp(prefix="foretouch-log-")
 
 
 def _keep_large_blocks() -> None:

@@ -34,7 +34,7 @@ from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Float64, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -152,7 +152,7 @@ class OnlineAdapter:
         with self._keeper.lock:
             try:
                 if tare is not None:
-                    self._history.add_tare(now_ns, tare, tdc=tdc)
+                    self._add_tare(now_ns, tare, tdc)
             except TactileError as err:
                 if not self._tare_refused:  # not for every cloud
                     self._warn(f"tare: refused: {err}")
@@ -228,7 +228,7 @@ class OnlineAdapter:
             now_ns = self._now_ns()
             extra = sample.extra
             if tare is not None:
-                self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, "tare_"))
+                self._add_tare(now_ns, tare, tdc_of(extra, "tare_"))
             new = not self._history.is_current(sample.cloud, config.same_object_m)
             self._history.add_touch(
                 now_ns, sample.cloud, sample.grasp, cut.touch, new_object=new, limits=config.limits, tdc=tdc_of(extra)
@@ -239,6 +239,13 @@ class OnlineAdapter:
         else:
             with self._input_lock:
                 self._touch_counts["taken_in"] += 1
+
+    def _add_tare(self, now_ns: int, tare: Touch, tdc: Float64 | None) -> None:
+        tracker = self._history.tracker
+        before = tracker.redated
+        self._history.add_tare(now_ns, tare, now_ns=now_ns, tdc=tdc)
+        if tracker.redated > before:
+            self._warn("history: the clock was set back: readings that are ahead of it count as taken now")
 
     def _refuse(self, grasp_id: str, reason: str, message: str) -> None:
         with self._input_lock:
