@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`run`, `replay` and `record` as a person calls them: processes of their own, over real DDS."""
 
+import argparse
 import json
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from every_case import every_case
 from scene_builders import scene_cloud, write_scenes
 from websocket_client import WebSocketClient
 
+from foretouch.cli import run as run_command
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.recording import verify_dataset
 
@@ -86,6 +88,28 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -
     assert not any("late" in prediction["flags"] for one in answers for prediction in one["predictions"])
     heard = [line.split()[0].split(".") for line in listener.stdout.splitlines()]
     assert list(dict.fromkeys(int(sec) * 10**9 + int(ns) for sec, ns in heard)) == stamps
+
+
+def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(tmp_path) -> None:
+    (tmp_path / "scene.yaml").write_text("grasps: {}\n")
+    files = {
+        "none": "/foretouch/touch_predictor: {ros__parameters: {use_tare: false}}",
+        "named": "foretouch: {touch_predictor: {ros__parameters: {model: touchnet-v1}}}",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.yaml").write_text(text)
+    parser = argparse.ArgumentParser()
+    run_command.add_arguments(parser)
+
+    def model(*words: str) -> str | None:
+        arguments = parser.parse_args(["--source", *words])
+        return run_command._nodes(arguments)["touch_predictor"].get("model")
+
+    scene = str(tmp_path / "scene.yaml")
+    assert model(scene) == model(scene, "--params", str(tmp_path / "none.yaml")) == "simulated"
+    assert model(scene, "--params", str(tmp_path / "named.yaml")) is None  # the file's counts
+    assert model(scene, "--model", "touchnet-v1") == "touchnet-v1"
+    assert model("camera") is None
 
 
 @pytest.mark.slow

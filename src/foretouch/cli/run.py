@@ -20,6 +20,7 @@ from foretouch.cli.screen import FittedPanel, terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
+from foretouch.ros.runtime.parameter_files import nodes_of_file
 
 if TYPE_CHECKING:
     from foretouch.report.touch_figure import DrawnGrasp
@@ -140,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.models.card import read_card
-    from foretouch.models.registry import find_card
+    from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
 
     nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
     if arguments.model:
@@ -158,6 +159,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         return nodes | {"replay": _replay_parameters(arguments)}
     if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
+    given = nodes_of_file(arguments.params) if arguments.params else ()
+    if scene and not arguments.model and not any("model" in parameters for _, parameters in given):
+        nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
     serial = {"camera.serial": arguments.serial} if arguments.serial else {}
     return nodes | (_scene_nodes(arguments) if scene else {"camera": serial})
 

@@ -11,6 +11,8 @@ from foretouch.models.card import CARD_FORMAT, read_card
 from foretouch.models.touch_model import TouchModel
 
 DEFAULT_MODEL: Final = "contact-v2"
+SIMULATED_HAND_MODEL: Final = "simulated"
+"""The model of scenes with a simulated hand."""
 
 
 def available_models() -> list[str]:

@@ -276,5 +276,5 @@ def _as_image(axes: Axes, title: str) -> None:
     axes.set_xlabel("x [m]", fontsize=8)
     axes.set_ylabel("y [m]", fontsize=8)
     axes.tick_params(labelsize=8)
-    axes.locator_params(nbins=4)
+    axes.locator_params(nbins=3)
     axes.set_title(title, fontsize=10)

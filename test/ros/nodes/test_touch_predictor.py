@@ -21,7 +21,7 @@ from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plan
 from foretouch.ros.messages.requests import plan_targets
 from foretouch.types import Cloud
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import GraspArray, Status, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -294,3 +294,16 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(graph, planner, monkeypat
     assert sizes == [100, 100]
     assert future.result().status == GoalStatus.STATUS_CANCELED
     assert len(future.result().result.grasps) == 200
+
+
+def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(graph, monkeypatch):
+    (node,) = graph.add("touch_predictor", tactile_topic="/other/tactile")
+    assert node.warnings() == ()
+    sender = graph.talk(BiotacAll, "/other/tactile")
+    graph.until(lambda: node.get_publishers_info_by_topic("/other/tactile"))
+    assert node.warnings() == ()  # the default model is not made for one hand only
+    monkeypatch.setattr(type(node._predictor.model), "simulated", True)
+    (line,) = node.warnings()
+    model = node._predictor.model.name
+    assert line.startswith(f"model {model} is made for the simulated hand only, but /other/tactile comes from ")
+    del sender

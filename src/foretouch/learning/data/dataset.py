@@ -175,12 +175,15 @@ def load_dataset(path: str | Path) -> Dataset:
 
 def _simulated(path: Path) -> dict[str, Any]:
     """The origin of a store that `foretouch simulate` wrote; nothing of another dataset."""
-    about = Store(path).manifest.get("about", {}) if is_store(path) else {}
+    if not is_store(path):
+        return {}
+    store = Store(path)
+    about = store.manifest.get("about", {})
     if "scene_sha256" not in about:
         return {}
     scene = about.get("scene_file", "a scene")
     return {
-        "source": f"foretouch simulate {scene}",
+        "source": f"foretouch simulate {scene} -n {len(store)}",
         "scene_sha256": about["scene_sha256"],
         "limits": [
             f"For the simulated hand only: it knows no real fingertip or camera, and no other objects than {scene} has."

@@ -155,6 +155,8 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
         "data": {
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
             "sample_hashes": "".join(sorted(data.hashes(np.concatenate([learner.split.train, learner.split.validation])))),
+            **{key: value for key, value in data.origin.items() if key != "limits"},
+            "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",
         },
         "split": {"name": config.split, **learner.split.sizes()},
         "limits": ["Bounds are null: the model was trained with calibrate=false."],
@@ -176,14 +178,12 @@ def _release_facts(
     }  # fmt: skip
     skill = {split: scores.pop(MODEL) for split, scores in rounded.items()}
     baselines = {name: {split: rounded[split][name] for split in rounded} for name in rounded[SPLITS[0]]}
-    origin = {key: value for key, value in data.origin.items() if key != "limits"}
     objects = [sample.object for sample in learner.samples]
     base = _facts(learner, data)
     return {
         "summary": f"{', '.join(learner.config.model.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
         "data": {
             **base["data"],
-            **origin,
             "sha256": data.aliases[0] if data.aliases else data.sha256,
             "objects": {name: objects.count(name) for name in sorted(set(objects))},
         },

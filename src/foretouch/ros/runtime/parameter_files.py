@@ -37,14 +37,14 @@ def check_parameters(arguments: Sequence[str], nodes: Mapping[str, str], own: Se
     namespace = f"/{(remapped or [namespace])[-1].strip('/')}"
     for option, value in pairwise(arguments):
         if option == "--params-file":
-            for name, given in _nodes_of_file(value):
+            for name, given in nodes_of_file(value):
                 _check(value, name, given, nodes, namespace)
         elif option in {"-p", "--param"} and ":=" in value:
             name, _, parameter = value.partition(":=")[0].rpartition(":")
             _require_known(f"{option} {value}", [name] if name in nodes else own, {parameter: None}, nodes)
 
 
-def _nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
+def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
     """Full names of the nodes in a file, with their parameters by dotted name."""
 
     def walk(name: str, value: Any) -> Iterator[tuple[str, dict[str, Any]]]:
