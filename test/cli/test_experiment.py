@@ -70,7 +70,9 @@ def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_p
         assert wrong.value.code == 2
     call("experiment", OWN, *out, "--data", numbers, "cells=1", "--workers", "1")
     words, results = (*out, "--redraw"), tmp_path / "out" / "results.csv"
-    call("experiment", "lookalikes", *words).check_refused("manifest.json: experiment: 'counting' is not 'lookalikes'\n")
+    call("experiment", "lookalikes", *words).check_refused(
+        "manifest.json: experiment: 'counting' is not 'lookalikes'\n"
+    )
     results.write_text("")
     call("experiment", OWN, *words).check_refused("contains no row")
     results.unlink()
