@@ -218,6 +218,9 @@ class Touch:
 LATE = "late"
 """Flag of a prediction of an old cloud, or beyond the latency budget."""
 
+UNKNOWN_FRAME = "unknown_frame"
+"""Flag of the answer to a request in a frame that is not that of the graph's clouds, where no transform is known."""
+
 REDUCED = "reduced"
 """Flag of a prediction by a cheaper form of the model, to meet the latency budget."""
 
@@ -241,7 +244,9 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals [counts]; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    flags: tuple[str, ...] = ()  # `out_of_range`, `unfamiliar`, `late`, `reduced`, `fallback_model`, `ambiguous_target`
+    flags: tuple[
+        str, ...
+    ] = ()  # `out_of_range`, `unfamiliar`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
     evidence: Evidence = Evidence()  # the readings behind `reference`

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps, predictions, markers, service and action in the frame of the robot, over DDS and handed over in one process."""
 
+import time
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -205,3 +207,41 @@ def test_a_header_alone_asks_about_the_latest_object(graph, cloud, truth, model_
     answer = ask(graph, **request)
     assert answer.status == Status.UNKNOWN_FRAME
     assert answer.reason == f"cloud: frame 'world' of the request is not '{CAMERA}' or 'base_link'"
+
+
+def test_a_request_in_a_frame_that_nobody_knows_is_flagged_and_reported_and_refused_where_a_calibration_is_used(
+    graph, truth, model_card, in_robot
+):
+    target, plan = truth
+    grasps, table = [grasp_to_msg(one) for one in plan[:1]], TablePlane(plane=plane_to_msg(target.plane))
+    tables, clouds = graph.talk(TablePlane, "table"), graph.talk(PointCloud2, "object_cloud")
+    sent = graph.talk(GraspArray, "grasps")
+    for parameters in ({}, in_robot):  # whose calibration names no frame of the camera
+        (node,) = graph.add("touch_predictor", model=model_card, diagnostics_period_s=0.1, **parameters)
+        graph.matched("table", "object_cloud", "grasps")
+        own = objects_to_msg([target], CAMERA, 5)
+        assert (
+            ask(graph, cloud=objects_to_msg([target], "nowhere", 5), grasps=grasps).status == Status.OK
+        )  # no cloud yet
+        table.header = own.header
+        for publisher, message in (
+            (tables, table),
+            (clouds, own),
+            (sent, GraspArray(header=own.header, grasps=grasps)),
+        ):
+            publisher.publish(message)
+            time.sleep(0.1)
+        graph.until(lambda node=node: node._latest is not None)
+        assert "unknown_frame" not in ask(graph, cloud=own, grasps=grasps).predictions[0].flags
+        answer, reports = (
+            ask(graph, cloud=objects_to_msg([target], "nowhere", 5), grasps=grasps),
+            graph.reports("touch_predictor"),
+        )
+        if parameters:
+            assert answer.status == Status.UNKNOWN_FRAME
+            assert answer.reason == f"no_transform: hand_eye is for clouds in '{CAMERA}', not in 'nowhere'"
+        else:
+            assert (answer.status, "unknown_frame" in answer.predictions[0].flags) == (Status.OK, True)
+            text = "a request is in frame 'nowhere', which is not that of the graph's clouds"
+            graph.until(lambda text=text, reports=reports: reports and text in reports[-1].message)
+        graph.remove(node)

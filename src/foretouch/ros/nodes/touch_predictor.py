@@ -14,6 +14,7 @@ Touch is predicted in the frame of the camera. With `output_frame`, grasps and r
 and everything that is published is brought back (see `output_frame`).
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -55,7 +56,7 @@ from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.types import ASSUMED_TABLE
+from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -94,6 +95,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._latest: Latest | None = None
         self._latest_lock = threading.Lock()
         self._warned = False  # that no level meets the budget
+        self._foreign = ("", -math.inf)  # frame of the last request that the graph does not know, and when [s]
 
     def _setup(self) -> None:
         config, closing = self.config, self._closing
@@ -156,6 +158,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if model is not None and model.calibration is None:
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
             found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+        frame, asked_s = self._foreign
+        if time.monotonic() - asked_s < self.config.silence_s:
+            found.append(
+                f"a request is in frame {frame!r}, which is not that of the graph's clouds: answers stay in it"
+            )
         if model is not None and model.simulated:
             topic = self.resolve_topic_name(self.config.tactile_topic)
             others = {end.node_name for end in self.get_publishers_info_by_topic(topic)} - {"hand"}
@@ -241,6 +248,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
                 del self._tables[next(iter(self._tables))]
 
+    def _frame_flags(self, cloud: Header, transform: FrameTransform | None) -> tuple[str, ...]:
+        """The flag of a request whose cloud is in a frame that is not that of the graph's clouds, and that nothing transforms."""
+        latest = self._latest
+        if transform is not None or latest is None or cloud.frame_id == latest.cloud.header.frame_id:
+            return ()
+        self._foreign = (cloud.frame_id, time.monotonic())
+        return (UNKNOWN_FRAME,)
+
     def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
         with self._latest_lock:
             if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
@@ -311,6 +326,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message, answer = self._predict(
             targets, asked.grasps, asked.cloud.header, config.grasp if table else None, arrived
         )
+        message.flags += self._frame_flags(asked.cloud.header, asked.transform)
         self._add_requested(asked.cloud, message.answered)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
             message = asked.transform.answer(message, None if asked.grasps is request.grasps else request.grasps)
@@ -346,10 +362,12 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _sample(self, goal_handle: Any, goal: Any, feedback: Callable[[Any], None]) -> Any:
         """Sample grasps for a `SampleGrasps.Goal`; result and feedback are in the frame of the answers."""
         latest, frame, transform = self._latest, _configured(self._frame), None
+        flags: tuple[str, ...] = ()
         sampled: PointCloud2 | TargetCloud = goal.cloud
         if goal.cloud.width * goal.cloud.height:
             asked = in_cloud_frame(frame, goal.cloud, goal.table, (), latest)
             goal, sampled, transform = copy(goal), asked.cloud, asked.transform
+            flags = self._frame_flags(asked.cloud.header, transform)
             goal.cloud, goal.table = asked.cloud, list(asked.table)
         elif latest is not None:
             sampled, transform = latest.cloud, frame.transform(latest.cloud.header)
@@ -363,6 +381,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             lambda message: feedback(moved(message)),
             lambda: goal_handle.is_cancel_requested,
         )
+        for prediction in result.predictions:
+            prediction.flags = [*prediction.flags, *flags]
         self._add_requested(sampled, result.grasps)
         return moved(result)
 

@@ -165,6 +165,10 @@ class OutputFrame:
         """The frame and the source of its transform, for /diagnostics; nothing for the frame of the cloud."""
         return {"output_frame": f"{self.name} ({'hand_eye' if self._calibration else 'tf2'})"} if self.name else {}
 
+    def knows(self, frame_id: str, camera: str) -> bool:
+        """Whether clouds in a frame can be placed; a calibration that names no frame is for that of the graph's own clouds."""
+        return self._calibration is None or bool(self._calibration.source) or frame_id == camera
+
     def camera_frame(self, latest: str) -> str:
         """The frame of the clouds: that of the latest, else of the calibration; else a `RefusalError`."""
         if latest:
@@ -215,6 +219,8 @@ def in_cloud_frame(
     if header.frame_id and not cloud.fields:
         return _on_latest(frame, header, table, grasps, latest)
     if not frame.name or header.frame_id != frame.name:
+        if latest is not None and not frame.knows(header.frame_id, latest.cloud.header.frame_id):
+            raise _refusal(f"hand_eye is for clouds in {latest.cloud.header.frame_id!r}, not in {header.frame_id!r}")
         return _FramedRequest(cloud, table, grasps, frame.transform(header))
     camera = frame.camera_frame("" if latest is None else latest.cloud.header.frame_id)
     transform = frame.transform(Header(frame_id=camera, stamp=header.stamp))
