@@ -78,6 +78,17 @@ def test_as_printed_contrast_and_the_original_srgan_by_hand_and_equation_4_is_eq
     matching_loss(FAKE, U[:1], config)  # by means
 
 
+def test_equation_3_as_printed_is_the_variance_of_the_features() -> None:
+    """Over all pairs of clouds it is 2 tr Cov(f); between the means of two batches of B it is 2 tr Cov(f) / (B F)."""
+    features = torch.randn(12, 5, dtype=F64, generator=torch.Generator().manual_seed(3)) * torch.arange(1.0, 6.0)
+    trace = float(features.var(dim=0, correction=0).sum())
+    printed, means = (SrganLossConfig(loss_variant=variant) for variant in ("as_printed", "batch_means"))
+    found = [float(matching_loss(features, features.roll(k, dims=0), printed)) for k in range(12)]
+    assert sum(found) / 12 == pytest.approx(2.0 * trace)
+    pairs = [matching_loss(a[None], b[None], means) for a in features for b in features]  # batches of one
+    assert float(torch.stack(pairs).mean()) == pytest.approx(2.0 * trace / 5)
+
+
 def test_gradients_agree_with_finite_differences() -> None:
     generator = torch.Generator().manual_seed(3)
     features = [torch.randn(3, 4, dtype=F64, generator=generator).requires_grad_() for _ in range(3)]

@@ -21,9 +21,11 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.label_ratio import results
 from foretouch.experiments.label_ratio.training import (
-    AS_PRINTED,
     MODELS,
+    READINGS,
+    SRGAN,
     TRIALS,
+    UNTUNED,
     configured,
     error_row,
     kind_of,
@@ -45,10 +47,17 @@ __all__ = ["EXPERIMENTS"]
 
 @dataclass(frozen=True, kw_only=True)
 class ChosenTrials(Settings):
-    """Trials of one model at each ratio, as chosen by `label_ratio_tuning`."""
+    """Trials of one model that `label_ratio_tuning` chose at T50 and, for fewer labels, at T90."""
 
-    pressure: tuple[str, ...] = setting((), "Trials for PDC_TH and PDC_MF")
-    electrodes: tuple[str, ...] = setting((), "Trials for E_TH and E_MF")
+    pressure: str = setting("", "Trial for PDC_TH and PDC_MF up to T50")
+    electrodes: str = setting("", "Trial for E_TH and E_MF up to T50")
+    pressure_few: str = setting("", "Trial for PDC_TH and PDC_MF above T50")
+    electrodes_few: str = setting("", "Trial for E_TH and E_MF above T50")
+
+    @classmethod
+    def same(cls, trial: str) -> "ChosenTrials":
+        """One trial for all."""
+        return cls(pressure=trial, electrodes=trial, pressure_few=trial, electrodes_few=trial)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +65,8 @@ class LabelRatioSettings(SimulatedSettings):
     """Settings of `label_ratio` and `label_ratio_tuning`; the defaults are P2's sizes and recipe."""
 
     scene_sha256: str | None = setting(
-        "db79f5dd4379f4293d1bc390690fb94f61cba827eb42fd4f5fd58ce6e58f7c5b",
-        "Hash of the required scene, config/scenes/deformables.sha256; null accepts any scene",
+        "78fe2fae95d57cf214ec8a4e6fdfd9d20d37391ab4c0da783bbb2dd1ec93a50e",
+        "Hash of the required scene, config/scenes/deformables_wide.yaml; null accepts any scene",
     )
     cached_points: int = setting(
         2048,
@@ -76,49 +85,48 @@ class LabelRatioSettings(SimulatedSettings):
     updates: int | None = setting(
         None, "Updates of each network at every ratio; by default from training.epochs", minimum=1, maximum=10_000_000
     )
+    readings: tuple[str, ...] = setting(
+        (), "Trials of the SR-GAN that are compared with the PointNet beside the chosen one"
+    )
     draws: int = setting(10_000, "Number of bootstrap samples for the intervals", minimum=100, maximum=1_000_000)
     model: ModelConfig = ModelConfig(channels="xyz+normals")
     training: SrganConfig = SrganConfig()
-    pointnet: ChosenTrials = ChosenTrials()
-    srgan: ChosenTrials = ChosenTrials()
+    pointnet: ChosenTrials = ChosenTrials.same("batch 0.001").replace(electrodes_few="frozen 0.001")
+    srgan: ChosenTrials = ChosenTrials.same("batch_means w_U 0.1 w_F 0.01, batch 0.001")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         taken = max(self.model.n_points, self.training.points or 0)
         if self.cached_points < taken:
             raise ConfigError(f"cached_points: {self.cached_points} points are fewer than the network's {taken}")
-        for model in MODELS if self.held_out == 0.0 else ():
-            for kind, trials in getattr(self, model).to_mapping().items():
-                if len(trials) != len(self.ratios):
-                    raise ConfigError(
-                        f"{model}.{kind}: {len(trials)} trials are not one for each of {len(self.ratios)} ratios"
-                    )
 
-    def trials(self, model: str, ratio: int, modality: str) -> Sequence[str]:
-        """Trials of a network: the chosen one, or all."""
-        if self.held_out:
-            return tuple(TRIALS[model])
-        chosen: tuple[str, ...] = getattr(getattr(self, model), kind_of(modality))
-        return (chosen[self.ratios.index(ratio)],)
+    def chosen(self, model: str, ratio: int, modality: str) -> str:
+        """The trial that was chosen for a network."""
+        return str(getattr(getattr(self, model), kind_of(modality) + "_few" * (ratio > 50)))
 
 
 def _cells(settings: LabelRatioSettings, _data: SimulatedGrasps) -> list[Cell]:
-    """The trees, then run by run, so that an interrupted sweep covers the whole figure."""
-    ratios = () if settings.held_out else settings.ratios
-    trees = [Cell(f"T{one}+{results.TREES}", {"ratio": one, "model": results.TREES, "seed": 0}) for one in ratios]
-    networks = [
+    """The trees, then run by run the chosen trials and after them the readings, so that an interrupted sweep covers the figure."""
+    chosen = [
         {"ratio": ratio, "modality": modality, "model": model, "seed": seed, "trial": trial}
         for seed in settings.seeds
         for ratio in settings.ratios
         for modality in settings.modalities
         for model in MODELS
-        for trial in settings.trials(model, ratio, modality)
+        for trial in (TRIALS[model] if settings.held_out else [settings.chosen(model, ratio, modality)])
     ]
-    return trees + [Cell(_key(values, settings), values) for values in networks]
+    pairs = [one for one in chosen if one["model"] == SRGAN]
+    readings = [{**one, "trial": trial} for one in pairs for trial in settings.readings]
+    ratios = () if settings.held_out else settings.ratios
+    trees = [{"ratio": ratio, "model": results.TREES, "seed": 0} for ratio in ratios]
+    return list({cell.key: cell for cell in (Cell(_key(one), one) for one in trees + chosen + readings)}.values())
 
 
-def _key(values: Row, settings: LabelRatioSettings) -> str:
-    number = f"+{list(TRIALS[values['model']]).index(values['trial'])}" if settings.held_out else ""
+def _key(values: Row) -> str:
+    if values["model"] == results.TREES:
+        return f"T{values['ratio']}+{results.TREES}"
+    known = list({**TRIALS[values["model"]], **UNTUNED[values["model"]]})
+    number = known.index(values["trial"]) if values["trial"] in known else ""
     return f"T{values['ratio']}+{values['modality']}+{values['model']}{number}+{values['seed']}"
 
 
@@ -126,83 +134,68 @@ def _run(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> lis
     """Train and test one network, or the trees."""
     ratio, model, seed = (cell.values[key] for key in ("ratio", "model", "seed"))
     split = split_at(data.collection, ratio, settings.held_out, seed)
-    objects = [data.collection.samples[k].object for k in split.test]
     if model == results.TREES:
         # For all modalities at once, also those that are not asked for: a run may be extended by further ones.
         train, test = ([data.collection.samples[k] for k in index] for index in (split.train, split.test))
         found = geometry_trees(train, labels_of(train), test, seed)
-        named = {
-            name: prepared(data, settings.model.replace(outputs=(name,)), settings.cached_points) for name in MODALITIES
-        }
         return [
-            {"modality": name, **error_row(inputs, split, found[:, columns([name])], objects)}
-            for name, inputs in named.items()
+            {"modality": name, **error_row(data.collection, (name,), split, found[:, columns([name])])}
+            for name in MODALITIES
         ]
-    trial = cell.values["trial"]
     inputs = prepared(data, settings.model.replace(outputs=(cell.values["modality"],)), settings.cached_points)
-    config = configured(settings.training, model, trial, len(split.train), settings.updates, seed)
-    predicted, updates = train_and_predict(inputs, split, model, config, as_printed=trial in AS_PRINTED[model])
-    return [{"updates": updates, **error_row(inputs, split, predicted, objects)}]
+    config = configured(settings.training, model, cell.values["trial"], len(split.train), settings.updates, seed)
+    predicted, updates = train_and_predict(inputs, split, model, config)
+    return [{"updates": updates, **error_row(data.collection, inputs.config.outputs, split, predicted)}]
 
 
 def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
     if settings.held_out:
         return results.compare_trials(rows, len(settings.seeds), settings.modalities)
-    return results.compare_models(rows, settings.model.ranges, settings.draws)
+    return [
+        {"srgan": name, **found}
+        for name in (results.CHOSEN, *settings.readings)
+        for found in results.compare_models(_rows_of(settings, rows, name), settings.model.ranges, settings.draws)
+    ]
 
 
-# The trials are changes of this recipe, so their rates and weight decays belong to it.
-_RECIPE: Final = {"optimiser": "adamw", "learning_rate": 3e-3, "schedule": "cosine", "target_scaling": "standardised"}
+def _rows_of(settings: LabelRatioSettings, rows: Sequence[Row], name: str) -> list[Row]:
+    """Rows of trees and PointNet, and those of the SR-GAN that are of the trial `name`."""
+    return [
+        row
+        for row in rows
+        if row["model"] != SRGAN
+        or row["trial"] == (settings.chosen(SRGAN, row["ratio"], row["modality"]) if name == results.CHOSEN else name)
+    ]
 
-# P2's sizes, epochs and batches of its SR-GAN, with the recipe of the trials and the size of the object as input.
-_PAPER: Final[dict[str, Any]] = {"model": {"metric_inputs": True}, "training": _RECIPE}
 
-# 64 of 750 points, features of 64 instead of 1024 values, no T-Net, a generator of 64 points.
+# The trials are changes of this recipe. `bfloat16` is that of the search for winning points alone.
+_RECIPE: Final = {"optimiser": "adamw", "precision": "bfloat16"}
+
+# P2's network and batches of its SR-GAN on all 750 points.
+_PAPER: Final[dict[str, Any]] = {"training": _RECIPE, "updates": 300}
+
+# 256 of 750 points, from real and from fake clouds.
 _QUICK: Final[dict[str, Any]] = {
-    "cached_points": 512,
-    "updates": 960,
-    "model": {
-        "n_points": 64,
-        "channels": "xyz+normals",
-        "metric_inputs": True,
-        "tnet": False,
-        "trunk_widths": [32, 64],
-        "head_widths": [64, 32],
-    },
+    **_PAPER,
+    "cached_points": 1024,
+    "model": {"n_points": 256, "channels": "xyz+normals"},
+    "training": {**_RECIPE, "generator": {"noise_length": 4, "stride": 4}},
+}
+
+# A network of 64 features on 64 points, for tests.
+_SMOKE: Final[dict[str, Any]] = {
+    **_QUICK,
+    "scene_sha256": None,
+    "updates": 40,
+    "model": {"n_points": 64, "channels": "xyz+normals", "tnet": False, "trunk_widths": [32, 64], "head_widths": [64]},
     "training": {**_RECIPE, "batch_size": 16, "generator": {"noise_length": 1, "widths": [16], "stride": 8}},
 }
 
-_SMOKE: Final[dict[str, Any]] = {**_QUICK, "updates": 40}
-
 # Seeds of networks and held-out samples are not those of the runs.
-_TUNING: Final = {"ratios": [50, 90], "held_out": 0.25, "seeds": [100]}
+_TUNING: Final = {"ratios": [50, 90], "held_out": 0.25, "seeds": [100], "modalities": ["PDC_MF", "E_TH"]}
 
-
-def _chosen(ratios: Sequence[int]) -> dict[str, dict[str, list[str]]]:
-    """Trials chosen in docs/results/label_ratio_tuning; T90's are used at T70 too, T50's at T10 and T30."""
-    tuned = {
-        "pointnet": {
-            "pressure": ("rate 0.001, decay 0.3", "rate 0.0003, decay 0.3"),
-            "electrodes": ("rate 0.003", "rate 0.001, decay 1"),
-        },
-        "srgan": {"pressure": ("0.3/1/1", "0.3/1/1, rate 0.001, decay 0.3"), "electrodes": ("0.3/1/1", "0.3/1/0.3")},
-    }
-    return {
-        model: {
-            kind: [few_labels if ratio >= 70 else many_labels for ratio in ratios]
-            for kind, (many_labels, few_labels) in kinds.items()
-        }
-        for model, kinds in tuned.items()
-    }
-
-
-def _as_printed(loss_variant: str) -> dict[str, dict[str, list[str]]]:
-    """P2's recipe at every ratio, with one variant of its losses."""
-    trials = {"pointnet": "P2", "srgan": f"P2, {loss_variant}"}
-    return {
-        model: {kind: [trial] * len(RATIOS) for kind in ("pressure", "electrodes")} for model, trial in trials.items()
-    }
-
+# Three runs, in each reading of P2's losses.
+_RUNS: Final[dict[str, Any]] = {"seeds": [0, 1, 2], "readings": READINGS}
 
 _SHARED: Final[dict[str, Any]] = {
     "module": __name__,
@@ -212,7 +205,7 @@ _SHARED: Final[dict[str, Any]] = {
     "run": _run,
     "tabulate": _tabulate,
     "prepare": prepare_simulated,
-    "resumable_settings": ("modalities", "ratios", "seeds", "draws", *MODELS),
+    "resumable_settings": ("modalities", "ratios", "seeds", "draws", "readings", *MODELS),
 }
 
 EXPERIMENTS: Final = (
@@ -221,13 +214,14 @@ EXPERIMENTS: Final = (
         question="Does an SR-GAN need fewer labels than a PointNet of the same size that is trained alike?",
         order=110,
         presets={
-            "paper": {**_PAPER, **_chosen(RATIOS)},
-            "p2_as_printed": _as_printed("as_printed"),
-            "p2_as_printed_contrast": _as_printed("contrast"),
-            "p2_as_printed_batch_means": _as_printed("batch_means"),
-            "p2_as_printed_srgan": _as_printed("srgan"),
-            "quick": {**_QUICK, **_chosen(RATIOS), "seeds": [0, 1, 2]},
-            "smoke": {**_SMOKE, **_chosen((50, 90)), "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
+            "quick": {**_QUICK, **_RUNS, "ratios": [10, 50, 90]},
+            "paper": {**_PAPER, **_RUNS, "ratios": [90]},
+            "p2_as_printed": {
+                "pointnet": ChosenTrials.same("P2").to_mapping(),
+                "srgan": ChosenTrials.same("P2, as_printed").to_mapping(),
+                "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"],
+            },
+            "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
         },
         summarise=results.summarise_models,
         figure=results.draw_models,
@@ -238,8 +232,8 @@ EXPERIMENTS: Final = (
         question="Which of an equal number of trials per model has the lowest error on held-out training samples?",
         order=120,
         presets={
+            "quick": {**_QUICK, **_TUNING},
             "paper": {**_PAPER, **_TUNING},
-            "quick": {**_QUICK, **_TUNING, "modalities": ["PDC_MF", "E_TH"]},
             "smoke": {**_SMOKE, **_TUNING, "samples": 400, "ratios": [50]},
         },
         summarise=results.summarise_trials,

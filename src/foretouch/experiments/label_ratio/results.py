@@ -16,7 +16,8 @@ mean RMSE of the PointNet. It is valid for these objects, this split and these s
 P2's figures are for other objects: its lowest error and the differences in its text are shown for reference only.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Final
@@ -37,18 +38,10 @@ TREES: Final = "geometry_trees"
 
 # P2, section IV: eq. 1 where its text gives it [%]. The other cells are only in its Fig. 3, without numbers.
 P2_CHANGES: Final = {
-    ("PDC_TH", 30): 0.09,
-    ("PDC_TH", 70): -16.2,
-    ("PDC_TH", 90): -6.2,
-    ("PDC_MF", 30): 8.8,
-    ("PDC_MF", 50): -7.7,
-    ("PDC_MF", 70): -1.5,
-    ("E_TH", 30): 1.5,
-    ("E_TH", 50): -1.9,
-    ("E_TH", 70): -15.2,
-    ("E_MF", 50): 1.1,
-    ("E_MF", 70): 14.5,
-    ("E_MF", 90): -31.5,
+    "PDC_TH": {30: 0.09, 70: -16.2, 90: -6.2},
+    "PDC_MF": {30: 8.8, 50: -7.7, 70: -1.5},
+    "E_TH": {30: 1.5, 50: -1.9, 70: -15.2},
+    "E_MF": {50: 1.1, 70: 14.5, 90: -31.5},
 }
 
 # P2, section IV: lowest RMSE [% of the range], always P30, the PointNet at T30.
@@ -57,11 +50,14 @@ P2_LOWEST: Final = {"PDC_TH": 6.37, "E_TH": 5.17, "PDC_MF": 4.83, "E_MF": 6.06}
 # P2, section IV: number of the five ratios at which the SR-GAN's mean error is lower.
 P2_AVERAGES: Final = {"PDC_TH": 4, "PDC_MF": 4, "E_TH": 3, "E_MF": 1}
 
+# Value of the column `srgan` for the trial that was chosen on held-out samples; the others are readings by name.
+CHOSEN: Final = "chosen"
+
 _TAIL: Final = 0.025
-_BARS: Final = (("pointnet", "P: PointNet", "#8d99ae"), ("srgan", "S: SR-GAN", "#00798c"))
+_COLOURS: Final = ("#8d99ae", "#00798c", "#3d5a80", "#b56576", "#6d597a")  # of the PointNet and of SR-GANs in order
 _BASELINES: Final = (("mean", "mean of the labels", "#d1495b"), ("trees", "trees on geometry", "#edae49"))
-_COLOURS: Final = {"better": "#2a9d4e", "worse": "#d1495b"}
-_HALF: Final = 0.38
+_LINES: Final = {"mean": "mean of the labels", "trees": "trees on geometry", "pointnet": "PointNet"}
+_GROUP: Final = 0.84  # width of all bars of a ratio
 _LEAST_SPAN: Final = 5.0  # of the axis of differences to both sides [%]
 
 
@@ -94,7 +90,7 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
                 "modality": name,
                 "ratio": ratio,
                 **_compared(runs, high - low, draws, seed),
-                "p2_change": P2_CHANGES.get((name, ratio)),
+                "p2_change": P2_CHANGES[name].get(ratio),
                 "mean_rmse": np.sqrt(np.mean(_samples(runs[0][0], "reference"))),
                 "trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None,
             }
@@ -154,46 +150,51 @@ def _sizes(runs: Sequence[tuple[Row, Row]]) -> list[int]:
 
 
 def summarise_models(rows: Sequence[Row]) -> list[Table]:
-    """Sentences, and tables of the errors of both models, of the baselines, and of the differences."""
-    cells = len(rows)
-    below = [sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows) for model in MODELS]
-    counts = [sum(row["verdict"] == verdict for row in rows) for verdict in SIGNS]
-    lower = sum(row["change"] < 0.0 for row in rows)
-    sentences = [
-        f"of {cells} cells, the SR-GAN is significantly better in {counts[0]} and significantly worse in {counts[1]}",
-        f"by mean error the SR-GAN is better in {lower} of {cells} cells (P2: {sum(P2_AVERAGES.values())} of 20)",
-        f"mean error below that of the mean of the labels: PointNet in {below[0]} of {cells} cells, SR-GAN in {below[1]}",
-    ]
-    with_trees = [row for row in rows if row["trees_rmse"] is not None]
-    lower = sum(row["trees_rmse"] < min(row[f"{model}_rmse"] for model in MODELS) for row in with_trees)
-    sentences += [f"trees on geometry have a lower error than both networks in {lower} of {cells} cells"] * bool(lower)
+    """Sentences, a table of errors and one of differences from the PointNet, with a line for each SR-GAN at each ratio."""
+    sentences = [_counts_of(name, own) for name, own in grouped(rows, "srgan")]
+    own = select(rows, srgan=rows[0]["srgan"])
+    lower = sum((row["trees_rmse"] or np.inf) < row["pointnet_rmse"] for row in own)
+    sentences.append(
+        f"PointNet: below the mean of the labels in {_below(own, 'pointnet')} of {len(own)} cells; trees on geometry are below "
+        f"the PointNet in {lower}"
+    )
+    errors: list[list[str]] = []
+    changes: list[list[str]] = []
+    for ratio, own in grouped(sorted(rows, key=lambda row: row["ratio"]), "ratio"):
+        for name, label in _LINES.items():
+            errors += [[f"T{ratio} {label}", *line[1:]] for line in pivot(own, "ratio", partial(_error, name))]
+        errors += pivot(own, "srgan", partial(_error, "srgan"), label=f"T{ratio} SR-GAN {{}}".format)
+        changes += pivot(own, "srgan", _change_text, label=f"T{ratio} {{}}".format)
     notes = [
         "difference of the SR-GAN's RMSE from the PointNet's [95 % interval, without correction for the number of cells]",
         "▲ SR-GAN significantly better, ▼ significantly worse, = no significant difference",
+        f"`{CHOSEN}`: the trial with the lowest error on held-out labelled samples; the others are readings of P2's losses",
     ]
     columns = ["", *MODALITIES]
-    baselines = "Baselines with the same labels: mean of the labels / trees on geometry, RMSE in counts"
     return [
         findings(sentences),
-        Table(
-            "RMSE in counts, PointNet / SR-GAN, mean ± standard deviation over the runs", columns, _body(rows, _errors)
-        ),
-        Table(baselines, columns, _body(rows, _baseline_errors)),
-        Table("SR-GAN against PointNet [%]", columns, _body(rows, _change_text), notes),
+        Table("RMSE in counts, mean ± standard deviation over the runs", columns, errors),
+        Table("SR-GAN against PointNet [%]", columns, changes, notes),
     ]
 
 
-def _body(rows: Sequence[Row], text: Callable[[Row], str]) -> list[list[str]]:
-    return pivot(sorted(rows, key=lambda row: row["ratio"]), "ratio", text, label=lambda ratio: f"T{ratio}")
+def _counts_of(name: str, rows: Sequence[Row]) -> str:
+    better, tie, worse = (sum(row["verdict"] == verdict for row in rows) for verdict in ("better", "tie", "worse"))
+    return (
+        f"SR-GAN `{name}` in {len(rows)} cells: significantly better than the PointNet in {better}, significantly worse in "
+        f"{worse}, no significant difference in {tie}; lower mean error in {sum(row['change'] < 0.0 for row in rows)} "
+        f"(P2: {sum(P2_AVERAGES.values())} of 20), below the mean of the labels in {_below(rows, 'srgan')}"
+    )
 
 
-def _errors(row: Row) -> str:
-    spreads = ("" if row[f"{name}_sd"] is None else f" ± {row[f'{name}_sd']:.1f}" for name in MODELS)
-    return " / ".join(f"{row[f'{name}_rmse']:.1f}{spread}" for name, spread in zip(MODELS, spreads, strict=True))
+def _below(rows: Sequence[Row], model: str) -> int:
+    """Number of cells in which a model has a lower error than the mean of the labels."""
+    return sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows)
 
 
-def _baseline_errors(row: Row) -> str:
-    return f"{row['mean_rmse']:.1f} / " + ("–" if row["trees_rmse"] is None else f"{row['trees_rmse']:.1f}")
+def _error(name: str, row: Row, *_: Row) -> str:
+    error, deviation = row[f"{name}_rmse"], row.get(f"{name}_sd")
+    return "–" if error is None else f"{error:.1f}" + ("" if deviation is None else f" ± {deviation:.1f}")
 
 
 def _change_text(row: Row) -> str:
@@ -206,44 +207,56 @@ def _change_text(row: Row) -> str:
 def draw_models(rows: Rows, folder: Path) -> list[Path]:
     """Draw `figure.png`: P2's Fig. 3 from our rows, modalities side by side, and the differences below."""
     ordered = sorted(rows, key=lambda row: row["ratio"])
-    names = unique(rows, "modality")
+    names, models = unique(rows, "modality"), unique(rows, "srgan")
     error, change = "RMSE [% of the range]\nmean ± sd of the runs", "difference of the SR-GAN's RMSE [%]\n95 % interval"
     lines = [
-        Line(3.9, ordered, _draw_errors, y_label=error, legend="lower center"),
-        Line(3.4, ordered, _draw_changes, "", "share without labels (P2's difference [%])", change),
+        Line(3.9, ordered, partial(_draw_errors, models), y_label=error, legend="lower center"),
+        Line(3.4, ordered, partial(_draw_changes, models), "", "share without labels (P2's difference [%])", change),
     ]
     return save_panels(folder / "figure.png", 3.6 * len(names) + 0.6, lines, modalities=names, sharey="row")
 
 
-def _draw_errors(axes: Axes, rows: Rows) -> None:
-    """Draw bars of both models at each ratio, S and P as in P2, baselines across them, and P2's lowest error."""
-    for side, (model, label, colour) in zip((-0.5, 0.5), _BARS, strict=True):
-        places = [k + side * _HALF for k in range(len(rows))]
-        heights = [row[f"{model}_percent"] for row in rows]
-        widths = [row[f"{model}_percent"] / row[f"{model}_rmse"] * (row[f"{model}_sd"] or np.nan) for row in rows]
-        axes.bar(places, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
-    for (name, label, colour), (k, row) in product(_BASELINES, enumerate(rows)):
+def _draw_errors(models: Sequence[str], axes: Axes, rows: Rows) -> None:
+    """Draw bars of all models at each ratio, baselines across them, and P2's lowest error."""
+    ratios, width = unique(rows, "ratio"), _GROUP / (1 + len(models))
+    firsts = [next(iter(select(rows, ratio=ratio))) for ratio in ratios]
+    for number, model in enumerate(["PointNet", *models]):
+        own, name = (select(rows, srgan=model), "srgan") if number else (firsts, "pointnet")
+        heights = [row[f"{name}_percent"] for row in own]
+        spreads = [row[f"{name}_percent"] / row[f"{name}_rmse"] * (row[f"{name}_sd"] or np.nan) for row in own]
+        places = [_place(ratios.index(row["ratio"]), number, width) for row in own]
+        label = f"SR-GAN, {model}" if number else model
+        axes.bar(places, heights, width, yerr=spreads, capsize=2.0, color=_COLOURS[number % len(_COLOURS)], label=label)
+    for (name, label, colour), (k, row) in product(_BASELINES, enumerate(firsts)):
         if row[f"{name}_rmse"] is not None:
             height = row["srgan_percent"] / row["srgan_rmse"] * row[f"{name}_rmse"]
-            ends = [k - 1.1 * _HALF, k + 1.1 * _HALF]
+            ends = [k - 0.55 * _GROUP, k + 0.55 * _GROUP]
             axes.plot(ends, [height, height], color=colour, linewidth=2, label=label if k == 0 else None)
     lowest = P2_LOWEST[rows[0]["modality"]]
     axes.axhline(lowest, color="black", linestyle=":", linewidth=1, label="lowest in P2 (its P30), other objects")
-    _ticks(axes, [f"T{row['ratio']}" for row in rows])
+    _ticks(axes, [f"T{ratio}" for ratio in ratios])
 
 
-def _draw_changes(axes: Axes, rows: Rows) -> None:
-    """Draw the difference in each cell with its interval, coloured by verdict; P2's is given below where known."""
-    for x, row in enumerate(rows):
-        colour = _COLOURS.get(row["verdict"], "#555555")
-        axes.plot(x, row["change"], marker="o", color=colour)
+def _place(group: int, number: int, width: float) -> float:
+    return group + (number + 0.5) * width - _GROUP / 2.0
+
+
+def _draw_changes(models: Sequence[str], axes: Axes, rows: Rows) -> None:
+    """Draw the difference of each SR-GAN in each cell with its interval; P2's is given below where known."""
+    ratios = unique(rows, "ratio")
+    for row in rows:
+        number = 1 + models.index(row["srgan"])
+        x = _place(ratios.index(row["ratio"]), number, _GROUP / (1 + len(models)))
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.plot(x, row["change"], marker="o", markersize=4, color=colour)
         if row["change_low"] is not None:
             axes.plot([x, x], [row["change_low"], row["change_high"]], color=colour, linewidth=2)
     axes.axhline(0.0, color="black", linewidth=0.8)
     axes.plot([0, 0], [-_LEAST_SPAN, _LEAST_SPAN], alpha=0.0)
     axes.margins(x=0.15)
-    published = ["–" if row["p2_change"] is None else f"{row['p2_change']:+.1f}" for row in rows]
-    _ticks(axes, [f"T{row['ratio']}\n({text})" for row, text in zip(rows, published, strict=True)])
+    known = [P2_CHANGES[rows[0]["modality"]].get(ratio) for ratio in ratios]
+    published = ["–" if change is None else f"{change:+.1f}" for change in known]
+    _ticks(axes, [f"T{ratio}\n({text})" for ratio, text in zip(ratios, published, strict=True)])
 
 
 def _ticks(axes: Axes, names: Sequence[str]) -> None:

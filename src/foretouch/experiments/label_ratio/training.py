@@ -5,16 +5,17 @@ P2's split is `labels`: 200 grasps per object are for testing, and 10 to 90 % of
 hyperparameters, some of those that kept their labels are held out: neither test samples nor withheld labels are used.
 
 One trainer trains both models. The PointNet is the SR-GAN with unsupervised weights of zero: the same network from the
-same initial weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same
-size, the same optimiser and number of updates. What remains is the effect of the unlabelled and fake clouds.
+same initial weights, batches of labelled samples of the same size, the same optimiser and number of updates. What
+remains is the effect of the unlabelled and fake clouds, and of what was chosen for each model (`TRIALS`).
 
 Departures from P2, equal for both models, each an option in the settings:
 
 - An update takes `batch_size` samples of each kind, and the number of updates is the same at every ratio in `quick`:
   P2's 30 epochs over all labelled samples would give T10 nine times the updates of T90.
-- AdamW with a cosine schedule instead of Adam at a constant 0.01, labels standardised instead of scaled by their
-  ranges, the radius of the cloud and the width of the grasp as further inputs: with P2's recipe a PointNet does not
-  converge on touch.
+- AdamW at 0.001 to 0.01 with a cosine schedule, among others, instead of Adam at a constant 0.01: with P2's recipe a
+  PointNet does not converge on touch.
+- Batch norm is tried `frozen` at the statistics of real clouds before the first update, and by the statistics of each
+  batch, those of each source apart (`per_source`).
 - No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
@@ -34,12 +35,10 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch.learning.data import Dataset, DataSplit, TrainingSet, predict_set
+from foretouch.learning.data import Dataset, DataSplit, TrainingSet, labels_of, predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import shuffled_batches
-from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import columns, modality_size
@@ -57,49 +56,57 @@ _SUPERVISED: Final = {
 }
 
 
-def _srgan(matching: float, contrast: float, penalty: float, rate: float = 3e-3, decay: float = 0.0) -> dict[str, Any]:
-    loss = {"weight_unlabeled": matching, "weight_fake": contrast, "gradient_penalty": penalty}
-    return {"learning_rate": rate, "weight_decay": decay, "loss": {"loss_variant": "srgan", **loss}}
+def _recipe(batch_norm: str, rate: float, schedule: str = "cosine") -> dict[str, Any]:
+    return {"batch_norm": batch_norm, "learning_rate": rate, "schedule": schedule}
 
 
-# Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`. Their learning
-# rate is 0.003 unless the name contains another one.
+# Batch norm, learning rate and schedule; the schedule is a cosine unless the name says otherwise.
+_RECIPES: Final = {
+    "batch 0.001": _recipe("per_source", 1e-3),
+    "batch 0.01": _recipe("per_source", 1e-2),
+    "batch 0.001 constant": _recipe("per_source", 1e-3, "constant"),
+    "frozen 0.001": _recipe("frozen", 1e-3),
+}
+
+
+def _reading(variant: str, recipe: str, **weights: float) -> dict[str, Any]:
+    """A trial of the SR-GAN: one reading of the losses, with P2's weights but for those that are given."""
+    return {**_RECIPES[recipe], "loss": {"loss_variant": variant, **weights}}
+
+
+# Changes of each trial by model, as many for one as for the other. Trials of the SR-GAN begin with the reading of P2's losses.
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
-    POINTNET: {
-        "rate 0.001": {"learning_rate": 1e-3},
-        "rate 0.001, decay 0.3": {"learning_rate": 1e-3, "weight_decay": 0.3},
-        "rate 0.003": {"learning_rate": 3e-3},
-        "rate 0.003, decay 0.3": {"learning_rate": 3e-3, "weight_decay": 0.3},
-        "rate 0.0003, decay 0.3": {"learning_rate": 3e-4, "weight_decay": 0.3},
-        "rate 0.001, decay 1": {"learning_rate": 1e-3, "weight_decay": 1.0},
-    },
+    POINTNET: {**_RECIPES, "batch 0.003": _recipe("per_source", 3e-3), "frozen 0.003": _recipe("frozen", 3e-3)},
     SRGAN: {
-        "0.03/0.1/0.03": _srgan(0.03, 0.1, 0.03),
-        "0.3/1/0.1": _srgan(0.3, 1.0, 0.1),
-        "0.3/1/0.3": _srgan(0.3, 1.0, 0.3),
-        "0.3/1/1": _srgan(0.3, 1.0, 1.0),
-        "0.3/1/1, decay 0.3": _srgan(0.3, 1.0, 1.0, decay=0.3),
-        "0.3/1/1, rate 0.001, decay 0.3": _srgan(0.3, 1.0, 1.0, rate=1e-3, decay=0.3),
+        **{f"batch_means, {recipe}": _reading("batch_means", recipe) for recipe in _RECIPES},
+        "srgan, batch 0.001": _reading("srgan", "batch 0.001"),
+        "batch_means w_U 0.1 w_F 0.01, batch 0.001": _reading(
+            "batch_means", "batch 0.001", weight_unlabeled=0.1, weight_fake=0.01
+        ),
     },
 }
 
-
-# P2's recipe, which is the defaults of `SrganConfig`, in the four readings of its losses. Its PointNet is trained by
-# `SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected.
-AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
-    POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
+# Not among the trials, since nothing is selected: P2's recipe, which is the defaults of `SrganConfig` but for batch norm.
+UNTUNED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
+    POINTNET: {"P2": {"batch_norm": "per_source", "batch_size": 32, "epochs": 50}},
     SRGAN: {
-        f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
-        for variant in ("as_printed", "contrast", "batch_means", "srgan")
+        **{
+            f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
+            for variant in ("as_printed", "contrast", "batch_means", "srgan")
+        },
+        "as_printed, batch 0.001": _reading("as_printed", "batch 0.001"),
     },
 }
+
+# Readings of P2's losses that differ in nothing else.
+READINGS: Final = tuple(f"{variant}, batch 0.001" for variant in ("batch_means", "as_printed", "srgan"))
 
 
 def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
     """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
     data = load_simulated(settings, path)
     if settings.scene_sha256 not in (None, found := data.scene.sha256()):
-        raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the frozen scene's")
+        raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the required scene's")
     if unlabelled := [sample.id for sample in data.collection.samples if sample.touch is None]:
         raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
     return data
@@ -193,7 +200,7 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
         updates: Number of updates, rounded to whole epochs, at least one; None for the epochs of `base`.
         seed: Seed of weights, order, points and noise.
     """
-    known = {**TRIALS.get(model, {}), **AS_PRINTED.get(model, {})}
+    known = {**TRIALS.get(model, {}), **UNTUNED.get(model, {})}
     if trial not in known:
         raise ConfigError(f"label_ratio: {model} {trial!r} is none of {', '.join(known or MODELS)}")
     config = base.updated(known[trial], trial).replace(seed=seed)
@@ -212,7 +219,7 @@ class PointnetTrainer(SrganTrainer):
     """
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
-        freeze(self.net)
+        self._set_mode()
         for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
             error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
@@ -221,10 +228,8 @@ class PointnetTrainer(SrganTrainer):
             yield {"labeled": float(loss.detach())}
 
 
-def train_and_predict(
-    data: TrainingSet, split: DataSplit, model: str, config: SrganConfig, *, as_printed: bool = False
-) -> tuple[Float64, int]:
-    """Train a network, with `as_printed` the PointNet as P2 describes it.
+def train_and_predict(data: TrainingSet, split: DataSplit, model: str, config: SrganConfig) -> tuple[Float64, int]:
+    """Train a network.
 
     Returns:
         (J, M) predictions of the test samples [counts], and the number of updates.
@@ -232,39 +237,23 @@ def train_and_predict(
     Raises:
         DatasetError: If there are fewer samples than a batch takes, or a loss is not finite.
     """
-    trainer: SupervisedTrainer | SrganTrainer
-    if model == POINTNET and as_printed:
-        shared = [
-            "epochs",
-            "batch_size",
-            "optimiser",
-            "learning_rate",
-            "weight_decay",
-            "schedule",
-            "target_scaling",
-            "seed",
-        ]
-        own = TrainConfig(loss="rmse", **{name: getattr(config, name) for name in shared})
-        trainer = SupervisedTrainer(data, split.train, own)
-    else:
-        kind = PointnetTrainer if model == POINTNET else SrganTrainer
-        trainer = kind(data, split.train, split.unlabelled, config)
+    kind = PointnetTrainer if model == POINTNET else SrganTrainer
+    trainer = kind(data, split.train, split.unlabelled, config)
     while trainer.epoch < trainer.epochs:
         trainer.run_epoch()
     return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
 
 
-def error_row(data: TrainingSet, split: DataSplit, predicted: Float64, objects: Sequence[str]) -> Row:
-    """Squared errors of (J, M) predictions and of the training mean, for each test sample of the (J,) objects.
+def error_row(data: Dataset, outputs: Sequence[str], split: DataSplit, predicted: Float64) -> Row:
+    """Squared errors of (J, M) predictions of some modalities and of the training mean, for each test sample.
 
     Returns:
         By object, in order of the samples, both means over the modality's values [counts²].
     """
-    index = columns(data.config.outputs)
-    actual = data.labels[np.ix_(split.test, index)]
-    mean = data.labels[np.ix_(split.train, index)].mean(axis=0)
-    names = np.array(objects)
+    train, test = ([data.samples[k] for k in index] for index in (split.train, split.test))
+    actual, mean = labels_of(test)[:, columns(outputs)], labels_of(train)[:, columns(outputs)].mean(axis=0)
     both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}
+    names = np.array([sample.object for sample in test])
     found = {
         str(name): {what: values[names == name].round(3).tolist() for what, values in both.items()}
         for name in np.unique(names)
