@@ -33,6 +33,13 @@ def test_no_changed_file_crashes_a_reader_or_is_used_in_silence(tmp_path: Path) 
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_no_file_that_is_consistent_and_wrong_hangs_raises_or_has_another_overwritten(tmp_path: Path) -> None:
+    from structural_fuzz import KINDS
+
+    read_all(KINDS, tmp_path, 12)
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_no_absurd_message_raises_or_is_answered_with_what_is_not_finite(tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much must a lab record to know what vision buys? Simulated campaigns, thinned to smaller ones.
 
-For each seed one large campaign of a scene is simulated, with other objects, another hand and other drift. The contact
-model is fitted to the first visits to the training objects, with a tare before each grasp. The readings on all others
-are then predicted in order of time from history, touches, temperature and tares, and besides from
+For each seed one large campaign of a scene is simulated, with other objects, another hand and other drift. Before it,
+the contact model is fitted to grasps of the training objects, each with a tare; the tracker, to the first visits to them.
+The readings on all others are then predicted in order of time from history, touches, temperature and tares, and
+besides from
 
     nothing    the mean of the training labels
     contact    vision as far as the model has learnt it
@@ -28,7 +29,7 @@ from foretouch.experiments.shared.tables import findings, grouped, listed, selec
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.learning.evaluation.prequential import Recording, Replayed, other_objects_mean, replay
-from foretouch.learning.training.calibration import calibrate_on_folds, resting_labels
+from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.models.tracker import SensorTracker
 from foretouch.simulation.scene import SceneConfig
@@ -46,7 +47,8 @@ class RecordingPlanSettings(Settings):
     """Settings of the experiment."""
 
     seeds: tuple[int, ...] = setting((1, 2, 3), "Seeds of the campaigns", minimum=0)
-    train_objects: int = setting(60, "Objects that the model has learnt from before", minimum=6, maximum=1000)
+    train_objects: int = setting(60, "Number of objects that the model has learnt from before", minimum=6, maximum=1000)
+    train_grasps: int = setting(20, "Number of grasps of each of them", minimum=1, maximum=1000)
     objects: tuple[int, ...] = setting((8, 16, 32, 64), "Numbers of objects", minimum=6, maximum=1000)
     visits: tuple[int, ...] = setting((1, 2, 3), "Numbers of visits to each object", minimum=1, maximum=10)
     grasps: int = setting(4, "Number of grasps of a visit, of which the last repeats the one before", minimum=4)
@@ -114,30 +116,29 @@ def _run(cell: Cell, settings: RecordingPlanSettings, data: _Scene) -> list[Row]
     known = {sample.object for sample in train}
     tested = [visit for visit in visits if visit[0].object not in known]
 
-    labels = labels_of(train)
-    predictor = ContactPredictor(train, labels, settings.contact)
-    resting = resting_labels(train, labels, predictor.rest)
-    blind, _ = calibrate_on_folds(
+    labels, (rest, _) = labels_of(train), rest_level(train)
+    resting = resting_labels(train, labels, rest)
+    calibration, _ = calibrate_on_folds(
         train, labels, lambda fold: np.tile(resting[fold.train].mean(axis=0), (len(fold.test), 1)), 0
     )
+    before = scene.replace(campaign=None, objects=tuple(item for item in scene.objects if item.name in known))
+    learnt = list(Simulation(before).samples(len(known) * settings.train_grasps))
+    predictor = ContactPredictor(learnt, labels_of(learnt), settings.contact)
     everything = [sample for visit in tested for sample in visit]
-    levels, names = (
-        resting_labels(everything, labels_of(everything), predictor.rest),
-        [one.object for one in everything],
-    )
+    levels, names = resting_labels(everything, labels_of(everything), rest), [one.object for one in everything]
     means = {name: levels[np.array(names) == name].mean(axis=0) for name in set(names)}
 
     rows: list[Row] = []
     for design in _designs(settings):
         kept = thinned(tested, design)
         sources = {
-            _NOTHING: (blind, np.tile(resting.mean(axis=0), (len(kept), 1))),
-            _CONTACT: (predictor.calibration[0], predictor.predict(kept)),
-            _OBJECT: (blind, np.array([means[sample.object] for sample in kept])),
+            _NOTHING: (np.tile(resting.mean(axis=0), (len(kept), 1)), rest),
+            _CONTACT: (predictor.predict(kept), predictor.rest),
+            _OBJECT: (np.array([means[sample.object] for sample in kept]), rest),
         }
         played = {}
-        for name, (calibration, expected) in sources.items():
-            recording = Recording.of_samples(kept, labels_of(kept), expected, predictor.rest)
+        for name, (expected, level) in sources.items():
+            recording = Recording.of_samples(kept, labels_of(kept), expected, level)
             played[name] = replay(SensorTracker(calibration.tracker_parameters), recording)
         head = asdict(design) | {"sessions": len({sample.extra["session"] for sample in kept})}
         rows += [head | row for row in _scores(recording, played, every, settings.bootstrap)]
@@ -224,7 +225,14 @@ EXPERIMENT = Experiment(
     settings=RecordingPlanSettings,
     presets={
         "full": {},
-        "smoke": {"seeds": [0], "train_objects": 6, "objects": [6], "visits": [1], "contact.trees": 2},
+        "smoke": {
+            "seeds": [0],
+            "train_objects": 6,
+            "train_grasps": 5,
+            "objects": [6],
+            "visits": [1],
+            "contact.trees": 2,
+        },
     },
     load=lambda _settings, path: _Scene(load_yaml(path)),
     cells=lambda settings, _data: [Cell(f"seed{seed}", {"seed": seed}) for seed in settings.seeds],

@@ -70,7 +70,9 @@ def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_p
         assert wrong.value.code == 2
     call("experiment", OWN, *out, "--data", numbers, "cells=1", "--workers", "1")
     words, results = (*out, "--redraw"), tmp_path / "out" / "results.csv"
-    call("experiment", "ablation", *words).check_refused("manifest.json: experiment: 'counting' is not 'ablation'\n")
+    call("experiment", "lookalikes", *words).check_refused(
+        "manifest.json: experiment: 'counting' is not 'lookalikes'\n"
+    )
     results.write_text("")
     call("experiment", OWN, *words).check_refused("contains no row")
     results.unlink()
@@ -81,6 +83,6 @@ def test_list_names_all(call) -> None:
     names = [record["name"] for record in call("experiment", "list", "--json").records]
     first = ["prequential", "cross_validation", "time_blocked", "cross_type", "p1_as_published", "unseen_object"]
     assert names[:6] == first
-    later = {"noise_ceiling", "lookalikes", "sim_to_real", "ablation", "learning_curve", "label_ratio"}
+    later = {"noise_ceiling", "lookalikes", "sim_to_real", "learning_curve", "label_ratio"}
     areas = {f"tradeoff_{area}" for area in ("model", "perception", "simulation", "training")}
     assert set(names[6:]) == {*later, "label_ratio_tuning", *areas}

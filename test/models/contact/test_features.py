@@ -10,14 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import CloudError
-from foretouch.models.contact.features import (
-    CHECKED,
-    CONDITIONS,
-    FEATURES,
-    OBJECT_FEATURES,
-    SLOPE_FEATURES,
-    HandFrameFeatures,
-)
+from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, OBJECT_FEATURES, HandFrameFeatures
 from foretouch.types import Grasp
 
 HERE = np.array([0.05, -0.02, 1.2])
@@ -51,7 +44,7 @@ def named(rows: np.ndarray, *names: str) -> np.ndarray:
 
 def slopes(row: np.ndarray, contact: str = "g1") -> np.ndarray:
     """(3, 3): one slope a radius."""
-    return named(row, *(name for name in SLOPE_FEATURES if name.startswith(contact))).reshape(3, 3)
+    return named(row, *(name for name in FEATURES if name.startswith(f"{contact}_slope_"))).reshape(3, 3)
 
 
 def test_every_column_has_a_name_of_its_own(lump, grasp) -> None:

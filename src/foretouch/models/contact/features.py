@@ -77,8 +77,6 @@ FEATURES: Final = (
 )
 """Names of all columns of `HandFrameFeatures.describe`."""
 
-SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
-
 
 class HandFrameFeatures:
     """One object's points, prepared to describe grasps on it.

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are consistent and wrong: links, FIFOs and folders for files, other types with right hashes, files exchanged.
+
+    PYTHONPATH=src:test:. python -m structural_fuzz --cases 50000 --out structure.csv
+
+The driver of `benchmarks/fuzz` runs the cases and judges them; a file outside of the folder must stay as it is.
+"""
+
+import hashlib
+import io
+import json
+import os
+import shutil
+import sys
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from safetensors.numpy import load, save
+
+from benchmarks.fuzz import files
+from benchmarks.fuzz.driver import Case, Kind, main
+from foretouch.dataset.editing import drop
+from foretouch.dataset.files import sealed
+from foretouch.dataset.recording import repair_dataset, verify_dataset
+from foretouch.errors import ForetouchError
+from foretouch.experiments.framework.manifest import open_folder, read_results
+from foretouch.learning.training.run_folder import RunFolder, read_state, write_state
+from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.registry import load_model
+
+VALUES = (
+    None, True, 0, -1, 2**63, 10**400, 0.5, 1e308, float("inf"), float("nan"), "", "x", "../..", "a\x1b[2J\n", "é" * 500,
+    [], [[]], ["x"], {}, {"": None}, [0] * 1000,
+)  # fmt: skip
+SETTINGS: dict[str, Any] = {"a": {"b": 1}, "c": [1, 2]}
+
+
+def retyped(value: Any, rng: np.random.Generator) -> Any:
+    """A document with another value in one place."""
+    inner = (
+        list(value.items() if isinstance(value, dict) else enumerate(value)) if isinstance(value, dict | list) else []
+    )
+    if not inner or rng.random() < 0.2:
+        return VALUES[int(rng.integers(len(VALUES)))]
+    key, one = inner[int(rng.integers(len(inner)))]
+    changed = value.copy()
+    changed[key] = retyped(one, rng)
+    return changed
+
+
+def retype(file: Path, rng: np.random.Generator) -> None:
+    """Change a type or value inside of a file, whose format stays intact."""
+    if file.suffix == ".json":
+        file.write_text(json.dumps(retyped(json.loads(file.read_text()), rng)))
+    elif file.suffix == ".jsonl":
+        lines = [json.loads(line) for line in file.read_text().splitlines()]
+        number = int(rng.integers(len(lines)))
+        lines[number], digest, text = retyped(lines[number], rng), "", ""
+        for line in lines:
+            body = {key: one for key, one in line.items() if key != "sha256"} if isinstance(line, dict) else line
+            digest = hashlib.sha256((digest + json.dumps(body, sort_keys=True)).encode()).hexdigest()
+            text += json.dumps({**body, "sha256": digest} if isinstance(body, dict) else body) + "\n"
+        file.write_text(text)
+    elif file.suffix == ".yaml":
+        file.write_text(yaml.safe_dump(retyped(yaml.safe_load(file.read_text()), rng)))
+    elif file.suffix == ".safetensors":
+        tensors = load(file.read_bytes())
+        name = list(tensors)[int(rng.integers(len(tensors)))]
+        choices = (
+            tensors[name][..., None], tensors[name].astype(np.int64), np.full(tensors[name].shape, -1), np.float64(np.inf),
+            np.full(tensors[name].shape, 2**62), tensors[name][:0] if tensors[name].ndim else np.zeros(0),
+        )  # fmt: skip
+        tensors[name] = np.asarray(choices[int(rng.integers(len(choices)))])
+        tensors.pop("sha256", None)
+        seal = np.frombuffer(hashlib.sha256(save(tensors)).digest(), np.uint8)
+        file.write_bytes(save({**tensors, "sha256": seal} if file.parent.name == "history" else tensors))
+    elif file.suffix == ".npz":
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            content = io.BytesIO()
+            np.save(content, np.zeros((int(rng.integers(1, 3_000_000)), 3)))
+            archive.writestr("xyz.npy", content.getvalue())
+    else:
+        file.write_bytes(file.read_bytes()[::-1])
+
+
+def replaced(file: Path, all_files: list[Path], victim: Path, rng: np.random.Generator) -> None:
+    """Put something else in the place of a file."""
+    content, other = file.read_bytes(), all_files[int(rng.integers(len(all_files)))].read_bytes()
+    file.unlink()
+    ways: tuple[Callable[[], object], ...] = (
+        lambda: None,
+        lambda: file.symlink_to(victim),
+        lambda: file.symlink_to("absent"),
+        lambda: file.symlink_to(file.name),
+        lambda: file.symlink_to("/dev/zero"),
+        lambda: os.link(victim, file),
+        lambda: os.mkfifo(file),
+        file.mkdir,
+        lambda: file.write_bytes(b""),
+        lambda: file.write_bytes(bytes(len(content))),
+        lambda: file.write_bytes(other),
+        lambda: (file.write_bytes(content), os.truncate(file, 100_000_000)),
+    )
+    ways[int(rng.integers(len(ways)))]()
+
+
+def _reseal(folder: Path) -> None:
+    """Write the hashes of all files as they are, if all are files."""
+    if any(path.is_symlink() or not (path.is_file() or path.is_dir()) for path in folder.rglob("*")):
+        return
+    with suppress(Exception):
+        files._reseal(folder)
+    with suppress(Exception):
+        files._rehash(folder)
+    for manifest in folder.glob("recording/manifest.json"):
+        with suppress(Exception):
+            manifest.write_text(sealed(json.loads(manifest.read_text()), "sha256"))
+
+
+def _kind(make: Callable[[Path], Path], read: Callable[[Path], object]) -> Kind:
+    def prepare(folder: Path) -> Case:
+        path = make(folder / "files")
+        names = {file.relative_to(folder): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+        victim = folder / "victim"
+
+        def case(rng: np.random.Generator) -> str:
+            shutil.rmtree(folder / "files")
+            for name, content in names.items():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
+            victim.unlink(missing_ok=True)
+            victim.write_text("precious")
+            all_files = [folder / name for name in sorted(names)]
+            file = all_files[int(rng.integers(len(all_files)))]
+            left_over = file.with_name(f"{file.name}.part")
+            with suppress(ValueError, AttributeError, IndexError):  # it cannot be changed in this way
+                if rng.random() < 0.5:
+                    retype(file, rng)
+                elif rng.random() < 0.1:
+                    left_over.symlink_to(victim)
+                else:
+                    replaced(file, all_files, victim, rng)
+            _reseal(folder / "files")
+            try:
+                read(path)
+            finally:
+                if victim.read_text() != "precious":
+                    raise AssertionError(f"{file.name}: the file outside was changed")
+            return "read"
+
+        return case
+
+    return Kind(prepare)
+
+
+def _dataset(folder: Path) -> Path:
+    folder.mkdir()
+    path = files._recording(folder)
+    drop(path, ["ball/000001"])
+    return path
+
+
+def _read_dataset(path: Path) -> None:
+    for use in (verify_dataset, files.samples_digest, lambda path: drop(path, ["ball/000002"]), repair_dataset):
+        with suppress(ForetouchError):
+            use(path)
+    files.samples_digest(path)
+
+
+def _run(folder: Path) -> Path:
+    run = RunFolder(folder / "run")
+    run.open(SETTINGS, resume=False)
+    write_state(folder / "run" / "state.safetensors", {"x": torch.zeros(3)}, {"epoch": 1, "best": {}})
+    run.log({"epoch": 0})
+    return folder / "run"
+
+
+def _read_run(path: Path) -> None:
+    run = RunFolder(path)
+    run.open(SETTINGS, resume=True)
+    run.keep_log(1)
+    run.log({"epoch": 1})
+    read_state(path / "state.safetensors")
+    write_state(path / "state.safetensors", {"x": torch.zeros(3)}, {})
+
+
+def _history(folder: Path) -> Path:
+    path = folder / "history" / "right.safetensors"
+    file = HistoryFile(path, "right")
+    file.write(HandHistory(load_model()))
+    file.close()
+    return path
+
+
+def _read_history(path: Path) -> None:
+    file = HistoryFile(path, "right")
+    try:
+        file.write(file.read(load_model()) or HandHistory(load_model()))
+    finally:
+        file.close()
+
+
+def _experiment(folder: Path) -> Path:
+    manifest = open_folder(folder / "sweep", {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}, resume=False)
+    (folder / "sweep" / "manifest.json").write_text(json.dumps(manifest))
+    (folder / "sweep" / "results.csv").write_text("a,b\n1,x\n")
+    return folder / "sweep"
+
+
+def _read_experiment(path: Path) -> None:
+    open_folder(path, {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}, resume=True)
+    read_results(path / "results.csv")
+
+
+def _in(make: Callable[[Path], Path]) -> Callable[[Path], Path]:
+    def made(folder: Path) -> Path:
+        folder.mkdir()
+        return make(folder)
+
+    return made
+
+
+KINDS = {
+    "dataset": _kind(_dataset, _read_dataset),
+    "store": _kind(_in(files._store), files.samples_digest),
+    "bag": _kind(_in(lambda folder: next(files._recording(folder).glob("*.mcap"))), files.bag_digest),
+    "vision2tactile": _kind(_in(files._vision2tactile), files.samples_digest),
+    "model": _kind(_in(files._model), files.model_digest),
+    "settings": _kind(_in(files._settings), lambda path: files.PipelineConfig.from_mapping(files.load_yaml(path))),
+    "npz": _kind(_in(files._cloud(".npz")), files.cloud_digest),
+    "run": _kind(_run, _read_run),
+    "history": _kind(_history, _read_history),
+    "experiment": _kind(_experiment, _read_experiment),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main("structural_fuzz", __doc__.splitlines()[0], KINDS, 300))
