@@ -273,7 +273,7 @@ def sampled() -> Reader:
         return predictor.array([target], grasps, header, config).message.predictions
 
     def read(goal: Any) -> None:
-        result = sample_grasps(goal, None, config, predict, lambda _: None, lambda: False)
+        result = sample_grasps(goal, None, config, "0", predict, lambda _: None, lambda: False)
         check_predictions(SimpleNamespace(status=0, reason="", predictions=result.predictions))
 
     return [sample_goal()], read

@@ -14,6 +14,7 @@ import os
 import re
 import stat
 import time
+import weakref
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -107,6 +108,7 @@ class FileBytes:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._file = open_regular(path)
+        weakref.finalize(self, self._file.close)
         self._size = os.fstat(self._file.fileno()).st_size
         self.version = version_of(self._file)
         self._near: tuple[int, bytes] = (0, b"")  # the last bytes that were read ahead, and their offset
@@ -284,6 +286,17 @@ def parse_json(text: str | bytes) -> Any:
     return document
 
 
+_JSON_WORDS: Final = {
+    dict: "a mapping",
+    list: "a list",
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    type(None): "null",
+}
+
+
 def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -> Any:
     """Check what a file holds against a schema, and return it.
 
@@ -313,8 +326,8 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
         return found
     types = schema if isinstance(schema, tuple) else (schema,)
     if type(value) not in types and not (float in types and type(value) is int):
-        names = " or ".join("null" if one is type(None) else one.__name__ for one in types)
-        raise FileError(path, f"{quoted(value)} is of type {type(value).__name__}, not {names}", field=field or None)
+        names = " or ".join(_JSON_WORDS.get(one, one.__name__) for one in types)
+        raise FileError(path, f"{quoted(value)} is not {names}", field=field or None)
     if (type(value) is int and not -(2**63) <= value < 2**63) or (type(value) is float and not math.isfinite(value)):
         raise FileError(path, f"{shown(value, 40)} is no number that can be used", field=field or None)
     return value

@@ -76,7 +76,9 @@ def test_names_of_recipes_experiments_and_models(call) -> None:
         answer.check_refused(f"; did you mean {nearest}?")
 
     every_case([(" ".join(words), words, *rest) for words, *rest in NAMES], lambda _, *case: check(*case))
-    call("train", "p3", "data=x", "-o", "y").check_refused("contact-v2, p1, p1_as_published, p2, p2_srgan, touchnet-v1")
+    call("train", "p3", "data=x", "-o", "y").check_refused(
+        "contact-v2, p1, p1_as_published, p2, p2_srgan, simulated, touchnet-v1"
+    )
 
 
 def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -> None:

@@ -203,7 +203,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(call, answers, files, tmp_p
 
     cases = [
         ("{", "line 1: is no JSON"),
-        ("[1]", "line 1: is no JSON object"),
+        ("[1]", "line 1: [1] is not a mapping"),
         ("", "holds no answers"),
         ('{"played": 3}', "holds no answers"),
         (json.dumps(incomplete), "predictions: E_TH: is not as `predict --json` writes it"),
@@ -211,7 +211,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(call, answers, files, tmp_p
     every_case(cases, check)
     call("view", tmp_path / "none.pcd", "--save", tmp_path / "v.rrd").check_refused("none.pcd: does not exist\n")
     cloud = files / "object.pcd"
-    call("view", cloud, "--save", tmp_path / "none" / "v.rrd").check_refused("No such file or directory")
+    call("view", cloud, "--save", cloud / "v.rrd").check_refused("object.pcd")
     monkeypatch.setitem(sys.modules, "rerun", None)
     line = "foretouch: Rerun is not installed: pip install 'foretouch[view]'\n"
     call("view", cloud, "--save", files / "v.rrd").check_refused(line)

@@ -146,8 +146,7 @@ def test_folders_of_something_else_are_left_alone(sweep, tmp_path, in_this_proce
             sweep("new", settings={"cells": 1}, resume=True)
 
     every_case(
-        [("{", "is no JSON"), ("[" * 100_000 + "]" * 100_000, "nested levels"), ("[]", "is of type list, not dict")],
-        check,
+        [("{", "is no JSON"), ("[" * 100_000 + "]" * 100_000, "nested levels"), ("[]", "is not a mapping")], check
     )
 
 

@@ -91,7 +91,7 @@ def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_p
     forged = {name: value for name, value in json.loads(good).items() if name != "sha256"}
     for text, message in (
         (good.replace("shadow", "shadoW"), "sha256: damaged: the text does not match its checksum"),
-        (sealed({**forged, "hand": 5}, "sha256"), "hand: 5 is of type int, not dict"),
+        (sealed({**forged, "hand": 5}, "sha256"), "hand: 5 is not a mapping"),
         (good[:-5], "is no JSON"),
     ):
         manifest.write_text(text)

@@ -17,7 +17,7 @@ def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     assert TrainingDevice.of(TrainConfig(), 8).device == torch.device("cpu")
-    with pytest.raises(ConfigError, match=r"TrainConfig\.device: cuda: torch finds no GPU; choose auto or cpu"):
+    with pytest.raises(ConfigError, match=r"device: cuda: torch finds no GPU; choose auto or cpu"):
         TrainingDevice.of(TrainConfig(device="cuda"), 8)
 
 

@@ -119,7 +119,7 @@ def test_a_batch_that_cannot_be_shared_evenly_is_refused() -> None:
     assert four.shard(np.arange(8)).tolist() == [2, 3]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(DistributedContext, "of_process_group", classmethod(lambda _cls: four))
-        with pytest.raises(ConfigError, match=r"TrainConfig\.batch_size: 6 is no multiple of the 4 processes"):
+        with pytest.raises(ConfigError, match=r"batch_size: 6 is no multiple of the 4 processes"):
             TrainingDevice.of(TrainConfig(batch_size=6, device="cpu"), 6)
 
 

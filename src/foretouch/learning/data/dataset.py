@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
-from foretouch.dataset.store import Store, content_sha256, is_store
+from foretouch.dataset.store import Store, content_sha256
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
@@ -169,14 +169,12 @@ def load_dataset(path: str | Path) -> Dataset:
         splits.parts,
         (folder_sha256(path),) if public else (),
         splits.omitted,
-        _VISION2TACTILE if public else _simulated(path),
+        _VISION2TACTILE if public else _simulated(path) if opened.kind == "store" else {},
     )
 
 
 def _simulated(path: Path) -> dict[str, Any]:
-    """The origin of a store that `foretouch simulate` wrote; nothing of another dataset."""
-    if not is_store(path):
-        return {}
+    """The origin of a store that `foretouch simulate` wrote; nothing of another store."""
     store = Store(path)
     about = store.manifest.get("about", {})
     if "scene_sha256" not in about:
