@@ -173,7 +173,7 @@ def _grasps() -> Iterator[tuple[str, Grasp, str]]:
     fine, x, y = across(), _AWAY * [0.0, 1.0, 1.0], np.array([0.0, 1.0, 0.0])
     yield "along the axis", across(0.16, axis=0), "ok"
     yield "1 nm wide", across(1e-9), "ok"
-    yield "denormal width", Grasp(x + np.array([5e-324, 0, 0]), x, np.eye(3)), "ok"
+    yield "denormal width", Grasp(x + np.array([5e-324, 0, 0]), x, np.roll(np.eye(3), -1, axis=1)), "ok"
     yield "1 m wide", across(1.0), "more than max_width_m"
     yield "50 m off", across(middle=_AWAY + 50.0 * y), "more than max_distance_m"
     yield "1e160 m off", across(1e150, _AWAY + 1e160 * y), "max_width_m|max_distance_m"

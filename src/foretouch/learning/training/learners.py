@@ -101,11 +101,6 @@ class ContactLearner(Learner):
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
         """As `Learner.fit`; it takes seconds, so a run that was stopped starts again."""
         del run
-        constant = np.flatnonzero(np.ptp(self.labels, axis=0) == 0.0)
-        if len(constant):
-            name = next(name for name in MODALITIES if constant[0] in np.arange(TOUCH_SIZE)[columns([name])])
-            text = f"{len(constant)} of {TOUCH_SIZE} channels of touch have one value in all {len(self.labels)} samples"
-            raise DatasetError(f"{text}, the first of {name}: nothing can be learned of them")
         self._estimator = self._predictor.fit(np.arange(len(self.samples)) if chosen is None else chosen)
 
     def predict(self, index: Indices) -> Float64:
