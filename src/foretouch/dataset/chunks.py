@@ -121,7 +121,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range]) -> str:
-    """Make one chunk on a node; gives its name. If a node that was believed lost made it too, both are equal."""
+    """Make one chunk on a node; gives its name. If a node that seemed lost made it too, both are equal."""
     number, slots = chunk
     path = _chunk(folder, number)
     if not folder.is_dir():
