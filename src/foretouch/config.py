@@ -34,8 +34,12 @@ EMPTY: Final = "\0"
 _INT: Final = "tag:yaml.org,2002:int"
 _FLOAT: Final = "tag:yaml.org,2002:float"
 _UNITS: Final = {
+    "hz": "Hz",
+    "mb": "MB",
+    "pa": "Pa",
+    "n": "N",
+    "kelvin": "K",
     **{unit: unit for unit in ("s", "ms", "ns", "m", "mm", "deg", "counts", "days", "kg")},
-    **{"hz": "Hz", "mb": "MB", "pa": "Pa", "n": "N", "kelvin": "K"},
 }  # by the last word of a name
 _DECIMAL: Final = r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
 
