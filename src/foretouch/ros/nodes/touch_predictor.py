@@ -37,14 +37,7 @@ from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import (
-    RefusalError,
-    check_frames,
-    passed_on,
-    read_plane,
-    read_targets,
-    status_name,
-)
+from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets, status_name
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import REQUESTS
 from foretouch.ros.runtime.output_frame import Latest, OutputFrame, in_cloud_frame
