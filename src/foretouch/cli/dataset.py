@@ -27,7 +27,7 @@ from foretouch.dataset.store_writer import build_store, read_samples
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.ray_cluster import ADDRESS_HELP
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
 
