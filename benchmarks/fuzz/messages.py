@@ -57,7 +57,7 @@ from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile.messages import TactileConfig, make_reader
+from foretouch.tactile.messages.table import TactileConfig, make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch, TouchPrediction
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray

@@ -15,6 +15,7 @@ import dataclasses
 import math
 import re
 import typing
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
@@ -62,13 +63,10 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         """Called first for each mapping, before others are merged into it."""
         if not hasattr(node, "keys_checked"):
             node.keys_checked = True
-            keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            if (
-                twice := next((key for key in keys if keys.count(key) > 1), None)
-                if len(set(keys)) < len(keys)
-                else None
-            ):
-                raise yaml.YAMLError(f"key {shown(twice[1])} occurs twice")
+            keys = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+            for (_, name), count in keys.items():
+                if count > 1:
+                    raise yaml.YAMLError(f"key {shown(name)} occurs twice")
         super().flatten_mapping(node)
 
 

@@ -23,7 +23,7 @@ from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
 

@@ -29,8 +29,8 @@ from foretouch.dataset.recording import Identity, RecordingConfig, RecordingWrit
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, StoredSample, decode_sample
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})

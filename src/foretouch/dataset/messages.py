@@ -20,7 +20,7 @@ import numpy as np
 from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.pose import quaternion_xyzw
-from foretouch.tactile.messages import stamp_ns
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import AnyArray, Cloud, Float64, Grasp, Index, Int64
 
 _START: Final = 4  # of the fields in CDR

@@ -13,13 +13,15 @@ import numpy.typing as npt
 
 from foretouch.config import setting
 from foretouch.errors import SimulationError
-from foretouch.simulation.contact import ContactFrame
+from foretouch.simulation.contact.pad import ContactFrame
 from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.fingertip import quantise
-from foretouch.simulation.scene import DriftConfig, SceneConfig, TimelineConfig, draw
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 

@@ -21,7 +21,7 @@ from foretouch.dataset.pairing import (
 )
 from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import GraspError, TactileError
-from foretouch.tactile.messages import TactileReader, TactileReading
+from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import Cloud
 
 STORE = Definitions().store

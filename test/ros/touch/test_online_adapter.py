@@ -29,9 +29,8 @@ from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg

@@ -23,8 +23,7 @@ from foretouch.ros.recorder.session import RecordingSession, SessionStatus, stat
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import TactileReader, make_reader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording

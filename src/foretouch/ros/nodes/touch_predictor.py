@@ -53,8 +53,7 @@ from foretouch.ros.touch.grasp_actions import (
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile.messages import make_reader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME
 from foretouch_msgs.action import SampleGrasps

@@ -32,8 +32,7 @@ from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
-from foretouch.tactile.messages import TactileReader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileReader, stamp_ns
 from foretouch.types import Cloud, Float32, Float64, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig
-from foretouch.simulation.contact import PadConfig
+from foretouch.simulation.contact.pad import PadConfig
 from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
 from foretouch.simulation.scene.ranges import RangedSettings, Switch
