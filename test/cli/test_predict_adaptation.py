@@ -15,7 +15,7 @@ from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.cli.adaptation import _read_tare
-from foretouch.dataset.recording import RecordingWriter
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.learning.evaluation.prequential import replay_model

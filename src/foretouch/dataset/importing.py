@@ -16,17 +16,13 @@ from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
 from foretouch.dataset.files import disk_errors, new_folder
-from foretouch.dataset.pairing import (
-    AssembledSample,
-    AssemblerConfig,
-    PairingConfig,
-    RejectedGrasp,
-    Role,
-    SampleAssembler,
-    SerializedCloud,
-)
-from foretouch.dataset.recording import Identity, RecordingConfig, RecordingWriter, SampleRecord
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.cut import PairingConfig
+from foretouch.dataset.pairing.matcher import RejectedGrasp
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, StoredSample, decode_sample
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
