@@ -19,7 +19,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from foretouch.cli.live import live_panel
-from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch
+from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
+from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject

@@ -14,9 +14,11 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from foretouch.config import Settings, setting
-from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, PairingConfig, Role, SampleAssembler
-from foretouch.dataset.record import check_name
-from foretouch.dataset.recording import Identity, Outcome, RecordingConfig, RecordingWriter
+from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.cut import Interval, PairingConfig
+from foretouch.dataset.pairing.matcher import Label
+from foretouch.dataset.record import Identity, Outcome, check_name
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg

@@ -23,7 +23,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.touch_model import History, TouchModel
