@@ -15,8 +15,10 @@ from recording_builders import IDENTITY, QUICK, ids, write_dataset
 from foretouch.dataset.editing import drop, merge, relabel, undo
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
-from foretouch.dataset.recording import RecordedDataset, RecordingWriter, verify_dataset
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError, FileError
 
@@ -158,8 +160,8 @@ EDITOR = """
 import sys
 from pathlib import Path
 from recording_builders import IDENTITY, QUICK
-from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.recording.edits import Edit
+from foretouch.dataset.recording.writer import RecordingWriter
 with RecordingWriter(Path(sys.argv[1]), IDENTITY, QUICK) as writer:
     for number in range(10**6):
         undo = Edit(action="undo", edit=writer.edit(Edit(action="drop", ids=("ball/000001",), stamp_ns=number + 1)))

@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from foretouch.dataset.record import DISCARDED, SampleRecord
-from foretouch.dataset.recording import RecordedDataset
 from foretouch.dataset.recording.edits import EditLog
+from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.errors import ForetouchError
 from foretouch.types import Float64
 

@@ -9,8 +9,9 @@ from robot_builders import MS, accounts, outcomes, start
 from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool, Trigger
 
-from foretouch.dataset.recording import RecordedDataset, verify_dataset
 from foretouch.dataset.recording.edits import read_edits
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch_msgs.srv import LabelGrasp

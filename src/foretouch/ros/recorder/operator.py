@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import Final, Literal, NamedTuple, get_args
 
-from foretouch.dataset.pairing import SampleAssembler
+from foretouch.dataset.pairing.assembler import SampleAssembler
 from foretouch.dataset.record import SampleRecord, check_name, renamed_id
-from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.summary import (
     TARE_S,
     GraspSummary,

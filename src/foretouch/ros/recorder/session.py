@@ -16,8 +16,13 @@ from functools import partial
 from typing import Final, Literal
 
 from foretouch.dataset.messages import read_header
-from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud, TouchCut
-from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, TopicCounts
+from foretouch.dataset.pairing.assembler import Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.cut import TouchCut
+from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
+from foretouch.dataset.recording.records import TopicCounts
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
