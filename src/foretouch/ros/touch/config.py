@@ -6,7 +6,7 @@ from typing import Final
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
-from foretouch.dataset.pairing import PairingConfig
+from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
