@@ -13,16 +13,26 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Final
 
+from rclpy.serialization import serialize_message
+
+from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud
-from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, TopicCounts
+from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, SampleRecord, TopicCounts
+from foretouch.dataset.taxels import TAXEL_TOPICS, taxel_clouds
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
+from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
+from foretouch.tactile import P2_RANGES
+from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
+MARKERS_TOPIC: Final = "/foretouch/sample_markers"
+MARKERS_TYPE: Final = "visualization_msgs/msg/MarkerArray"
 _AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
 
 
@@ -63,8 +73,11 @@ class RecordingSession:
         inputs: Mapping[str, tuple[Role, type]],
         losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], object],
+        *,
+        views: bool = True,
     ) -> None:
         self.writer = writer
+        self._views = views
         self.began_s = time.monotonic()
         self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
         self.ended = threading.Event()
@@ -155,10 +168,24 @@ class RecordingSession:
                 self._warn(f"grasp {result.grasp_id}: no sample: {result.reason}: {result.message}")
                 continue
             name = self.writer.append(result.record)
+            if self._views:
+                self._write_views(replace(result.record.sample, id=name), result.record)
             if result.cut is not None:
                 self._last_sample = name
                 self._errors_ns.append(result.cut.error_ns)
         self._update_status()
+
+    def _write_views(self, sample: GraspSample, record: SampleRecord) -> None:
+        """Write for viewers what a grasp read, at the times of its stamps: every reading as taxels, and markers."""
+        if sample.touch is None:
+            return
+        markers = serialize_message(sample_markers(sample, P2_RANGES))
+        views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
+        views += [(topic, POINT_CLOUD_TYPE, stamp_ns, data) for topic, stamp_ns, data in taxel_clouds(record)]
+        for topic, type_name, stamp_ns, data in views:
+            self.writer.add_topic(topic, type_name)
+            self.writer.receive(topic)
+            self.writer.write(topic, data, stamp_ns)
 
     def _assemble(self, one: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
@@ -216,7 +243,8 @@ def status_to_msg(
 
     `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
     """
-    received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}  # made here
+    made_here = (SAMPLE_TOPIC, MARKERS_TOPIC, *TAXEL_TOPICS.values())
+    received = {name: account for name, account in session.accounts.items() if name not in made_here}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
