@@ -16,7 +16,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from foretouch.dataset.recording import RecordedDataset, verify_dataset
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.recorder.subscriptions import VIEWER_TOPICS
 

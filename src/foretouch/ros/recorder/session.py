@@ -18,8 +18,13 @@ from typing import Final
 from rclpy.serialization import serialize_message
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud
-from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, SampleRecord, TopicCounts
+from foretouch.dataset.pairing.assembler import Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
+from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.records import TopicCounts
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.taxels import TAXEL_TOPICS, taxel_clouds
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
