@@ -7,12 +7,14 @@ publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.r
 subscription is then as the parameter demands, and a publisher that offers less is reported.
 """
 
+import math
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from typing import Any, Final
 
@@ -24,11 +26,14 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.bounded_queue import BoundedQueue
+from foretouch.dataset.messages import read_header
+from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
+_RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
@@ -53,6 +58,12 @@ class InputTopic:
     depth: int  # queue size of the middleware
     optional: bool = False  # whether nothing is reported of it until a message arrives
     latched: bool = False  # whether its publishers send their last messages to late subscribers (transient local)
+
+    @cached_property
+    def stamped(self) -> bool:
+        """Whether its messages begin with a header."""
+        fields: dict[str, str] = getattr(self.message, "get_fields_and_field_types", dict)()
+        return next(iter(fields.items()), None) == ("header", "std_msgs/Header")
 
     @property
     def type_name(self) -> str:
@@ -221,6 +232,10 @@ class TopicStatistics:
     late: int = 0  # messages that came after the session had ended by itself and its file was closed
     reliable: bool = True  # whether lost messages are sent again
     rate_hz: float = 0.0  # rate of arrival [Hz]
+    age_s: float = math.inf  # time since the last message [s]; infinite before the first
+    offset_s: float = (
+        math.nan
+    )  # smallest difference of reception and stamp [s]; not finite without messages with a stamp
 
 
 class RecorderSubscriptions:
@@ -236,6 +251,8 @@ class RecorderSubscriptions:
         self._lock = threading.Lock()  # a latched message is written once in a session
         self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
+        self._last_s: dict[str, float] = {}
+        self._behind_ns: dict[str, deque[int]] = {}  # differences of reception and stamp of recent messages
         self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
         try:
             for topic in topics:
@@ -288,6 +305,8 @@ class RecorderSubscriptions:
                 late=late[name],
                 reliable=one.reliable,
                 rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
+                age_s=time.monotonic() - self._last_s.get(name, -math.inf),
+                offset_s=min(tuple(self._behind_ns.get(name, ())), default=math.nan) * 1e-9,
             )
             for name, one in self.inputs.items()
             if self._arrived[name] or not one.topic.optional
@@ -300,6 +319,12 @@ class RecorderSubscriptions:
 
     def _receive(self, message: SerializedMessage, *, latched: bool) -> None:
         self._arrived[message.topic] += 1
+        self._last_s[message.topic] = time.monotonic()
+        one = self.inputs.get(message.topic)  # None where a message comes before the subscription is complete
+        if one is not None and one.topic.stamped:
+            with suppress(DatasetError):  # it is counted by those who read it
+                behind = self._behind_ns.setdefault(message.topic, deque(maxlen=_RECENT))
+                behind.append(message.received_ns - read_header(message.data)[0])
         with self._lock:
             if latched and all(message.data != one.data for one in self._latched):
                 self._latched.append(message)
