@@ -23,6 +23,13 @@ class GeoGraspConfig(Settings):
         minimum=0,
         maximum=10_000_000,
     )
+    flying_share: float = setting(
+        0.015,
+        "Flying points, alone before or behind their neighbours, are dropped if they are at least this share of an "
+        "object; 0.012 of a recorded cloud look like that at most; 1 disables it",
+        minimum=0.0,
+        maximum=1.0,
+    )
     neighbours: int = setting(50, "Nearest neighbours averaged by the outlier filter", minimum=1, maximum=1000)
     outlier_deviations: float = setting(
         1.0, "Standard deviations above the mean that the outlier filter keeps", minimum=0.0, maximum=100.0
