@@ -3,15 +3,9 @@
 
 import numpy as np
 
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    Layer,
-    gap_field,
-    pad_direction,
-    pad_window,
-    solve_contact,
-)
+from foretouch.simulation.contact.grip import solve_contact
+from foretouch.simulation.contact.pad import gap_field, pad_direction, pad_window
+from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 
 RADIUS = 0.01
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from foretouch.tactile.messages import TACTILE_TYPES
+from foretouch.tactile.messages.table import TACTILE_TYPES
 
 MADE_UP_TYPE = "geometry_msgs/PolygonStamped"
 

@@ -33,7 +33,8 @@ from foretouch.cli.output import print_json
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings
 from foretouch.dataset.messages import decode_grasp, has_orientation
-from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler, SerializedCloud
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
@@ -57,7 +58,7 @@ from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile.messages import TactileConfig, make_reader
+from foretouch.tactile.messages.table import TactileConfig, make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch, TouchPrediction
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray

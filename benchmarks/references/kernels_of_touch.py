@@ -5,10 +5,10 @@ import mpmath
 import numpy as np
 
 from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel, norm, real, relative_gap, solve, span
-from foretouch.simulation.contact import ContactProblem, Layer, PadConfig
 from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit
 from foretouch.simulation.contact.grip import weigh
-from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
+from foretouch.simulation.contact.pad import PadConfig, contact_frame, pad_depth, pad_direction, pad_window
+from foretouch.simulation.contact.problem import ContactProblem, Layer
 from foretouch.simulation.fingertip import (
     BOTTOMING_M,
     BULGE_AREA_M2,

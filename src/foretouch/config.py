@@ -5,7 +5,7 @@ A component declares its settings in its own module::
 
     @dataclass(frozen=True, kw_only=True)
     class CropConfig(Settings):
-        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0, unit="m")
+        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0)
 
 The fields contain the description, unit, bounds and whether a running node may change them. The
 command line, the YAML reader and the ROS parameters are all derived from this declaration.
@@ -15,6 +15,7 @@ import dataclasses
 import math
 import re
 import typing
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
@@ -33,6 +34,14 @@ EMPTY: Final = "\0"
 
 _INT: Final = "tag:yaml.org,2002:int"
 _FLOAT: Final = "tag:yaml.org,2002:float"
+_UNITS: Final = {
+    "hz": "Hz",
+    "mb": "MB",
+    "pa": "Pa",
+    "n": "N",
+    "kelvin": "K",
+    **{unit: unit for unit in ("s", "ms", "ns", "m", "mm", "deg", "counts", "days", "kg")},
+}  # by the last word of a name
 _DECIMAL: Final = r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
 
 
@@ -54,13 +63,10 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         """Called first for each mapping, before others are merged into it."""
         if not hasattr(node, "keys_checked"):
             node.keys_checked = True
-            keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            if (
-                twice := next((key for key in keys if keys.count(key) > 1), None)
-                if len(set(keys)) < len(keys)
-                else None
-            ):
-                raise yaml.YAMLError(f"key {shown(twice[1])} occurs twice")
+            keys = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+            for (_, name), count in keys.items():
+                if count > 1:
+                    raise yaml.YAMLError(f"key {shown(name)} occurs twice")
         super().flatten_mapping(node)
 
 
@@ -85,7 +91,7 @@ class SettingInfo:
     type: type  # bool, int, float, str, or a tuple's item type with `is_list`
     default: Any  # default value
     description: str  # one sentence
-    unit: str  # unit of the value, "" if it has none
+    unit: str  # unit of the value, "" if it has none; by default that which its name ends with, as `range_m`
     minimum: float | None  # inclusive, or None
     maximum: float | None  # inclusive, or None
     choices: Collection[Any]  # allowed values; empty if unrestricted
@@ -267,8 +273,10 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
+        quantity, _, ending = f.name.rpartition("_")
+        facts = {**f.metadata, "unit": f.metadata["unit"] or (_UNITS.get(ending, "") if quantity else "")}
         infos.append(
-            SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **f.metadata)
+            SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **facts)
         )
     _INFOS[cls] = tuple(infos)
     return _INFOS[cls]

@@ -251,7 +251,8 @@ def _exact(number: Any) -> Fraction:
 
 def _hertz() -> float:
     """Force of a ball of 10 mm on a half-space by the layer solver, against Hertz."""
-    from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
+    from foretouch.simulation.contact.layer import solve_layer
+    from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 
     depth, radius, n = 1e-4, 0.01, 48
     body = Layer(modulus_pa=1e6, poisson=0.3)

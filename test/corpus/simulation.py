@@ -14,7 +14,8 @@ from corpus.outcome import nearly
 
 from foretouch.config import Settings, setting_infos
 from foretouch.errors import ForetouchError, TactileError
-from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_contact
+from foretouch.simulation.contact.grip import solve_contact
+from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 from foretouch.simulation.objects import TriangleMesh
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation

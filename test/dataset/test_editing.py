@@ -10,7 +10,8 @@ from recording_builders import IDENTITY, QUICK, ids, write_dataset
 from foretouch.dataset.editing import drop, merge, relabel, undo
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
-from foretouch.dataset.recording import RecordingWriter, verify_dataset
+from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError, FileError
 

@@ -18,8 +18,8 @@ from foretouch.models.tracker import SensorTracker
 from foretouch.simulation.campaign import Campaign, object_index
 from foretouch.simulation.disturbances import TDC_REST, TemperatureConfig, temperature_drift
 from foretouch.simulation.execution import SimulatedHand
-from foretouch.simulation.scene import CampaignConfig, load_scene
-from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S, ThermistorConfig
+from foretouch.simulation.scene import load_scene
+from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S, CampaignConfig, ThermistorConfig
 from foretouch.simulation.simulate import Simulation, explain_scene
 from foretouch.simulation.simulate import replay as made_again
 from foretouch.simulation.world import SampleKey, World

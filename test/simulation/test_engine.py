@@ -15,7 +15,8 @@ from foretouch.errors import CloudError, SimulationError
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS, place, view
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import ObjectConfig, SceneConfig, load_scene
+from foretouch.simulation.scene import SceneConfig, load_scene
+from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.world import SampleKey
 
 SCENES = Path(__file__).parents[2] / "config" / "scenes"

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
 from foretouch.simulation import fingertip
-from foretouch.simulation.contact import PadConfig, contact_frame, pad_direction, pad_window
+from foretouch.simulation.contact.pad import PadConfig, contact_frame, pad_direction, pad_window
 from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
 from foretouch.simulation.scene import SceneConfig

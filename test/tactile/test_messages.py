@@ -9,7 +9,7 @@ import pytest
 from every_case import every_refusal
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, make_reader
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, make_reader
 
 STAMP = 1_700_000_000_123_456_789
 

@@ -59,13 +59,11 @@ class FilterConfig(Settings):
 class TimeoutConfig(Settings):
     """When a camera without frames counts as stalled, and when it is opened again."""
 
-    start_s: float = setting(5.0, "Longest time from opening to the first frame", unit="s", minimum=0.1, maximum=60.0)
+    start_s: float = setting(5.0, "Longest time from opening to the first frame", minimum=0.1, maximum=60.0)
     stall_s: float = setting(
-        1.0, "A streaming camera without a frame for longer is stalled", unit="s", minimum=0.05, maximum=60.0
+        1.0, "A streaming camera without a frame for longer is stalled", minimum=0.05, maximum=60.0
     )
-    reopen_s: float = setting(
-        3.0, "A camera without a frame for longer is opened again", unit="s", minimum=0.05, maximum=600.0
-    )
+    reopen_s: float = setting(3.0, "A camera without a frame for longer is opened again", minimum=0.05, maximum=600.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

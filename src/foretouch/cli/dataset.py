@@ -16,14 +16,17 @@ from foretouch.dataset.formats import export_formats, readable_formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
-from foretouch.dataset.recording import RecordedDataset, is_dataset, repair_dataset, verify_dataset
 from foretouch.dataset.recording.chain import listed_sessions
+from foretouch.dataset.recording.folder import is_dataset
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
 

@@ -23,7 +23,7 @@ from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
-from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, stamp_ns
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, stamp_ns
 from foretouch.topics import TACTILE_TOPIC
 
 if TYPE_CHECKING:

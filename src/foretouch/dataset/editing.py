@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from foretouch.dataset.record import check_name
-from foretouch.dataset.recording import RecordedDataset, is_dataset
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
-from foretouch.dataset.recording.folder import lock
+from foretouch.dataset.recording.folder import is_dataset, lock
+from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.errors import DatasetError, FileError
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.pose import quaternion_xyzw
-from foretouch.tactile.messages import stamp_ns
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import AnyArray, Cloud, Float64, Grasp, Index, Int64
 
 _START: Final = 4  # of the fields in CDR
@@ -107,19 +107,12 @@ def _point(position: Any) -> SimpleNamespace:
 
 
 class ObjectCloud(NamedTuple):
-    """One object of an `object_cloud`.
+    """One object of an `object_cloud`."""
 
-    Attributes:
-        id: Its label as text; "" in a cloud without labels.
-        cloud: (N, 3), the points of this object.
-        pixels: (N,) int64, flat index of each point in the image that it was cut from; None without an image.
-        image_shape: (H, W) of that image.
-    """
-
-    id: str
-    cloud: Cloud
-    pixels: Int64 | None = None
-    image_shape: tuple[int, int] | None = None
+    id: str  # its label as text; "" in a cloud without labels
+    cloud: Cloud  # (N, 3), the points of this object
+    pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it was cut from, if any
+    image_shape: tuple[int, int] | None = None  # (H, W) of that image
 
 
 def decode_cloud(message: Any) -> Cloud:

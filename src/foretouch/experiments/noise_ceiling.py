@@ -41,7 +41,8 @@ from foretouch.learning.data import labels_of
 from foretouch.report.panels import Axes, Rows
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.world import SampleKey
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample

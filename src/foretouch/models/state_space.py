@@ -94,12 +94,8 @@ class TrackerParameters(TensorRecord):
     object: Float64  # (2, 50) variance between objects, new and known
     noise: Float64  # (2, 50) variance of the noise of a grasp, on new and known objects
     tare_noise: Float64  # (50,) variance of a tare around the slow state
-    difference_shrinkage: (
-        Float64  # (2, 50) in [0, 1], shrinkage factor of predicted differences between grasps, per value
-    )
-    factor: (
-        Float64  # (4,) by modality: half width of a 90 % interval over the predicted deviation, before it is adapted
-    )
+    difference_shrinkage: Float64  # (2, 50) in [0, 1], factor on predicted differences between grasps, per value
+    factor: Float64  # (4,) by modality: first half width of a 90 % interval over the predicted deviation
     alarm: Float64  # (2, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
     slope: Float64 = field(default_factory=_no_slope)  # (50,) expected counts per count of TDC, by value
     slope_sd: Float64 = field(default_factory=_no_slope)  # (50,) standard deviation of the slopes between sensors

@@ -51,9 +51,7 @@ MISS_RATE: Final = 0.1
 _ADAPTATION_RATE: Final = 0.2  # of the logarithm of the factor, a touch
 _COMMON_JUMP: Final = 9.14  # quantile 0.9975 of chi-square with 1 degree of freedom
 _KEPT_SHARE: Final = 0.5  # of what was adapted, at another object
-_FIRST_TOUCH: Final = (
-    4.0  # times the limits at the first touch of an object: few objects determine how much these differ
-)
+_FIRST_TOUCH: Final = 4.0  # times the limits at the first touch: few objects determine how much objects differ
 _FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first value, and at least an eighth of it
 _LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
 _AHEAD_NS: Final = 60 * 10**9

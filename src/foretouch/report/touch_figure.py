@@ -69,12 +69,13 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     for part, one, row in zip(parts, grasps, panels, strict=True):
         part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=10)
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
+        views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
         if one.target is not None:
-            _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
-            _draw_front(axes[1], one.target.cloud, one.prediction.grasp)
-        for panel in [*axes[: len(left) if one.target is None else 0], *axes[len(left) + len(row) :]]:
+            _draw_scene(views[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+            _draw_front(views[1], one.target.cloud, one.prediction.grasp)
+        for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
-        for panel, (name, what, touch) in zip(axes[len(left) :], row, strict=False):
+        for panel, (name, what, touch) in zip(fingers, row, strict=True):
             scale.draw(panel, touch, one.rest, name, size=100, outside=_outside(one, name) if what == "read" else None)
             half = _half_width(one.prediction, name) if what == "predicted" else ""
             title = f"{FINGER_NAMES[name]} {what}\nPDC {finger_parts(touch, name)[0]:.0f}{half}"

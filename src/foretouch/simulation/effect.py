@@ -12,9 +12,12 @@ import numpy as np
 
 from foretouch.grasp import GraspPlan
 from foretouch.simulation.campaign import Campaign, CampaignTime
-from foretouch.simulation.contact import ContactFrame, ContactSolution, HeldWeight, PadWindow
+from foretouch.simulation.contact.grip import HeldWeight
+from foretouch.simulation.contact.pad import ContactFrame, PadWindow
+from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.simulation.fingertip import Finger
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.solids import Body, Hits
 from foretouch.simulation.view import Window
 from foretouch.simulation.world import SampleKey, World

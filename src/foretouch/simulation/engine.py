@@ -12,7 +12,8 @@ from typing import Final
 from foretouch.errors import ContactError, ConvergenceError, ForetouchError, GraspError, SimulationError
 from foretouch.simulation.campaign import Campaign, object_index
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.world import SampleKey, World
 
 # Reasons of failed tries that are not named by the effect.

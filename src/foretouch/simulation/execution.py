@@ -13,13 +13,15 @@ import numpy.typing as npt
 
 from foretouch.config import setting
 from foretouch.errors import SimulationError
-from foretouch.simulation.contact import ContactFrame
+from foretouch.simulation.contact.pad import ContactFrame
 from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.fingertip import quantise
-from foretouch.simulation.scene import DriftConfig, SceneConfig, TimelineConfig, draw
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
@@ -36,16 +38,9 @@ class GraspTimingConfig(TimelineConfig):
     """The phases of a live grasp. Whoever wants a tare finds it in the rest."""
 
     rest_s: float = setting(
-        0.5,
-        "Time before the hand moves, and again after release",
-        unit="s",
-        minimum=0.02,
-        maximum=600.0,
-        read_only=True,
+        0.5, "Time before the hand moves, and again after release", minimum=0.02, maximum=600.0, read_only=True
     )
-    approach_s: float = setting(
-        0.3, "Time from there to first touch", unit="s", minimum=0.0, maximum=60.0, read_only=True
-    )
+    approach_s: float = setting(0.3, "Time from there to first touch", minimum=0.0, maximum=60.0, read_only=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
-from foretouch.simulation.contact import ContactFrame, ContactSolution, PadConfig, PadWindow
+from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
 from foretouch.types import ELECTRODES, Float64, Int64
 

@@ -23,13 +23,13 @@ class ScheduleConfig(Settings):
 
     path: str = setting("", "Path of the scene file (YAML)", read_only=True)
     dwell_s: float = setting(
-        3.0, "Time that each sample stays on the table", unit="s", minimum=0.05, maximum=86400.0, read_only=True
+        3.0, "Time that each sample stays on the table", minimum=0.05, maximum=86400.0, read_only=True
     )
     samples: int = setting(
         1000, "Number of samples that are shown before the first comes again", minimum=1, read_only=True
     )
     origin_ns: int = setting(
-        0, "Time when the first sample is laid on the table, since 1970", unit="ns", minimum=0, read_only=True
+        0, "Time when the first sample is laid on the table, since 1970", minimum=0, read_only=True
     )
 
     def load(self) -> SceneConfig:

@@ -12,7 +12,10 @@ from pair_builders import REST, level
 from rclpy.qos import ReliabilityPolicy
 from robot_builders import FRAME, MS, QUICK, Robot, accounts, outcomes, start
 
-from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_dataset, verify_dataset
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg

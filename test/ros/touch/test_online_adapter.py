@@ -19,7 +19,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from foretouch.cli.live import live_panel
-from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch
+from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
+from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject
@@ -29,9 +30,8 @@ from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg

@@ -8,15 +8,9 @@ from every_case import every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    Layer,
-    bed_stiffness,
-    solve_hertz,
-    solve_layer,
-    solve_winkler,
-)
+from foretouch.simulation.contact.closed_form import bed_stiffness, solve_hertz, solve_winkler
+from foretouch.simulation.contact.layer import solve_layer
+from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 
 
 def test_hertz_of_a_sphere_is_the_closed_form():

@@ -9,8 +9,10 @@ from every_case import every_case
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import Command, ContactProblem, Layer, bed_stiffness, solve_layer
 from foretouch.simulation.contact import layer as module
+from foretouch.simulation.contact.closed_form import bed_stiffness
+from foretouch.simulation.contact.layer import solve_layer
+from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 
 TIGHT = {"tolerance": 1e-9}
 

@@ -7,7 +7,9 @@ from contact_builders import press, rounded_edge
 from every_case import every_case
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, choose_level, solve_contact
+from foretouch.simulation.contact.grip import choose_level, solve_contact
+from foretouch.simulation.contact.pad import PadConfig
+from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 from foretouch.simulation.fingertip import ThumbConfig, draw_finger, read_contact
 
 FINGER = draw_finger(ThumbConfig(), np.random.default_rng(0))

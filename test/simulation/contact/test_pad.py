@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import PadConfig, contact_frame, gap_field, pad_direction, pad_window
+from foretouch.simulation.contact.pad import PadConfig, contact_frame, gap_field, pad_direction, pad_window
 from foretouch.tactile import electrode_positions
 
 PAD = PadConfig()

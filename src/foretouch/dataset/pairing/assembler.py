@@ -25,7 +25,7 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import TactileReader, stamp_ns
+from foretouch.tactile.messages.table import TactileReader, stamp_ns
 from foretouch.types import Cloud, Grasp, GraspSample
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]

@@ -16,7 +16,7 @@ from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError,
 from foretouch.dataset.pairing.sensors import Episode
 from foretouch.dataset.record import Outcome
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import stamp_ns
+from foretouch.tactile.messages.table import stamp_ns
 
 _SECOND_NS = 1_000_000_000
 _MAX_PLANS = 10_000

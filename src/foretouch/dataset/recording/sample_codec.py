@@ -30,7 +30,7 @@ from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError
-from foretouch.tactile.messages import stamp_ns
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
 
 if TYPE_CHECKING:

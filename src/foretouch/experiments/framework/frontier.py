@@ -211,9 +211,6 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
     axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
     axes.set_ylabel(meaning)
     axes.set_title(panel.title, fontsize=10)
-    named = sorted(
-        (row for row in skilled if row in line or row["factor"] == "shipped"), key=lambda row: float(row[skill])
-    )
     name_points(axes, {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in named}, _LINE)
 
 

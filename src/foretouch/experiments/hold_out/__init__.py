@@ -64,9 +64,7 @@ def _run(split: Splitter, cell: Cell, settings: HoldOutSettings, data: Any) -> l
     mean = labels_of(chosen.train).mean(axis=0) if chosen.mean is None else chosen.mean
     rows = []
     for samples in chosen.tested:
-        everything = fitted.predict(
-            samples
-        )  # all at once, so that a baseline that is fitted in each call is fitted once
+        everything = fitted.predict(samples)  # all at once: some baselines are fitted in each call
         if not isinstance(settings, TouchSettings) or chosen.table:
             rows += error_rows(samples, everything, labels_of(samples), mean)
             continue

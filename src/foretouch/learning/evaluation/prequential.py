@@ -47,9 +47,7 @@ class Recording:
     expected: Float64  # (S, 50) predictions by vision, at the rest level of training [counts]
     tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
     known: npt.NDArray[np.bool_] | None = None  # (S,) whether the object is like those of training; None if none is
-    tdc: Float64 | None = (
-        None  # (S, 2) TDC of thumb and middle finger with the reading, NaN where there is none [counts]
-    )
+    tdc: Float64 | None = None  # (S, 2) TDC of thumb and middle finger with the reading, NaN without [counts]
     tare_tdc: Float64 | None = None  # (S, 2) the same with the tare
 
     @classmethod

@@ -18,14 +18,15 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.messages import decode_cloud
-from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Role, SampleAssembler, SerializedCloud, TouchCut
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
-from foretouch.tactile.messages import TactileConfig, make_reader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TouchPrediction, TouchPredictionArray

@@ -14,17 +14,18 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from foretouch.config import Settings, setting
-from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, PairingConfig, Role, SampleAssembler
-from foretouch.dataset.record import check_name
-from foretouch.dataset.recording import Identity, Outcome, RecordingConfig, RecordingWriter
+from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.cut import Interval, PairingConfig
+from foretouch.dataset.pairing.matcher import Label
+from foretouch.dataset.record import Identity, Outcome, check_name
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
-from foretouch.tactile.messages import TactileReader, make_reader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
@@ -55,14 +56,12 @@ class RecorderConfig(NodeConfig, TactileInput):
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
-    unlabelled_s: float = setting(
-        1.0, "Minimum time between two samples without a touch", unit="s", minimum=0.0, maximum=3600.0
-    )
+    unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", minimum=0.0, maximum=3600.0)
     assume_grasps: bool = setting(
         False, "Whether a contact without a report is assigned to the best grasp of the last cloud before it"
     )
     queue_mb: int = setting(
-        500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
+        500, "Memory for messages that wait for the disk", minimum=10, maximum=100_000, read_only=True
     )
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)

@@ -14,8 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud
-from foretouch.dataset.recording import SAMPLE_TOPIC, RecordingWriter, TopicCounts
+from foretouch.dataset.pairing.assembler import Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
+from foretouch.dataset.recording.records import TopicCounts
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized

@@ -100,7 +100,7 @@ class OutputFrameConfig(Settings):
         read_only=True,
     )
     transform_timeout_s: float = setting(
-        0.1, "Longest wait for the transform of a cloud from tf2", unit="s", minimum=0.0, maximum=10.0, read_only=True
+        0.1, "Longest wait for the transform of a cloud from tf2", minimum=0.0, maximum=10.0, read_only=True
     )
 
     def __post_init__(self) -> None:

@@ -23,7 +23,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.touch_model import History, TouchModel
@@ -32,8 +34,7 @@ from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
-from foretouch.tactile.messages import TactileReader
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileReader, stamp_ns
 from foretouch.types import Cloud, Float32, Float64, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg

@@ -7,7 +7,7 @@ import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.campaign import object_index
-from foretouch.simulation.contact import (
+from foretouch.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
     PadWindow,
@@ -17,7 +17,9 @@ from foretouch.simulation.contact import (
     pad_window,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ObjectConfig, SceneConfig, SurfaceConfig, draw
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.objects import ObjectConfig, SurfaceConfig
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 

@@ -15,8 +15,15 @@ from foretouch.simulation.disturbances import (
     warming,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import CampaignConfig, DriftTermConfig, ExchangeConfig, ObjectConfig, SceneConfig
-from foretouch.simulation.scene.campaign import FluidLossConfig, ThermistorConfig
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.campaign import (
+    CampaignConfig,
+    DriftTermConfig,
+    ExchangeConfig,
+    FluidLossConfig,
+    ThermistorConfig,
+)
+from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.types import ELECTRODES
 
 _CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact

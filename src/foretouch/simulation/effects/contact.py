@@ -6,21 +6,13 @@ from functools import partial
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.contact import (
-    LEVELS,
-    Command,
-    ContactProblem,
-    Layer,
-    PadWindow,
-    choose_level,
-    gap_field,
-    solve_grip,
-    weigh,
-)
+from foretouch.simulation.contact.grip import LEVELS, choose_level, solve_grip, weigh
+from foretouch.simulation.contact.pad import PadWindow, gap_field
+from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects.approach import pad_of
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
-from foretouch.simulation.scene.objects import POISSON
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.objects import POISSON, ObjectConfig
 from foretouch.types import Float64
 
 _GRAVITY_M_S2 = 9.81

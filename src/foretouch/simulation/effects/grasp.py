@@ -7,10 +7,10 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
-from foretouch.simulation.contact import ContactFrame
+from foretouch.simulation.contact.pad import ContactFrame
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ExecutionErrorConfig, draw
-from foretouch.simulation.scene.fingers import TARGET_SHARE
+from foretouch.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
+from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
 
 _UP = np.array([0.0, 0.0, 1.0])

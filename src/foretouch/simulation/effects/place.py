@@ -7,7 +7,8 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import ClutterConfig, ObjectConfig, draw
+from foretouch.simulation.scene.objects import ClutterConfig, ObjectConfig
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.solids import LYING, Body, about_z, footprint_m
 from foretouch.types import Float64
 

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
+from foretouch.simulation.contact.grip import solve_contact
+from foretouch.simulation.contact.pad import PadWindow
+from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.simulation.disturbances import (
     PAC_REST,
     VIBRATION_S,
@@ -25,8 +27,10 @@ from foretouch.simulation.effects import campaign
 from foretouch.simulation.effects.approach import pad_of, surface_behind
 from foretouch.simulation.effects.contact import command_of, contact_problem
 from foretouch.simulation.fingertip import Finger, quantise, read_contact
-from foretouch.simulation.scene import DeadConfig, DriftConfig, ObjectConfig, SceneConfig, TimelineConfig, draw
-from foretouch.simulation.scene.fingers import VibrationConfig
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
+from foretouch.simulation.scene.objects import ObjectConfig
+from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
 from foretouch.tactile.messages.biotac_all import OTHERS
 from foretouch.types import ELECTRODES, Float64, Touch

@@ -11,7 +11,7 @@ import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
-from foretouch.simulation.contact import LEVELS
+from foretouch.simulation.contact.grip import LEVELS
 from foretouch.simulation.depth_scene import TABLE_M
 from foretouch.simulation.scene.camera import CameraConfig
 from foretouch.simulation.scene.campaign import CampaignConfig
