@@ -84,7 +84,7 @@ def retype(file: Path, rng: np.random.Generator) -> None:
     elif file.suffix == ".npz":
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
             content = io.BytesIO()
-            np.save(content, np.zeros((int(rng.integers(1, 3_000_000)), 3)))
+            np.save(content, np.zeros((int(3e6 ** rng.random()), 3)))
             archive.writestr("xyz.npy", content.getvalue())
     else:
         file.write_bytes(file.read_bytes()[::-1])
