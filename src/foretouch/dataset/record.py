@@ -79,6 +79,11 @@ def numbered_id(label: str, number: int) -> str:
     return f"{label}/{number:06d}"
 
 
+def renamed_id(sample_id: str, label: str) -> str:
+    """The id of a sample that is assigned to another object."""
+    return f"{label}/{sample_id.partition('/')[2]}"
+
+
 def id_number(sample_id: str) -> int:
     """The number in an id of `numbered_id`, else 0; names of 10 digits are unix times."""
     name = sample_id.rpartition("/")[2]

@@ -33,10 +33,6 @@ def normals_and_curvature(xyz, query, radius_m: float = 0.03) -> tuple[Array, Ar
     return np.where(spans[:, None], normal, np.nan), np.where(spans, curvature, np.nan)
 
 
-def count_without_normal(xyz, radius_m: float = 0.03) -> int:
-    return np.count_nonzero(~_covariance(summed_moments(xyz, xyz, radius_m))[1])
-
-
 def flying_points(xyz, some, radius: float, gap_m: float, slope: float, share: float, support: float) -> Array:
     z, rays = xyz[:, 2], xyz[:, :2] / xyz[:, 2:]
     found = np.zeros(len(some), np.bool_)
