@@ -194,7 +194,7 @@ class SensorTracker:
         self._filter.advance(self._seconds_to(stamp))
         self._newest_ns = stamp
         x = self._add_tdc(tdc, stamp)
-        counts, half = self.predict(stamp, expected[None])
+        counts, half = self.adapt(self.level(stamp), expected[None])
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted(x=x)
         noise = self.parameters.noise[self._kind]
@@ -286,27 +286,16 @@ class SensorTracker:
             reading_age_s=self._seconds_to(stamp_ns) if self._readings else None,
         )
 
-    def predict(
-        self, stamp_ns: int, expected: Float64, *, same_object: bool = True, known: bool = False
-    ) -> tuple[Float64, Float64]:
-        """Predictions adapted to all readings, and the half widths of their 90 % intervals.
+    def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
+        """(K, 50) predictions adapted to all readings, and (K, 50) half widths of their 90 % intervals [counts].
 
         After touches of the object, differences of the predictions by vision from their mean at the touches are
         multiplied by `difference_shrinkage`.
 
         Args:
-            stamp_ns: Time of the prediction [ns].
+            level: Of this tracker since its last reading.
             expected: (K, 50) predictions by vision [counts].
-            same_object: As of `level`.
-            known: As of `level`.
-
-        Returns:
-            (K, 50) predictions and (K, 50) half widths [counts].
         """
-        return self.adapt(self.level(stamp_ns, same_object=same_object, known=known), expected)
-
-    def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
-        """As `predict`, at a level of this tracker since its last reading."""
         counts = expected + level.offset
         if level.evidence.touches:
             anchor = self._expected / level.evidence.touches

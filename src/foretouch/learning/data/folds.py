@@ -8,8 +8,7 @@ Three splits answer three questions:
 - `time_folds`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
   cut into consecutive blocks.
 - `group_folds`: how well is a new object predicted? In the public recordings this is also another day, since each
-object
-  was recorded on different days.
+  object was recorded on different days.
 """
 
 from collections.abc import Callable, Iterator, Sequence

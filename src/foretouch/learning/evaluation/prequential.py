@@ -176,31 +176,19 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
 
     Args:
         calibration: Of the model that predicts by vision.
-        touched: Touches in order of time, none or more, with their tares.
-        asked: The grasps, each with its own tare; their readings are not used.
+        touched: Touches in order of time, none or more, without tares.
+        asked: The grasps, without tares; their readings are not used.
 
     Returns:
         (S, 50) predictions and half widths [counts].
     """
-    tracker, newest_ns = SensorTracker(calibration.tracker_parameters), 0
-    for k, stamp in enumerate(touched.stamps_ns.tolist()):
-        if k == 0:
-            tracker.start_object(known=touched.is_known(k))
-        newest_ns = max(newest_ns, stamp)
-        if (tare := touched.tare(k)) is not None:
-            tracker.add_tare(newest_ns, tare, tdc=_row(touched.tare_tdc, k))
-        tracker.add_touch(newest_ns, touched.readings[k], touched.expected[k], tdc=_row(touched.tdc, k))
+    tracker = SensorTracker(calibration.tracker_parameters)
+    replay(tracker, touched)
     counts, half = asked.expected.copy(), np.empty_like(asked.expected)
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
-        own, tare = tracker, asked.tare(k)
-        if tare is not None:
-            own = tracker.copy()
-            own.add_tare(max(newest_ns, stamp), tare, tdc=_row(asked.tare_tdc, k))
-        if own.evidence(0).readings:
-            level = own.level(
-                max(newest_ns, stamp), same_object=own.touches > 0, known=asked.is_known(k), tdc=asked.tdc_before(k)
-            )
-            (counts[k],), (half[k],) = own.adapt(level, asked.expected[k : k + 1])
+        if tracker.touches:
+            level = tracker.level(stamp, known=asked.is_known(k), tdc=asked.tdc_before(k))
+            (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1])
         else:
             half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]
     return counts, half

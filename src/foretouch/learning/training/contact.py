@@ -184,38 +184,28 @@ class ContactPredictor:
         """(S, 50) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
-    def predict_after(
-        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
-    ) -> Float64:
-        """Predictions after touches of the same object, with all tares or none, as `TouchModel.predict` gives them.
-
-        Raises:
-            DatasetError: If `tare` is set and a sample has no tare.
-        """
-        if not touched and not tare:  # requires no calibration
-            return self._estimate(samples)[0]
-        return self.intervals_after(touched, samples, tare=tare)[0]
+    def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
+        """Predictions after touches of the same object, without tares, as `TouchModel.predict` gives them."""
+        if not touched:  # requires no calibration
+            return self.predict(samples)
+        return self.intervals_after(touched, samples)[0]
 
     def intervals_after(
-        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
+        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]
     ) -> tuple[Float64, Float64]:
         """As `predict_after`, with the half widths of the intervals, both (S, 50) [counts].
 
         Raises:
-            DatasetError: If `tare` is set and a sample has no tare, or the training samples are all of one object.
+            DatasetError: If the training samples are all of one object.
         """
         earlier = sorted(touched, key=lambda sample: sample.stamp_ns)
-        recordings = (self._recording(part, tare=tare) for part in (earlier, samples))
-        return predict_after(self.calibration[0], *recordings)
+        return predict_after(self.calibration[0], *(self._recording(part) for part in (earlier, samples)))
 
-    def _recording(self, samples: Sequence[GraspSample], *, tare: bool) -> Recording:
-        """Samples with their predictions by vision, and with their tares if these are to be used."""
-        if tare and (missing := [sample.id for sample in samples if sample.tare is None]):
-            raise DatasetError(f"{missing[0]}: tare: is missing")
+    def _recording(self, samples: Sequence[GraspSample]) -> Recording:
+        """Samples with their predictions by vision, without their tares."""
         expected, familiar = self._estimate(samples)
         labels = labels_of(samples) if samples else expected
-        recording = Recording.of_samples(samples, labels, expected, self.rest, familiar)
-        return recording if tare else replace(recording, tares=None)
+        return replace(Recording.of_samples(samples, labels, expected, self.rest, familiar), tares=None)
 
     @cached_property
     def calibration(self) -> tuple[Calibration, dict[str, Any]]:
