@@ -5,13 +5,14 @@ A component declares its settings in its own module::
 
     @dataclass(frozen=True, kw_only=True)
     class CropConfig(Settings):
-        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0, unit="m")
+        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0)
 
-The fields contain the description, unit, bounds and whether a running node may change them. The
-command line, the YAML reader and the ROS parameters are all derived from this declaration.
+The fields contain the description, unit, bounds and whether a running node may change them; the unit is that of the end of
+the name where it has one. The command line, the YAML reader and the ROS parameters are all derived from this declaration.
 """
 
 import dataclasses
+import inspect
 import math
 import re
 import typing
@@ -27,6 +28,10 @@ from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, s
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least
+
+# By the end of the name of a setting.
+_SAME: Final = ("m", "mm", "s", "ms", "ns", "deg", "kg", "counts", "days")
+_UNITS: Final = {**dict(zip(_SAME, _SAME, strict=True)), "hz": "Hz", "pa": "Pa", "n": "N", "kelvin": "K", "mb": "MB"}
 
 EMPTY: Final = "\0"
 """Stands for the value of `key:` in YAML and of `key=`, which has none; no setting accepts this text."""
@@ -102,7 +107,7 @@ def setting(
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
+    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); no unit is that of the name."""
     limits = {"minimum": minimum, "maximum": maximum, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
 
@@ -111,11 +116,17 @@ def setting(
 class Settings:
     """Base of every component's settings; checks each value on construction.
 
-    Subclasses with rules across fields extend `__post_init__` and call this one first.
+    Subclasses with rules across fields extend `__post_init__` and call this one first. Those with the argument
+    `read_only=True` declare read-only settings alone.
 
     Raises:
         ConfigError: With the field, the value and the rule.
     """
+
+    _all_read_only: ClassVar[bool] = False
+
+    def __init_subclass__(cls, *, read_only: bool = False) -> None:
+        cls._all_read_only = read_only
 
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
@@ -265,9 +276,10 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
-        infos.append(
-            SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **f.metadata)
-        )
+        owner = next(c for c in cls.__mro__ if issubclass(c, Settings) and f.name in inspect.get_annotations(c))
+        unit = f.metadata["unit"] or _UNITS.get(f.name.rpartition("_")[2], "")
+        own = {**f.metadata, "unit": unit, "read_only": f.metadata["read_only"] or owner._all_read_only}  # noqa: SLF001
+        infos.append(SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **own))
     _INFOS[cls] = tuple(infos)
     return _INFOS[cls]
 

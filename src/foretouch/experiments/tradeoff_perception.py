@@ -24,7 +24,10 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row
 from foretouch.experiments.framework.frontier import Panel
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch.experiments.shared.scores import interval_columns
+from foretouch.experiments.shared.tables import grouped
 from foretouch.grasp.original_score import OriginalScore, original_score
+from foretouch.learning.evaluation.metrics import Estimate
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
 from foretouch.simulation.solids import Primitive
@@ -311,8 +314,7 @@ def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
 def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant: masks of a segmentation, scores of a GeoGrasp, and what both do to grasps and touch."""
     result = []
-    for name in dict.fromkeys(row["variant"] for row in rows):
-        own = [row for row in rows if row["variant"] == name]
+    for name, own in grouped(rows, "variant"):
         masks = own[0]["step"] == SEGMENTATION
         row: Row = {"variant": name, **_interval("iou", own if masks else [])}
         row |= {
@@ -354,13 +356,13 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     """Mean over objects, and its 95 % interval by drawing scenes."""
     known = [row for row in rows if row[key] is not None]
     if not known:
-        return {key: None, f"{key}_low": None, f"{key}_high": None}
+        return interval_columns(key, None)
     numbers, scene = np.unique([row["scene"] for row in known], return_inverse=True)
     sums = np.bincount(scene, [row[key] for row in known])
     counts = np.bincount(scene)
     drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
     low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))
-    return {key: float(sums.sum() / counts.sum()), f"{key}_low": float(low), f"{key}_high": float(high)}
+    return interval_columns(key, Estimate(float(sums.sum() / counts.sum()), float(low), float(high)))
 
 
 def _timed(variant: Variant, _settings: PerceptionSettings, data: PerceptionData) -> Timed:

@@ -15,7 +15,7 @@ _METHOD = "original: equal to the published GeoGrasp; stable: its grasps move li
 class GeoGraspConfig(Settings):
     """Settings of the grasp planner (GeoGrasp: Zapata-Impata et al. 2019)."""
 
-    tip_mm: float = setting(25.0, "Size of the gripper's fingertip", unit="mm", minimum=1.0, maximum=200.0)
+    tip_mm: float = setting(25.0, "Size of the gripper's fingertip", minimum=1.0, maximum=200.0)
     count: int = setting(1, "Maximum number of grasps, best first", minimum=1, maximum=10_000)
     max_points: int = setting(
         8000,
@@ -28,10 +28,10 @@ class GeoGraspConfig(Settings):
         1.0, "Standard deviations above the mean that the outlier filter keeps", minimum=0.0, maximum=100.0
     )
     normal_radius_m: float = setting(
-        0.03, "Radius of the neighbourhood for normal estimation", unit="m", minimum=0.001, maximum=1.0
+        0.03, "Radius of the neighbourhood for normal estimation", minimum=0.001, maximum=1.0
     )
     slab_half_width_m: float = setting(
-        0.007, "Points closer than this to the grasp plane may be contacts", unit="m", minimum=0.0005, maximum=0.5
+        0.007, "Points closer than this to the grasp plane may be contacts", minimum=0.0005, maximum=0.5
     )
     slide_fraction: float = setting(
         0.8,

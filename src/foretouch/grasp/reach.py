@@ -20,14 +20,10 @@ class ReachConfig(Settings):
     """The hand's reach. The defaults are those of a Shadow Hand, thumb and middle finger."""
 
     max_width_m: float = setting(
-        0.2, "Grasps whose contacts are farther apart are refused", unit="m", minimum=0.001, maximum=10.0
+        0.2, "Grasps whose contacts are farther apart are refused", minimum=0.001, maximum=10.0
     )
     max_distance_m: float = setting(
-        0.1,
-        "Grasps with a contact farther from the object's nearest point are refused",
-        unit="m",
-        minimum=0.0,
-        maximum=10.0,
+        0.1, "Grasps with a contact farther from the object's nearest point are refused", minimum=0.0, maximum=10.0
     )
 
 

@@ -93,17 +93,8 @@ class HandHistory:
     ) -> tuple[str, ...]:
         """Add a reading without contact; one within a minute of the last is left out, since their errors are the same.
 
-        Args:
-            stamp_ns: When it was taken [ns].
-            tare: [counts].
-            now_ns: Wall clock, which the stamp may not be ahead of [ns]; None: not checked.
-            tdc: (2,) TDC of thumb and middle finger [counts]; NaN or None where it was not read.
-
-        Returns:
-            Fingers that were restarted: a jump or another sensor.
-
-        Raises:
-            TactileError: If it is not a reading of working sensors, or the stamp cannot be used.
+        Arguments, result and errors are as of `SensorTracker.add_tare`, for the reading itself [counts]; one that is not of
+        working sensors is a `TactileError` too.
         """
         if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             return ()
@@ -124,7 +115,7 @@ class HandHistory:
         estimate: Estimate | None = None,
         tdc: Float64 | None = None,
     ) -> tuple[str, ...]:
-        """Add the reading of an executed grasp.
+        """Add the reading of an executed grasp; stamps, temperature and result are as of `SensorTracker.add_tare`.
 
         Args:
             stamp_ns: When it was taken [ns].
@@ -132,13 +123,10 @@ class HandHistory:
             grasp: As executed.
             reading: Both fingers in contact [counts].
             new_object: Whether it is another object than before.
-            now_ns: As of `add_tare`.
+            now_ns: Wall clock [ns].
             limits: Range and size of objects.
             estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
-            tdc: As of `add_tare`.
-
-        Returns:
-            As `add_tare`.
+            tdc: (2,) [counts].
 
         Raises:
             TactileError: If the reading is not that of working sensors, or the stamp cannot be used.

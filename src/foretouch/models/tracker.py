@@ -173,20 +173,9 @@ class SensorTracker:
         now_ns: int | None = None,
         tdc: Float64 | None = None,
     ) -> tuple[str, ...]:
-        """Add the reading of a grasp on the current object.
+        """Add the (50,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
 
-        Args:
-            stamp_ns: When it was taken [ns].
-            reading: (50,) [counts].
-            expected: (50,) prediction by vision of the same grasp [counts].
-            now_ns: As of `add_tare`.
-            tdc: As of `add_tare`.
-
-        Returns:
-            Names from `FINGERS` that the innovation test restarted.
-
-        Raises:
-            TactileError: If the stamp or a value cannot be used; nothing is changed then.
+        The other arguments, the result and the errors are as of `add_tare`.
         """
         _check_counts("reading", reading, 0.0, FULL_SCALE)
         _check_counts("expected", expected)

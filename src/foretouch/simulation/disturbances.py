@@ -44,11 +44,9 @@ class NoiseConfig(Settings):
     """Noise of the channels."""
 
     electrode_counts: float = setting(
-        4.2, "Standard deviation of the white noise of an electrode", unit="counts", minimum=0.0, maximum=1e6
+        4.2, "Standard deviation of the white noise of an electrode", minimum=0.0, maximum=1e6
     )
-    pdc_counts: float = setting(
-        0.3, "Standard deviation of the white noise of PDC", unit="counts", minimum=0.0, maximum=1e6
-    )
+    pdc_counts: float = setting(0.3, "Standard deviation of the white noise of PDC", minimum=0.0, maximum=1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +54,9 @@ class TemperatureConfig(Settings):
     """Warming of the liquid, which moves all counts; it is not compensated in the sensor."""
 
     body_kelvin: float = setting(
-        3.0, "Rise of the liquid's temperature since power-on, in the end", unit="K", minimum=-1e3, maximum=1e3
+        3.0, "Rise of the liquid's temperature since power-on, in the end", minimum=-1e3, maximum=1e3
     )
-    warming_s: float = setting(600.0, "Time constant of the warming", unit="s", minimum=1e-3, maximum=1e9)
+    warming_s: float = setting(600.0, "Time constant of the warming", minimum=1e-3, maximum=1e9)
 
 
 def ou_noise(
@@ -93,7 +91,7 @@ class CreepConfig(Settings):
     """The skin relaxes under load within seconds; with a slow share, a part of the response comes later still."""
 
     slow_share: float = setting(0.0, "Part of the response that comes later still", minimum=0.0, maximum=0.9)
-    slow_s: float = setting(30.0, "Time constant of that part", unit="s", minimum=0.1, maximum=1e5)
+    slow_s: float = setting(30.0, "Time constant of that part", minimum=0.1, maximum=1e5)
 
 
 def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:

@@ -53,12 +53,11 @@ class ContactConfig(Settings):
         0.7, "Score below which contact ends, relative to the score at which it begins", minimum=0.1, maximum=1.0
     )
     confirm: int = setting(3, "Consecutive readings that confirm a change", minimum=1, maximum=100)
-    window_s: float = setting(0.5, "Time over which the reference is computed", unit="s", minimum=0.05, maximum=60.0)
+    window_s: float = setting(0.5, "Time over which the reference is computed", minimum=0.05, maximum=60.0)
     lag_s: float = setting(
-        0.3, "Time between the reference and now: a slower contact is considered drift", unit="s", minimum=0.0,
-        maximum=60.0,
-    )  # fmt: skip
-    longest_s: float = setting(120.0, "Longer contacts are considered drift", unit="s", minimum=1.0, maximum=1e6)
+        0.3, "Time between the reference and now: a slower contact is considered drift", minimum=0.0, maximum=60.0
+    )
+    longest_s: float = setting(120.0, "Longer contacts are considered drift", minimum=1.0, maximum=1e6)
 
 
 class ContactEvent(NamedTuple):

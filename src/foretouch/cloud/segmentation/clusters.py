@@ -41,8 +41,8 @@ _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised poin
 class CropConfig(Settings):
     """Depth range along the optical axis."""
 
-    min_range_m: float = setting(0.16, "Points nearer than this are ignored", minimum=0.0, maximum=10.0, unit="m")
-    max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.01, maximum=16.0, unit="m")
+    min_range_m: float = setting(0.16, "Points nearer than this are ignored", minimum=0.0, maximum=10.0)
+    max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.01, maximum=16.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,7 +60,7 @@ class ClusterConfig(Settings):
     """Which points are above the table, and which of them are one object."""
 
     min_height_m: float = setting(
-        0.004, "Points lower than this above the table belong to it", minimum=0.001, maximum=0.1, unit="m"
+        0.004, "Points lower than this above the table belong to it", minimum=0.001, maximum=0.1
     )
     noise_factor: float = setting(
         2.5,
@@ -69,7 +69,7 @@ class ClusterConfig(Settings):
         maximum=10.0,
     )
     gap_m: float = setting(
-        0.008, "Neighbouring pixels that differ less in depth are connected", minimum=0.001, maximum=0.1, unit="m"
+        0.008, "Neighbouring pixels that differ less in depth are connected", minimum=0.001, maximum=0.1
     )
     max_slope: float = setting(
         20.0,
@@ -85,10 +85,10 @@ class ClusterConfig(Settings):
     )
     min_points: int = setting(150, "Smaller clusters are dropped", minimum=1, maximum=10_000_000)
     min_top_m: float = setting(
-        0.012, "Clusters that do not rise higher above the table are dropped", minimum=0.0, maximum=0.5, unit="m"
+        0.012, "Clusters that do not rise higher above the table are dropped", minimum=0.0, maximum=0.5
     )
     max_extent_m: float = setting(
-        0.6, "Clusters larger than this along an axis are dropped: a wall, an arm", minimum=0.01, maximum=10.0, unit="m"
+        0.6, "Clusters larger than this along an axis are dropped: a wall, an arm", minimum=0.01, maximum=10.0
     )
 
 

@@ -68,13 +68,11 @@ class RecordingConfig(Settings):
         "minute", minimum=0,
     )  # fmt: skip
     fsync_s: float = setting(
-        5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", unit="s", minimum=0.0
+        5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", minimum=0.0
     )
-    chunk_s: float = setting(
-        0.5, "Longest time that messages are collected before they are written", unit="s", minimum=0.0
-    )
-    min_free_mb: float = setting(500.0, "Free disk space at which the recording ends", unit="MB", minimum=0.0)
-    accounts_s: float = setting(5.0, "Time between message counts in the file", unit="s", minimum=0.1)
+    chunk_s: float = setting(0.5, "Longest time that messages are collected before they are written", minimum=0.0)
+    min_free_mb: float = setting(500.0, "Free disk space at which the recording ends", minimum=0.0)
+    accounts_s: float = setting(5.0, "Time between message counts in the file", minimum=0.1)
 
 
 class RecordingWriter:

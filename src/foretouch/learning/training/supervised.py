@@ -72,7 +72,6 @@ class TrainConfig(EpochsConfig):
         "Rotate cloud and grasp about the viewing axis by up to this angle; for cameras that look down",
         minimum=0.0,
         maximum=180.0,
-        unit="deg",
     )
 
 

@@ -42,12 +42,12 @@ class LengthRangeCheck:
             ModelError: If a length is missing or its range is not [low, high].
         """
         try:
-            table = np.array([ranges[name] for name in LENGTHS], np.float64)
+            low, high = np.array([ranges[name] for name in LENGTHS], np.float64).T
+            if not (low <= high).all():
+                raise ValueError("a low end is above the high one")
         except (KeyError, TypeError, ValueError) as err:
             raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}") from err
-        if table.shape != (len(LENGTHS), 2) or not np.all(table[:, 0] <= table[:, 1]):
-            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}")
-        return cls(table[:, 0], table[:, 1])
+        return cls(low, high)
 
     def to_card(self) -> dict[str, list[float]]:
         """Plain data for the card's field `familiar`."""

@@ -52,21 +52,10 @@ def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
     return usable
 
 
-def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | None = None) -> PreparedCloud:
-    """Sample a cloud and map it to the unit sphere.
-
-    Args:
-        cloud: In metres, any frame. Points without depth are ignored.
-        config: Of the network.
-        rng: Chooses the points; by default a new one with `SAMPLER_SEED`, so that one cloud always gives the same
-            input. Training passes its own, so that other points are chosen each time.
-
-    Raises:
-        CloudError: As `finite_points`.
-        ModelError: As `finite_points`.
-    """
+def prepare_cloud(cloud: Cloud, config: ModelConfig) -> PreparedCloud:
+    """Sample a cloud [m] in any frame, with `SAMPLER_SEED`, and map it to the unit sphere; raises as `finite_points`."""
     usable = finite_points(cloud, config)
-    rng = np.random.default_rng(SAMPLER_SEED) if rng is None else rng
+    rng = np.random.default_rng(SAMPLER_SEED)  # so that one cloud always gives the same input
     frame = UnitSphereFrame.fit(usable.xyz)
     index = sample_indices(usable.xyz, config.n_points, method=config.sampler, rng=rng)
     return PreparedCloud(sample_channels(usable, index, frame, config), frame)

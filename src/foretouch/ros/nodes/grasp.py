@@ -33,7 +33,7 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
         maximum=1000.0,
     )
     grasp_hold_tolerance_m: float = setting(
-        0.005, "Change of position or size that makes it another object", unit="m", minimum=0.0, maximum=1.0
+        0.005, "Change of position or size that makes it another object", minimum=0.0, maximum=1.0
     )
 
 

@@ -32,13 +32,13 @@ _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentityConfig(Settings):
+class IdentityConfig(Settings, read_only=True):
     """Which hand and which camera: a dataset holds recordings of one of each."""
 
-    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
-    hand_serial: str = setting("", "Serial number of the hand", read_only=True)
-    camera: str = setting("realsense", "Model of the camera", read_only=True)
-    camera_serial: str = setting("", "Serial number of the camera", read_only=True)
+    hand: str = setting("shadow_hand", "Model of the hand")
+    hand_serial: str = setting("", "Serial number of the hand")
+    camera: str = setting("realsense", "Model of the camera")
+    camera_serial: str = setting("", "Serial number of the camera")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +54,12 @@ class RecorderConfig(NodeConfig, TactileInput):
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
-    unlabelled_s: float = setting(
-        1.0, "Minimum time between two samples without a touch", unit="s", minimum=0.0, maximum=3600.0
-    )
+    unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", minimum=0.0, maximum=3600.0)
     assume_grasps: bool = setting(
         False, "Whether a contact without a report is assigned to the best grasp of the last cloud before it"
     )
     queue_mb: int = setting(
-        500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
+        500, "Memory for messages that wait for the disk", minimum=10, maximum=100_000, read_only=True
     )
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)

@@ -104,11 +104,7 @@ class ReplayConfig(NodeConfig):
         read_only=True,
     )
     rate_hz: float = setting(
-        0.0,
-        "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz",
-        unit="Hz",
-        minimum=0.0,
-        maximum=1000.0,
+        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", minimum=0.0, maximum=1000.0
     )
     loop: bool = setting(False, "Start again at the end, with increasing stamps")
     restamp: bool = setting(False, "Stamp every message with the time of its publication")
@@ -118,7 +114,6 @@ class ReplayConfig(NodeConfig):
         3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
         " announce themselves every 3 s; 0 does not wait",
-        unit="s",
         minimum=0.0,
         maximum=60.0,
     )
@@ -128,7 +123,6 @@ class ReplayConfig(NodeConfig):
     wait_limit_s: float = setting(
         10.0,
         "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
-        unit="s",
         minimum=0.0,
         maximum=3600.0,
     )

@@ -99,13 +99,10 @@ class ProcessingConfig(NodeConfig):
     queue_depth: int = setting(
         8, "Number of inputs that may wait; the oldest is dropped", minimum=1, maximum=10_000, read_only=True
     )
-    silence_s: float = setting(
-        5.0, "Longest time without an input before a warning", unit="s", minimum=0.1, maximum=1e6
-    )
+    silence_s: float = setting(5.0, "Longest time without an input before a warning", minimum=0.1, maximum=1e6)
     partner_timeout_s: float = setting(
         3.0,
         "Longest wait of a cloud for what belongs to it, such as its grasps, until it is answered without",
-        unit="s",
         minimum=0.1,
         maximum=3600.0,
     )

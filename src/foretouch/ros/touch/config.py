@@ -32,33 +32,27 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
         "", "Model to use, with a flag, if `model` cannot be loaded; none if empty", read_only=True
     )
     late_after_s: float = setting(
-        0.5,
-        "Age of a cloud beyond which its predictions are flagged late; 0 for never",
-        unit="s",
-        minimum=0.0,
-        maximum=3600.0,
+        0.5, "Age of a cloud beyond which its predictions are flagged late; 0 for never", minimum=0.0, maximum=3600.0
     )
     latency_budget_ms: float = setting(
         0.0,
         "Time from the receipt of a cloud and its grasps to their predictions, for which cheaper forms of the model are used "
         "and flagged reduced; 0 for no limit",
-        unit="ms",
         minimum=0.0,
         maximum=60_000.0,
         read_only=True,
     )
     thumb_takes_g1: bool = setting(True, "Whether the markers show the thumb at g1, else the middle finger")
     use_tare: bool = setting(True, "Whether predictions use the tare: the tactile readings at rest")
-    tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", unit="s", minimum=0.0, maximum=1e6)
+    tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", minimum=0.0, maximum=1e6)
     use_touches: bool = setting(
         True, "Whether predictions adapt to the tactile readings of executed grasps of the same object"
     )
     forget_after_s: float = setting(
-        300.0, "Time after the last touch of an object until its touches are forgotten", unit="s", minimum=0.0,
-        maximum=1e6,
-    )  # fmt: skip
+        300.0, "Time after the last touch of an object until its touches are forgotten", minimum=0.0, maximum=1e6
+    )
     same_object_m: float = setting(
-        0.02, "How far an object may have moved, or changed in apparent size, since it was touched", unit="m",
+        0.02, "How far an object may have moved, or changed in apparent size, since it was touched",
         minimum=0.0, maximum=1.0,
     )  # fmt: skip
     hand: str = setting(

@@ -33,17 +33,13 @@ class CameraConfig(Settings):
 
     width: int = setting(640, "Columns of the image", unit="px", minimum=16, maximum=1920)
     height: int = setting(480, "Rows of the image", unit="px", minimum=16, maximum=1080)
-    hfov_deg: float = setting(55.0, "Horizontal field of view", unit="deg", minimum=10.0, maximum=120.0)
-    distance_m: float = setting(1.25, "Distance from the world's origin", unit="m", minimum=0.16, maximum=10.0)
+    hfov_deg: float = setting(55.0, "Horizontal field of view", minimum=10.0, maximum=120.0)
+    distance_m: float = setting(1.25, "Distance from the world's origin", minimum=0.16, maximum=10.0)
     tilt_deg: float = setting(
-        0.0,
-        "Angle between the optical axis and the vertical; 0 looks straight down",
-        unit="deg",
-        minimum=0.0,
-        maximum=85.0,
+        0.0, "Angle between the optical axis and the vertical; 0 looks straight down", minimum=0.0, maximum=85.0
     )
     z_step_m: float | None = setting(
-        None, "Step that depth is rounded to; absent for exact depth", unit="m", minimum=1e-5, maximum=0.05
+        None, "Step that depth is rounded to; absent for exact depth", minimum=1e-5, maximum=0.05
     )
     noise: DepthNoiseConfig | None = None
     stereo: Switch | None = None

@@ -23,17 +23,11 @@ class DriftTermConfig(Settings):
     and the grasp (docs/scenes.md). Between 5 and 40 days of memory the likelihood hardly differs.
     """
 
-    memory_days: float = setting(
-        10.0, "Time in which the correlation falls to 1/e", unit="days", minimum=0.05, maximum=1000.0
-    )
-    hand_counts: float = setting(
-        55.0, "Standard deviation of what all electrodes of both fingers share", unit="counts", minimum=0.0
-    )
-    finger_counts: float = setting(
-        7.0, "Standard deviation of what the electrodes of one finger share", unit="counts", minimum=0.0
-    )
-    electrode_counts: float = setting(3.0, "Standard deviation of each electrode by itself", unit="counts", minimum=0.0)
-    pdc_counts: float = setting(7.0, "Standard deviation of PDC of one finger", unit="counts", minimum=0.0)
+    memory_days: float = setting(10.0, "Time in which the correlation falls to 1/e", minimum=0.05, maximum=1000.0)
+    hand_counts: float = setting(55.0, "Standard deviation of what all electrodes of both fingers share", minimum=0.0)
+    finger_counts: float = setting(7.0, "Standard deviation of what the electrodes of one finger share", minimum=0.0)
+    electrode_counts: float = setting(3.0, "Standard deviation of each electrode by itself", minimum=0.0)
+    pdc_counts: float = setting(7.0, "Standard deviation of PDC of one finger", minimum=0.0)
     in_contact: bool = setting(
         False, "Whether readings move in contact only, and tares do not: how hand and object lie, not the sensor"
     )
@@ -48,16 +42,11 @@ class ExchangeConfig(Settings):
     electrode_counts: float = setting(
         100.0,
         "Difference of the new sensor's mean electrode at rest from the old one's",
-        unit="counts",
         minimum=-2000.0,
         maximum=2000.0,
     )
     pdc_counts: float = setting(
-        50.0,
-        "Difference of the new sensor's PDC at rest from the old one's",
-        unit="counts",
-        minimum=-2000.0,
-        maximum=2000.0,
+        50.0, "Difference of the new sensor's PDC at rest from the old one's", minimum=-2000.0, maximum=2000.0
     )
 
 
@@ -70,20 +59,15 @@ class ThermistorConfig(RangedSettings):
     """
 
     session_kelvin: float = setting(
-        1.0, "Standard deviation of the temperature at power-on between sessions", unit="K", minimum=0.0, maximum=50.0
+        1.0, "Standard deviation of the temperature at power-on between sessions", minimum=0.0, maximum=50.0
     )
-    finger_kelvin: float = setting(0.2, "The same of each finger on its own", unit="K", minimum=0.0, maximum=50.0)
+    finger_kelvin: float = setting(0.2, "The same of each finger on its own", minimum=0.0, maximum=50.0)
     object_kelvin: tuple[float, ...] = setting(
-        (-3.0, 0.0),
-        "Temperature of an object minus that of the fingers, low and high",
-        unit="K",
-        minimum=-50.0,
-        maximum=50.0,
+        (-3.0, 0.0), "Temperature of an object minus that of the fingers, low and high", minimum=-50.0, maximum=50.0
     )
     contact_s: float = setting(
         20.0,
         "Time constant with which a finger in contact takes the temperature of the object",
-        unit="s",
         minimum=0.1,
         maximum=1e6,
     )

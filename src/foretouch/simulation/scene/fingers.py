@@ -17,16 +17,11 @@ class PostureConfig(RangedSettings):
     """Which place of its pad a finger aims with, drawn uniformly."""
 
     pitch_deg: tuple[float, ...] = setting(
-        (0.0, 0.0),
-        "Angle from the middle of the pad towards the tip, low and high",
-        unit="deg",
-        minimum=-60.0,
-        maximum=60.0,
+        (0.0, 0.0), "Angle from the middle of the pad towards the tip, low and high", minimum=-60.0, maximum=60.0
     )
     roll_deg: tuple[float, ...] = setting(
         (0.0, 0.0),
         "Angle from the middle of the pad towards +y of the fingertip, low and high",
-        unit="deg",
         minimum=-60.0,
         maximum=60.0,
     )
@@ -35,24 +30,13 @@ class PostureConfig(RangedSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimelineConfig(Settings):
+class TimelineConfig(Settings, read_only=True):
     """The messages of a grasp: rest, closing, hold, release. Tare and touch are read out of them."""
 
-    rate_hz: float = setting(100.0, "Rate of the messages", unit="Hz", minimum=1.0, maximum=1000.0, read_only=True)
-    rest_s: float = setting(
-        0.2, "Time before contact, and again after release", unit="s", minimum=0.02, maximum=600.0, read_only=True
-    )
-    close_s: float = setting(
-        0.2, "Time from first touch to steady contact, and back", unit="s", minimum=0.0, maximum=60.0, read_only=True
-    )
-    hold_s: float = setting(
-        0.5,
-        "Time of steady contact; its last message is the touch",
-        unit="s",
-        minimum=0.02,
-        maximum=600.0,
-        read_only=True,
-    )
+    rate_hz: float = setting(100.0, "Rate of the messages", minimum=1.0, maximum=1000.0)
+    rest_s: float = setting(0.2, "Time before contact, and again after release", minimum=0.02, maximum=600.0)
+    close_s: float = setting(0.2, "Time from first touch to steady contact, and back", minimum=0.0, maximum=60.0)
+    hold_s: float = setting(0.5, "Time of steady contact; its last message is the touch", minimum=0.02, maximum=600.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +44,9 @@ class DriftConfig(RangedSettings):
     """Counts drift with the liquid's temperature, so a tare grows old."""
 
     temperature: TemperatureConfig = TemperatureConfig()
-    session_s: tuple[float, ...] = setting(
-        (0.0, 1800.0), "Time since power-on, low and high", unit="s", minimum=0.0, maximum=1e9
-    )
+    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-on, low and high", minimum=0.0, maximum=1e9)
     tare_age_s: tuple[float, ...] = setting(
-        (2.0, 30.0), "Age of the tare at the touch, low and high", unit="s", minimum=0.0, maximum=1e9
+        (2.0, 30.0), "Age of the tare at the touch, low and high", minimum=0.0, maximum=1e9
     )
 
     RANGES = ("session_s", "tare_age_s")
@@ -85,11 +67,9 @@ class DeadConfig(Settings):
 class VibrationConfig(Settings):
     """PAC swings at first touch, release and slip; the defaults are assumptions, not measurements."""
 
-    noise_counts: float = setting(
-        5.0, "Standard deviation of PAC of a still fingertip", unit="counts", minimum=0.0, maximum=500.0
-    )
+    noise_counts: float = setting(5.0, "Standard deviation of PAC of a still fingertip", minimum=0.0, maximum=500.0)
     contact_counts: float = setting(
-        200.0, "Standard deviation of PAC at first touch and at release", unit="counts", minimum=0.0, maximum=2000.0
+        200.0, "Standard deviation of PAC at first touch and at release", minimum=0.0, maximum=2000.0
     )
     slip_counts_mm: float = setting(
         200.0, "Standard deviation of PAC per slip of 1 mm", unit="counts/mm", minimum=0.0, maximum=1e4
@@ -138,8 +118,8 @@ class FingersConfig(Settings):
 class TargetConfig(RangedSettings):
     """What a finger's controller aims at, drawn uniformly; `control` decides which of the two counts."""
 
-    force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high", unit="N")
-    depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high", unit="m")
+    force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
+    depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
 
     RANGES = ("force_n", "depth_m")
     LOWEST = 0.0
@@ -153,11 +133,9 @@ class ExecutionErrorConfig(Settings):
     """The hand does not go exactly where it is sent, nor press exactly as hard."""
 
     position_m: float = setting(
-        0.001, "Standard deviation of the position along each tangent", unit="m", minimum=0.0, maximum=0.05
+        0.001, "Standard deviation of the position along each tangent", minimum=0.0, maximum=0.05
     )
-    angle_deg: float = setting(
-        1.0, "Standard deviation of the orientation about each axis", unit="deg", minimum=0.0, maximum=30.0
-    )
+    angle_deg: float = setting(1.0, "Standard deviation of the orientation about each axis", minimum=0.0, maximum=30.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,11 +150,10 @@ class GraspsConfig(Settings):
     insertion_m: float = setting(
         0.0,
         "Distance below the planned points at which the fingers close, along the table's normal",
-        unit="m",
         minimum=0.0,
         maximum=1.0,
     )
-    max_width_m: float = setting(0.13, "Widest opening of the hand", unit="m", minimum=0.001, maximum=0.5)
+    max_width_m: float = setting(0.13, "Widest opening of the hand", minimum=0.001, maximum=0.5)
     control: str = setting("force", "Quantity that the hand controls", choices=("force", "depth"))
     thumb: TargetConfig = TargetConfig()
     middle: TargetConfig | None = None

@@ -28,9 +28,9 @@ class PoseConfig(RangedSettings):
     Each value is drawn uniformly from its range. The world's origin is on the table, z up.
     """
 
-    x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high", unit="m")
-    y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high", unit="m")
-    yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Angle about the vertical, low and high", unit="deg")
+    x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high")
+    y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high")
+    yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Angle about the vertical, low and high")
     rest: str = setting("upright", "Part that the object rests on: its foot, its side, or any point", choices=RESTS)
 
     RANGES = ("x_m", "y_m", "yaw_deg")
@@ -40,7 +40,7 @@ class PoseConfig(RangedSettings):
 class SurfaceConfig(Settings):
     """Fine relief, too small for the mesh and the camera, but not for a fingertip."""
 
-    relief_m: float = setting(2e-4, "Standard deviation of the height", unit="m", minimum=0.0, maximum=2e-3)
+    relief_m: float = setting(2e-4, "Standard deviation of the height", minimum=0.0, maximum=2e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,24 +61,16 @@ class ObjectConfig(Settings):
         0, "First member of the family that is used, for the shape random", minimum=0, maximum=10_000
     )
     size_m: tuple[float, ...] = setting(
-        (0.07, 0.07, 0.1),
-        "Edges of the object's bounding box along its own x, y and z (up); empty: those of the file",
-        unit="m",
+        (0.07, 0.07, 0.1), "Edges of the object's bounding box along its own x, y and z (up); empty: those of the file"
     )
     size_spread: float = setting(
         0.0, "Largest relative change of the size from sample to sample", minimum=0.0, maximum=0.5
     )
     pose: PoseConfig = PoseConfig()
-    young_pa: float | None = setting(
-        None, "Young's modulus; absent for a rigid object", unit="Pa", minimum=1e3, maximum=1e9
-    )
-    thickness_m: float | None = setting(
-        None, "Thickness of the soft layer on a rigid core", unit="m", minimum=1e-4, maximum=0.5
-    )
+    young_pa: float | None = setting(None, "Young's modulus; absent for a rigid object", minimum=1e3, maximum=1e9)
+    thickness_m: float | None = setting(None, "Thickness of the soft layer on a rigid core", minimum=1e-4, maximum=0.5)
     friction: float = setting(0.783, "Coefficient of friction against the skin", minimum=0.0, maximum=3.0)
-    mass_kg: float | None = setting(
-        None, "Mass of the object; needed where the scene has gravity", unit="kg", minimum=0.0
-    )
+    mass_kg: float | None = setting(None, "Mass of the object; needed where the scene has gravity", minimum=0.0)
     surface: SurfaceConfig | None = None
     colour: tuple[int, ...] | None = setting(
         None, "Red, green and blue of the points; absent for a cloud without colours", minimum=0, maximum=255
@@ -132,7 +124,7 @@ class ClutterConfig(RangedSettings):
 
     count: int = setting(4, "Number of other objects", minimum=1, maximum=20)
     distance_m: tuple[float, ...] = setting(
-        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", unit="m", maximum=10.0
+        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", maximum=10.0
     )
 
     RANGES = ("distance_m",)
@@ -151,17 +143,16 @@ class FamilyConfig(RangedSettings):
     )
     rests: tuple[str, ...] = setting(("upright",), "Parts that they rest on, to draw from", choices=RESTS)
     size_m: tuple[float, ...] = setting(
-        (0.05, 0.1), "Length of each edge of the bounding box, low and high", unit="m", minimum=0.005, maximum=0.5
+        (0.05, 0.1), "Length of each edge of the bounding box, low and high", minimum=0.005, maximum=0.5
     )
     young_pa: tuple[float, ...] | None = setting(
         None,
         "Young's modulus, low and high, uniform in its logarithm; absent for rigid objects",
-        unit="Pa",
         minimum=1e3,
         maximum=1e9,
     )
     thickness_m: tuple[float, ...] = setting(
-        (0.01, 0.03), "Thickness of the soft layer, low and high", unit="m", minimum=1e-4, maximum=0.5
+        (0.01, 0.03), "Thickness of the soft layer, low and high", minimum=1e-4, maximum=0.5
     )
     pose: PoseConfig = PoseConfig()
 
