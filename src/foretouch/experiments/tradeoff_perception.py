@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.io.files import read_cloud
 from foretouch.config import setting
@@ -32,7 +31,7 @@ from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
 from foretouch.simulation.solids import Primitive
 from foretouch.simulation.view import CameraView
-from foretouch.types import ASSUMED_TABLE, Cloud, Float64
+from foretouch.types import ASSUMED_TABLE, Bool, Cloud, Float64, Int32
 
 SEGMENTATION: Final = "segmentation"
 GRASP: Final = "GeoGrasp"
@@ -100,7 +99,7 @@ class LabelledScene:
     """A cloud and the truth about it."""
 
     cloud: Cloud  # (H, W, 3)
-    labels: npt.NDArray[np.int32]  # (H, W), 2 and on are the objects
+    labels: Int32  # (H, W), 2 and on are the objects
     solids: tuple[Primitive, ...] = ()  # the objects in the world, in order of their labels; none if unknown
     view: CameraView | None = None  # the camera in the world
 
@@ -196,13 +195,13 @@ class GraspedObject:
     error_mm: float | None = None  # mean distance of both contacts from the true surface
 
 
-def overlaps(labels: npt.NDArray[np.int32], truth: npt.NDArray[np.int32], objects: Sequence[int]) -> list[float]:
+def overlaps(labels: Int32, truth: Int32, objects: Sequence[int]) -> list[float]:
     """Intersection over union of each true object with the found one that covers it most."""
     pairs = [(truth == label, labels == _covering(labels, truth == label)) for label in objects]
     return [float((true & found).sum() / (true | found).sum()) for true, found in pairs]
 
 
-def _covering(labels: npt.NDArray[np.int32], true: npt.NDArray[np.bool_]) -> int:
+def _covering(labels: Int32, true: Bool) -> int:
     return 1 + int(np.bincount(labels[true], minlength=2)[1:].argmax())
 
 

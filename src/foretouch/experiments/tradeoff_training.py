@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area `training`: grasps, objects, trees, epochs, points and precision against the time of a training and of the robot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

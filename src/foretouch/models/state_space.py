@@ -14,19 +14,16 @@ which all covariances are diagonal, (1) falls apart into 50 independent filters 
 that a reading and a prediction cost the same however many were before.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.types import TOUCH_SIZE, Float64, Index
 
 FINGERS: Final = ("TH", "MF")
 """Thumb and middle finger."""
@@ -140,7 +137,7 @@ class TrackerParameters(TensorRecord):
         inverse = np.linalg.inv(self.basis)
         return np.array([inverse @ self.slope, inverse**2 @ self.slope_sd**2])
 
-    def finger_of(self) -> npt.NDArray[np.intp]:
+    def finger_of(self) -> Index:
         """(50,) index in `FINGERS` of the values that each coordinate of the basis changes most."""
         return np.asarray(FINGER_OF_VALUE[np.argmax(np.abs(self.basis), axis=0)], np.intp)
 
@@ -193,7 +190,7 @@ class StateFilter:
         self.covariance = np.zeros((4, *self.prior.shape))
         self.restart(np.arange(prior.shape[1]))
 
-    def copy(self) -> StateFilter:
+    def copy(self) -> Self:
         """An independent filter in the same state."""
         twin = copy.copy(self)
         twin.prior, twin.mean, twin.covariance = self.prior.copy(), self.mean.copy(), self.covariance.copy()

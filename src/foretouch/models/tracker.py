@@ -27,23 +27,20 @@ one. TDC that is absent, zero or saturated is left out, finger by finger. A jump
 after a power cycle, moves the reference.
 """
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns, is_tdc
-from foretouch.types import TOUCH_SIZE, Evidence, Float64
+from foretouch.types import TOUCH_SIZE, AnyArray, Bool, Evidence, Float64, Index, UInt8
 
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
@@ -61,7 +58,7 @@ _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 _MOST_COUNTS: Final = 10.0 * FULL_SCALE  # of a prediction, which may leave the range of readings
 
 
-def _mean_rows(groups: Sequence[npt.NDArray[np.intp]]) -> Float64:
+def _mean_rows(groups: Sequence[Index]) -> Float64:
     """(G, 50) matrix that takes the mean of each group of values."""
     rows = np.zeros((len(groups), TOUCH_SIZE))
     for row, values in zip(rows, groups, strict=True):
@@ -127,7 +124,7 @@ class SensorTracker:
         self._newest_ns = self._object_ns = -1
         self.revision = self.redated = 0
 
-    def copy(self) -> SensorTracker:
+    def copy(self) -> Self:
         """An independent tracker in the same state."""
         twin = copy.copy(self)
         twin._filter = self._filter.copy()  # noqa: SLF001  its own class
@@ -293,7 +290,7 @@ class SensorTracker:
         half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])
         return counts, np.broadcast_to(half, counts.shape)
 
-    def _adapt_factor(self, outside: npt.NDArray[np.bool_]) -> None:
+    def _adapt_factor(self, outside: Bool) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""
         moved = self._log_factor + _ADAPTATION_RATE * (_MODALITY_MEANS @ outside - MISS_RATE)
         self._log_factor = np.minimum(
@@ -304,12 +301,12 @@ class SensorTracker:
         """(4,) logarithm of the factor for another object."""
         return self._first_log_factor + _KEPT_SHARE * (self._log_factor - self._first_log_factor)
 
-    def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> npt.NDArray[np.bool_]:
+    def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> Bool:
         """(2,) whether each finger fails the test, from (50,) innovations [counts] and variances in coordinates."""
         statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance))
         return np.asarray((statistics > limits).any(axis=1), np.bool_)
 
-    def _coordinates_of(self, fingers: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    def _coordinates_of(self, fingers: Bool) -> Bool:
         """(50,) which coordinates the chosen fingers' values depend on."""
         chosen = np.zeros(TOUCH_SIZE, np.bool_)
         for name, one in zip(FINGERS, fingers, strict=True):
@@ -317,7 +314,7 @@ class SensorTracker:
                 chosen |= self._coordinates[name]
         return chosen
 
-    def _restart(self, fingers: npt.NDArray[np.bool_]) -> None:
+    def _restart(self, fingers: Bool) -> None:
         if fingers.any():
             self._filter.restart(self._coordinates_of(fingers))
             self._suspect = self._suspect & ~fingers
@@ -351,7 +348,7 @@ class SensorTracker:
             raise TactileError(f"stamp: is {years:.0f} years after that of the newest reading, 10 are allowed")
         return max(stamp, self._newest_ns)
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def to_tensors(self) -> dict[str, AnyArray]:
         """All that is known, for a file; a tracker made from it continues to the bit as this one."""
         flags = [self.touches, self._readings, self._kind, *self._suspect]
         thermal = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
@@ -365,7 +362,7 @@ class SensorTracker:
             "parameters": _digest(self.parameters),
         }
 
-    def _thermal_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def _thermal_tensors(self) -> dict[str, AnyArray]:
         """What TDC said, which files of histories without it lack."""
         return {
             "slope": np.concatenate([self._filter.mean[3:], self._filter.covariance[3]]),
@@ -374,7 +371,7 @@ class SensorTracker:
         }
 
     @classmethod
-    def from_tensors(cls, parameters: TrackerParameters, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def from_tensors(cls, parameters: TrackerParameters, tensors: Mapping[str, AnyArray]) -> Self:
         """From `to_tensors`.
 
         Raises:
@@ -396,7 +393,7 @@ class SensorTracker:
         tracker._restore(tensors)
         return tracker
 
-    def _restore(self, tensors: Mapping[str, npt.NDArray[Any]]) -> None:
+    def _restore(self, tensors: Mapping[str, AnyArray]) -> None:
         touches, readings, kind, *suspect = (int(value) for value in tensors["counts"])
         newest, last_of_object = (int(value) for value in tensors["stamps_ns"])
         if not 0 <= touches <= readings or kind not in (NEW, KNOWN) or any(one not in (0, 1) for one in suspect):
@@ -444,7 +441,7 @@ def _check_counts(name: str, values: Float64, low: float = -_MOST_COUNTS, high: 
         raise TactileError(f"{name}: value {k}: {values[k]:g} is not within [{low:g}, {high:g}] counts")
 
 
-def _digest(parameters: TrackerParameters) -> npt.NDArray[np.uint8]:
+def _digest(parameters: TrackerParameters) -> UInt8:
     """Of all but the slopes, which a state without TDC does not depend on."""
     tensors = parameters.to_tensors()
     del tensors["slope"], tensors["slope_sd"]

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
@@ -23,7 +22,7 @@ from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
 
 _FEWEST_SAMPLES: Final = 5
 _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
@@ -215,7 +214,7 @@ class ContactPredictor:
     def _without(self, fold: Fold) -> Float64:
         return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]
 
-    def _estimate(self, samples: Sequence[GraspSample]) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def _estimate(self, samples: Sequence[GraspSample]) -> tuple[Float64, Bool]:
         """Predictions before any touch and at rest level; each sample is described only once."""
         new = [sample for sample in samples if sample.id not in self._predicted]
         if new:

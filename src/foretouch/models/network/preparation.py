@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.config import ModelConfig
-from foretouch.types import Cloud, Float32, Float64, Grasp, stacked
+from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, stacked
 
 MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
@@ -61,9 +60,7 @@ def prepare_cloud(cloud: Cloud, config: ModelConfig) -> PreparedCloud:
     return PreparedCloud(sample_channels(usable, index, frame, config), frame)
 
 
-def sample_channels(
-    cloud: Cloud, index: npt.NDArray[np.integer], frame: UnitSphereFrame, config: ModelConfig
-) -> Float32:
+def sample_channels(cloud: Cloud, index: Integer, frame: UnitSphereFrame, config: ModelConfig) -> Float32:
     """(n, C) float32: the chosen points as inputs of the network.
 
     Colour is scaled to [-1, 1], the range of P2's generator. Normals are of unit length.
@@ -105,6 +102,6 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def _normals(xyz: Float32, index: npt.NDArray[np.integer]) -> Float64:
+def _normals(xyz: Float32, index: Integer) -> Float64:
     """(n, 3) unit normals towards the camera; zero where fewer than three points are near."""
     return np.nan_to_num(normals_and_curvature(xyz, index)[0], nan=0.0)

@@ -26,8 +26,6 @@ class PostureConfig(RangedSettings):
         maximum=60.0,
     )
 
-    RANGES = ("pitch_deg", "roll_deg")
-
 
 @dataclass(frozen=True, kw_only=True)
 class TimelineConfig(Settings, read_only=True):
@@ -48,8 +46,6 @@ class DriftConfig(RangedSettings):
     tare_age_s: tuple[float, ...] = setting(
         (2.0, 30.0), "Age of the tare at the touch, low and high", minimum=0.0, maximum=1e9
     )
-
-    RANGES = ("session_s", "tare_age_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +117,6 @@ class TargetConfig(RangedSettings):
     force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
     depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
 
-    RANGES = ("force_n", "depth_m")
     LOWEST = 0.0
 
 
