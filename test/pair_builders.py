@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.dataset.pairing import Interval, TouchReading
+from foretouch.dataset.pairing.buffers import TouchReading
+from foretouch.dataset.pairing.cut import Interval
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 
 SECOND = 1_000_000_000

@@ -27,7 +27,8 @@ from benchmarks.fuzz import files
 from benchmarks.fuzz.driver import Case, Kind, main
 from foretouch.dataset.editing import drop
 from foretouch.dataset.files import sealed
-from foretouch.dataset.recording import repair_dataset, verify_dataset
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ForetouchError
 from foretouch.experiments.framework.manifest import open_folder, read_results
 from foretouch.learning.training.run_folder import RunFolder, read_state, write_state
@@ -83,7 +84,7 @@ def retype(file: Path, rng: np.random.Generator) -> None:
     elif file.suffix == ".npz":
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
             content = io.BytesIO()
-            np.save(content, np.zeros((int(rng.integers(1, 3_000_000)), 3)))
+            np.save(content, np.zeros((int(3e6 ** rng.random()), 3)))
             archive.writestr("xyz.npy", content.getvalue())
     else:
         file.write_bytes(file.read_bytes()[::-1])

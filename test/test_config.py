@@ -11,14 +11,14 @@ from foretouch.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Inner(Settings):
-    range_m: float = setting(2.0, "How far", unit="m", minimum=0.1, maximum=16.0)
+    range_m: float = setting(2.0, "How far", minimum=0.1, maximum=16.0)
     mode: str = setting("near", "Which", choices=("near", "far"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outer(Settings):
     inner: Inner = Inner()
-    count: int = setting(3, "How many", minimum=1, read_only=True)
+    count: int = setting(3, "How many", unit="grasps", minimum=1, read_only=True)
     point: tuple[float, ...] | None = setting(None, "Where")
 
 
@@ -29,6 +29,15 @@ def test_plain_data_with_nested_or_dotted_keys_reads_back() -> None:
     assert made.point == (1.0, 2.5)
     changed = made.updated({"inner.range_m": 1})
     assert (changed.count, changed.inner.range_m, changed.inner.mode) == (5, 1.0, "far")
+
+
+def test_a_unit_is_given_or_that_which_the_name_ends_with() -> None:
+    assert {info.name: info.unit for info in setting_infos(Outer)} == {
+        "inner.range_m": "m",
+        "inner.mode": "",
+        "count": "grasps",
+        "point": "",
+    }
 
 
 def test_refusals_name_field_value_and_rule() -> None:

@@ -17,7 +17,7 @@ from foretouch.cli.output import print_table, warn
 from foretouch.cloud.io.files import read_cloud
 from foretouch.config import dump_yaml, load_yaml, parse_overrides
 from foretouch.dataset.editing import drop
-from foretouch.dataset.recording import repair_dataset
+from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.manifest import read_results
 from foretouch.learning.training.run_config import RunConfig

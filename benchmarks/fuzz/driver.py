@@ -30,14 +30,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import ROOT, write_csv
+from benchmarks.common import ROOT, read_csv, write_csv
 from foretouch.errors import ForetouchError
 
-COLUMNS = ("kind", "cases", "refused", "read", "changed in silence", "uncaught", "signal", "slow", "slowest_ms")
+OUTCOMES = ("refused", "read", "changed in silence", "uncaught", "signal", "slow", "memory")
+COLUMNS = ("kind", "cases", *OUTCOMES, "slowest_ms", "peak_mb")
 SECONDS = 1.0  # of CPU time that a case may take
 PATIENCE_S = 15.0  # of CPU time for one case, until the child is killed; the first one includes the imports
 STILL_S = 600.0  # of wall time, for a case that waits for something
 MEMORY = 2_000_000_000  # bytes that the child may map beyond what its imports take
+RESIDENT = 1_000_000_000  # bytes that are in memory at most, with the imports
 LINE = 3000  # characters of the longest refusal
 _PROGRESS = struct.Struct("<q")
 
@@ -109,29 +111,39 @@ def _serve(module: str, name: str, cases: int, seed: int, first: int, folder: Pa
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + MEMORY, mapped + MEMORY))
     counts: Counter[str] = Counter()
-    slowest = 0.0
+    slowest = peak = 0.0
     with (folder / "progress").open("r+b") as file:
         shared = mmap.mmap(file.fileno(), _PROGRESS.size)
         for number in range(first, cases):
             shared[:] = _PROGRESS.pack(number)
             outcome, detail, seconds = read_case(case, generator(kinds, name, seed, number))
-            slowest = max(slowest, seconds)
+            resident = _peak_bytes()
+            slowest, peak = max(slowest, seconds), max(peak, resident)
             if outcome in ("read", "refused") and seconds > SECONDS and number > first:
                 outcome, detail = "slow", f"{seconds:.2f} s"
+            if outcome in ("read", "refused") and resident > RESIDENT:
+                outcome, detail = "memory", f"{resident / 1e6:.0f} MB"
             counts[outcome] += 1
             if detail:
                 shutil.copytree(folder / "case", folder / f"kept-{number}")
                 print(json.dumps({"number": number, "outcome": outcome, "detail": detail}), file=answers, flush=True)
             if number % 1000 == 999:
                 gc.collect()
-    print(json.dumps({"counts": counts, "slowest": slowest}), file=answers, flush=True)
+    print(json.dumps({"counts": counts, "slowest": slowest, "peak": peak}), file=answers, flush=True)
+
+
+def _peak_bytes() -> int:
+    """The most memory that this process had at once since the last call."""
+    text = Path("/proc/self/status").read_text()
+    Path("/proc/self/clear_refs").write_text("5")
+    return int(text.split("VmHWM:")[1].split()[0]) * 1024
 
 
 def run(module: str, name: str, cases: int, seed: int, keep: Path | None = None) -> tuple[dict[str, Any], list[str]]:
     """Read cases of one kind of a module in child processes; a row of the table, and a line for each fault."""
     counts: Counter[str] = Counter()
     faults: list[str] = []
-    slowest, first = 0.0, 0
+    slowest, peak, first = 0.0, 0.0, 0
     while first < cases:
         with tempfile.TemporaryDirectory(prefix="foretouch-fuzz-") as path:
             folder = Path(path)
@@ -141,7 +153,7 @@ def run(module: str, name: str, cases: int, seed: int, keep: Path | None = None)
                 answer = json.loads(line)
                 if "counts" in answer:
                     counts.update(answer["counts"])
-                    slowest = max(slowest, answer["slowest"])
+                    slowest, peak = max(slowest, answer["slowest"]), max(peak, answer["peak"])
                 else:
                     faults.append(f"{name} {seed} {answer['number']}: {answer['outcome']}: {answer['detail']}")
             (number,) = _PROGRESS.unpack((folder / "progress").read_bytes())
@@ -155,8 +167,8 @@ def run(module: str, name: str, cases: int, seed: int, keep: Path | None = None)
             for kept in folder.glob("kept-*") if keep else ():
                 shutil.copytree(kept, keep / f"{name.replace(' ', '-')}-{seed}-{kept.name[5:]}")
         first = number + 1
-    row = {"kind": name, "cases": cases, **{column: counts[column] for column in COLUMNS[2:-1]}}
-    return {**row, "slowest_ms": round(slowest * 1e3, 1)}, faults
+    row = {"kind": name, "cases": cases, **{outcome: counts[outcome] for outcome in OUTCOMES}}
+    return {**row, "slowest_ms": round(slowest * 1e3, 1), "peak_mb": round(peak / 1e6)}, faults
 
 
 def _child(words: Sequence[str], folder: Path) -> str:
@@ -200,13 +212,18 @@ def main(module: str, description: str, kinds: Mapping[str, Kind], cases: int) -
     """Run all kinds of a module; the exit status is 1 if a case broke a rule."""
     options = parser(description, list(kinds), cases)
     options.add_argument("--keep", type=Path, help="folder for the files of the cases that break a rule")
+    options.add_argument("--resume", action="store_true", help="skip kinds whose rows --out holds with as many cases")
     arguments = options.parse_args()
     names = arguments.kind or list(kinds)
     total = sum(kinds[name].weight for name in names)
-    rows, failed = [], False
+    counts = {name: max(1, math.ceil(arguments.cases * kinds[name].weight / total)) for name in names}
+    known = read_csv(arguments.out) if arguments.resume else []
+    rows: list[Mapping[str, Any]] = [row for row in known if row["cases"] == str(counts.get(row["kind"]))]
+    failed = any(int(row[outcome]) for row in rows for outcome in OUTCOMES[2:])
     print("  ".join(COLUMNS))
-    for name in names:
-        count = max(1, math.ceil(arguments.cases * kinds[name].weight / total))
+    for name, count in counts.items():
+        if any(row["kind"] == name for row in rows):
+            continue
         row, faults = run(module, name, count, arguments.seed, arguments.keep)
         rows.append(row)
         print("  ".join(str(value) for value in row.values()), flush=True)
@@ -216,8 +233,8 @@ def main(module: str, description: str, kinds: Mapping[str, Kind], cases: int) -
         for text, number in places.most_common(8) if len(faults) > 5 else ():
             print(f"  {number} x {text}", flush=True)
         failed |= bool(faults)
-    if arguments.out:
-        write_csv(arguments.out, rows)
+        if arguments.out:
+            write_csv(arguments.out, rows)
     return int(failed)
 
 

@@ -18,7 +18,8 @@ from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml
 from foretouch.dataset.bag import Recording
 from foretouch.dataset.files import sealed
-from foretouch.dataset.recording import HOLD, REST, RecordingConfig, RecordingWriter, SampleRecord, TouchSeries
+from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.dataset.store_writer import StoreWriter

@@ -30,7 +30,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from benchmarks.common import ROOT, write_csv  # noqa: E402
 from benchmarks.fuzz import messages as valid  # noqa: E402
 from benchmarks.fuzz.absurd import change, pick, value_of  # noqa: E402
-from benchmarks.fuzz.driver import COLUMNS, parser  # noqa: E402
+from benchmarks.fuzz.driver import COLUMNS, OUTCOMES, parser  # noqa: E402
 from benchmarks.fuzz.files import mutated  # noqa: E402
 from foretouch_msgs.action import SampleGrasps  # noqa: E402
 from foretouch_msgs.msg import GraspArray, RecorderStatus, Status, TouchPredictionArray  # noqa: E402
@@ -348,7 +348,7 @@ def run(graph: Graph, kind: str, batches: int, size: int, seed: int, expected: A
         total += counts
         slowest, failed = max(slowest, longest), failed or bool(faults)
         print("".join(f"  {kind} {seed} {number}: {text}\n" for text in faults), end="", flush=True)
-    row = {"kind": f"live {kind}", "cases": batches * size, **{column: total[column] for column in COLUMNS[2:-1]}}
+    row = {"kind": f"live {kind}", "cases": batches * size, **{outcome: total[outcome] for outcome in OUTCOMES}}
     return {**row, "slowest_ms": round(slowest * 1e3, 1)}, failed
 
 

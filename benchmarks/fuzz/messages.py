@@ -33,7 +33,8 @@ from foretouch.cli.output import print_json
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings
 from foretouch.dataset.messages import decode_grasp, has_orientation
-from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler, SerializedCloud
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model

@@ -23,15 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.dataset.recording import (
-    Identity,
-    RecordedDataset,
-    RecordingConfig,
-    RecordingWriter,
-    SampleRecord,
-    repair_dataset,
-    verify_dataset,
-)
+from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 IDENTITY = Identity(hand={"name": "campaign"}, camera={"name": "campaign"})

@@ -352,7 +352,8 @@ def run(soak: Soak, minutes: float) -> tuple[list[Disturbance], float]:
 
 def verified(path: Path) -> str:
     """Verify a dataset after repair; gives its recordings, samples and faults as text."""
-    from foretouch.dataset.recording import repair_dataset, verify_dataset
+    from foretouch.dataset.recording.repair import repair_dataset
+    from foretouch.dataset.recording.verify import verify_dataset
 
     repair_dataset(path)
     reports = verify_dataset(path)

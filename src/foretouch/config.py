@@ -7,8 +7,8 @@ A component declares its settings in its own module::
     class CropConfig(Settings):
         max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0)
 
-The fields contain the description, unit, bounds and whether a running node may change them; the unit is that of the end of
-the name where it has one. The command line, the YAML reader and the ROS parameters are all derived from this declaration.
+The fields contain the description, unit, bounds and whether a running node may change them. The
+command line, the YAML reader and the ROS parameters are all derived from this declaration.
 """
 
 import dataclasses
@@ -29,16 +29,20 @@ from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, s
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least
 
-# By the end of the name of a setting.
-_SAME: Final = ("m", "mm", "s", "ms", "ns", "deg", "kg", "counts", "days")
-_UNITS: Final = {**dict(zip(_SAME, _SAME, strict=True)), "hz": "Hz", "pa": "Pa", "n": "N", "kelvin": "K", "mb": "MB"}
-
 EMPTY: Final = "\0"
 """Stands for the value of `key:` in YAML and of `key=`, which has none; no setting accepts this text."""
 
 
 _INT: Final = "tag:yaml.org,2002:int"
 _FLOAT: Final = "tag:yaml.org,2002:float"
+_UNITS: Final = {
+    "hz": "Hz",
+    "mb": "MB",
+    "pa": "Pa",
+    "n": "N",
+    "kelvin": "K",
+    **{unit: unit for unit in ("s", "ms", "ns", "m", "mm", "deg", "counts", "days", "kg")},
+}  # by the last word of a name
 _DECIMAL: Final = r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
 
 
@@ -88,7 +92,7 @@ class SettingInfo:
     type: type  # bool, int, float, str, or a tuple's item type with `is_list`
     default: Any  # default value
     description: str  # one sentence
-    unit: str  # unit of the value, "" if it has none
+    unit: str  # unit of the value, "" if it has none; by default that which its name ends with, as `range_m`
     minimum: float | None  # inclusive, or None
     maximum: float | None  # inclusive, or None
     choices: Collection[Any]  # allowed values; empty if unrestricted
@@ -107,7 +111,7 @@ def setting(
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); no unit is that of the name."""
+    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
     limits = {"minimum": minimum, "maximum": maximum, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
 
@@ -276,10 +280,13 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
+        quantity, _, ending = f.name.rpartition("_")
         owner = next(c for c in cls.__mro__ if issubclass(c, Settings) and f.name in inspect.get_annotations(c))
-        unit = f.metadata["unit"] or _UNITS.get(f.name.rpartition("_")[2], "")
-        own = {**f.metadata, "unit": unit, "read_only": f.metadata["read_only"] or owner._all_read_only}  # noqa: SLF001
-        infos.append(SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **own))
+        facts = {**f.metadata, "unit": f.metadata["unit"] or (_UNITS.get(ending, "") if quantity else "")}
+        facts["read_only"] |= owner._all_read_only  # noqa: SLF001  of this module
+        infos.append(
+            SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **facts)
+        )
     _INFOS[cls] = tuple(infos)
     return _INFOS[cls]
 

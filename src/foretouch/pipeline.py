@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
@@ -22,7 +21,7 @@ from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History
 from foretouch.timing import timed
-from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Float64, Grasp, Int64, Plane, Touch, TouchPrediction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,23 +38,14 @@ class PipelineConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class FoundObject:
-    """One object and the table under it.
+    """One object and the table under it."""
 
-    Attributes:
-        id: Unique within its cloud.
-        cloud: (N, 3), only the object's points.
-        plane: The table, in the cloud's frame.
-        pixels: (N,) int64, flat index of each point in the image that it comes from; None if there is none.
-        image_shape: (H, W) of that image.
-        flags: Of its predictions: `ambiguous_target` if other objects fit the rule of the target as well.
-    """
-
-    id: str
-    cloud: Cloud
-    plane: Plane
-    pixels: npt.NDArray[np.int64] | None = None
-    image_shape: tuple[int, int] | None = None
-    flags: tuple[str, ...] = ()
+    id: str  # unique within its cloud
+    cloud: Cloud  # (N, 3), only the object's points
+    plane: Plane  # the table, in the cloud's frame
+    pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it comes from, if any
+    image_shape: tuple[int, int] | None = None  # (H, W) of that image
+    flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,9 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseConfig, SyntheticCamera, TimeoutConfig, realsense
+from foretouch.camera import realsense
+from foretouch.camera.config import RealSenseConfig, TimeoutConfig
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.simulation import DepthImage, random_scene
 
 WIDTH, HEIGHT = 424, 240

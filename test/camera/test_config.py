@@ -3,7 +3,7 @@
 
 from every_case import every_refusal
 
-from foretouch.camera import RealSenseConfig
+from foretouch.camera.config import RealSenseConfig
 from foretouch.errors import ConfigError
 
 

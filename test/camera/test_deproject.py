@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 
-from foretouch.camera import Deprojector, pinhole_matrix
+from foretouch.camera.deproject import Deprojector, pinhole_matrix
 from foretouch.camera.device import realsense
 from foretouch.camera.stream import _lens_of
 from foretouch.errors import CameraError, MissingDependencyError

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.camera import FilterConfig, RealSenseCamera, RealSenseConfig, SyntheticCamera
-from foretouch.camera.config import DecimationConfig, HoleFillingConfig, SpatialConfig, TemporalConfig
+from foretouch.camera.config import (
+    DecimationConfig,
+    FilterConfig,
+    HoleFillingConfig,
+    RealSenseConfig,
+    SpatialConfig,
+    TemporalConfig,
+)
 from foretouch.camera.device import realsense
+from foretouch.camera.realsense import RealSenseCamera
 from foretouch.camera.stream import FilterChain
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.config import setting_infos
 from foretouch.types import Cloud
 

@@ -9,7 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera, list_devices
+from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.device import list_devices
+from foretouch.camera.realsense import RealSenseCamera
+from foretouch.camera.synthetic import SyntheticCamera
 
 
 def _until(camera: RealSenseCamera, wanted: Callable[[], bool], limit_s: float = 10.0) -> None:

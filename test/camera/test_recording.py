@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
+from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.realsense import RealSenseCamera
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import FileError
 from foretouch.types import Cloud
 

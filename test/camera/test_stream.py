@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
+from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import realsense
+from foretouch.camera.realsense import RealSenseCamera
 from foretouch.camera.stream import FrameStream
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import CameraError
 from foretouch.types import Cloud
 

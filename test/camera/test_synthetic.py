@@ -7,7 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseCamera, SyntheticCamera
+from foretouch.camera.realsense import RealSenseCamera
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import CameraError
 from foretouch.simulation import DepthImage, random_scene
 

@@ -7,7 +7,7 @@ import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
 
-from foretouch.dataset.recording import RecordingWriter
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.learning.data.splits import read_splits
 
 

@@ -15,7 +15,7 @@ from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.cli.adaptation import _read_tare
-from foretouch.dataset.recording import RecordingWriter
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.learning.evaluation.prequential import replay_model
@@ -168,7 +168,7 @@ def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:
         (good | {"pdc_th": True}, "pdc_th.*: .*[Tt]rue.* is not a number"),
         (good | {"e_th": ["3100"] * 24}, r"e_th\[0\]: .3100. is not a number"),
         (good | {"e_th": [[3100.0]] * 24}, r"e_th\[0\]: \[3100.0\] is not a number"),
-        (good | {"pdc_mf": [1676.0]}, "pdc_mf: is not one number"),
+        (good | {"pdc_mf": [1676.0]}, r"pdc_mf: \[1676.0\] is not a number"),
         (good | {"e_th": [0.0] * 24}, "absent sensor"),
         (good | {"pdc_th": -22072.0}, "absent or dead sensor"),
     ]

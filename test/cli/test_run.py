@@ -18,7 +18,7 @@ from websocket_client import WebSocketClient
 
 from foretouch.cli import run as run_command
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.recording import verify_dataset
+from foretouch.dataset.recording.verify import verify_dataset
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")

@@ -20,9 +20,10 @@ from foretouch.dataset.bag import Recording
 from foretouch.dataset.formats import export_formats
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
-from foretouch.dataset.record import DISCARDED
-from foretouch.dataset.recording import RecordingWriter, SampleRecord, verify_dataset
+from foretouch.dataset.record import DISCARDED, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE
+from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store

@@ -13,7 +13,8 @@ from recording_builders import IDENTITY
 
 from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
-from foretouch.dataset.recording import SampleRecord, verify_dataset
+from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, FileError
 from foretouch.types import Cloud

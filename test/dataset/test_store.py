@@ -170,10 +170,10 @@ def test_a_manifest_or_an_offset_that_breaks_a_rule_is_refused_though_the_hashes
     cases = (
         ("format: is not foretouch-store", {"format": "other"}),
         ("samples: holds 3 samples, not 4", {"samples": 4}),
-        ("samples: 3 is of type str", {"samples": "3"}),
-        (r"about: \[\] is of type list", {"about": []}),
-        ("shards: 5 is no list", {"shards": 5}),
-        ("files: .* lacks one of file, sha256", {"files": [{"file": "x"}]}),
+        ("samples: '3' is not a whole number", {"samples": "3"}),
+        (r"about: \[\] is not a mapping", {"about": []}),
+        ("shards: 5 is not a list", {"shards": 5}),
+        (r"files\[0\].sha256: is missing", {"files": [{"file": "x"}]}),
         ("file: '../x' is not the name of a file in the store", {"files": [{"file": "../x", "sha256": ""}]}),
         ("holds 3 samples, the manifest declares 2", {"shards": [good["shards"][0] | {"samples": 2}]}),
     )

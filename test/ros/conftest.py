@@ -193,10 +193,10 @@ class Graph:
         self.until(lambda: feedback or status != GoalStatus.STATUS_SUCCEEDED)
         return status, result, feedback
 
-    def action_client(self, kind: type, name: str) -> Any:
+    def action_client(self, kind: type, name: str, **options: Any) -> Any:
         """A client, on a node that is served once the client is complete: its constructor makes it known too early."""
         node = Node("planner", namespace="/foretouch")
-        client = ActionClient(node, kind, name)
+        client = ActionClient(node, kind, name, **options)
         self.serve(node)
         assert client.wait_for_server(10.0), f"{name} is not offered"
         return client

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from sim_builders import CAN, run, scene
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig
+from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import realsense
+from foretouch.camera.realsense import RealSenseCamera
 from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch.simulation import random_scene
 from foretouch.simulation.depth_scene import FIRST_OBJECT

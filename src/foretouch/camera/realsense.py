@@ -23,36 +23,27 @@ _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
 
 CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
+"""`streaming`: frames arrive. `stalled`: the device is present but sends no frames. `absent`: no such device.
+`reconnecting`: it is being opened, or has sent nothing since. `ended`: the end of the recording. `closed`: by the user."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraStatus:
     """The state of a camera at one moment.
 
-    Attributes:
-        state: `streaming`: frames arrive. `stalled`: the device is present but sends no frames. `absent`: no such
-            device. `reconnecting`: it is being opened, or has sent nothing since. `ended`: the end of the recording.
-            `closed`: by the user.
-        reason: Why, as text; empty while streaming.
-        device: Name and serial number of the device; empty until one was opened.
-        received: Depth frames that the device made according to its frame numbers: delivered + the sum of dropped.
-        delivered: Clouds returned.
-        dropped: Lost frames by reason: `missed` (skipped frame numbers: lost before they reached us, or replaced by a
-            newer one), `no_colour` (no matching colour frame), `bad_frame` (refused by the library).
-        opened: How often a device was opened.
-        failures: Consecutive attempts without a frame.
-        since_frame_s: Age of the last frame [s]; None before the first.
+    Frames are dropped as `missed` (skipped frame numbers: lost before they reached us, or replaced by a newer one),
+    `no_colour` (no matching colour frame) or `bad_frame` (refused by the library).
     """
 
     state: CameraState = "reconnecting"
-    reason: str = "not opened yet"
-    device: str = ""
-    received: int = 0
-    delivered: int = 0
-    dropped: Mapping[str, int] = field(default_factory=dict)
-    opened: int = 0
-    failures: int = 0
-    since_frame_s: float | None = None
+    reason: str = "not opened yet"  # why, as text; empty while streaming
+    device: str = ""  # name and serial number of the device; empty until one was opened
+    received: int = 0  # depth frames that the device made, by its frame numbers: delivered + the sum of dropped
+    delivered: int = 0  # clouds returned
+    dropped: Mapping[str, int] = field(default_factory=dict)  # lost frames by reason
+    opened: int = 0  # how often a device was opened
+    failures: int = 0  # consecutive attempts without a frame
+    since_frame_s: float | None = None  # age of the last frame [s]; None before the first
 
     @property
     def is_ok(self) -> bool:

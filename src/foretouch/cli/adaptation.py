@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name
-_FIELDS: dict[str, tuple[int, ...]] = {"pdc_th": (), "pdc_mf": (), "e_th": (ELECTRODES,), "e_mf": (ELECTRODES,)}
-_TDC_FIELDS: dict[str, tuple[int, ...]] = {"tdc_th": (), "tdc_mf": ()}  # optional
+_FIELDS: dict[str, Any] = {"pdc_th": float, "pdc_mf": float, "e_th": [float], "e_mf": [float]}
+_TDC_FIELDS = ("tdc_th", "tdc_mf")  # optional
 
 
 def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
@@ -201,20 +201,16 @@ def _read_tare(paths: Sequence[str], calibration: Calibration | None = None) -> 
 
 def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
     """One reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
-    if not isinstance(entry, dict) or entry.keys() - _TDC_FIELDS.keys() != _FIELDS.keys():
+    if not isinstance(entry, dict) or entry.keys() - {*_TDC_FIELDS} != _FIELDS.keys():
         allowed = f"{', '.join(_FIELDS)}, optionally {', '.join(_TDC_FIELDS)}"
         raise FileError(path, f"is no reading: it must hold {allowed} and nothing else")
-    values = {}
-    for name, shape in (_FIELDS | _TDC_FIELDS).items():
-        if name not in entry:
-            continue
-        numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
-        require_schema(path, numbers, [float], name)
-        values[name] = np.array(entry[name], np.float64)
-        if values[name].shape != shape:
-            raise FileError(path, f"is not {f'{ELECTRODES} numbers' if shape else 'one number'}", field=name)
-    tdc = tdc_of({f"TDC_{finger}": float(values.get(f"tdc_{finger.lower()}", np.nan)) for finger in ("TH", "MF")})
-    return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"]), tdc
+    require_schema(path, entry, {**_FIELDS, **{f"{name}?": float for name in _TDC_FIELDS}})
+    for name in ("e_th", "e_mf"):
+        if len(entry[name]) != ELECTRODES:
+            raise FileError(path, f"is not {ELECTRODES} numbers", field=name)
+    e_th, e_mf = (np.array(entry[name], np.float64) for name in ("e_th", "e_mf"))
+    tdc = tdc_of({f"TDC_{name[-2:].upper()}": float(entry.get(name, np.nan)) for name in _TDC_FIELDS})
+    return Touch(float(entry["pdc_th"]), float(entry["pdc_mf"]), e_th, e_mf), tdc
 
 
 def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:

@@ -200,7 +200,7 @@ def _load_model(name: str) -> str:
 
 
 def _list_cameras() -> str:
-    from foretouch.camera import list_devices
+    from foretouch.camera.device import list_devices
 
     found = list_devices()
     if not found:

@@ -17,6 +17,7 @@ from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
 from foretouch.experiments.framework.sweep import SweepResult
+from foretouch.ray_cluster import ADDRESS_HELP
 
 ENVIRONMENT = "FORETOUCH_DATA"
 
@@ -64,9 +65,7 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
         metavar="N",
         help="number of processes (default: one per core); does not change the results",
     )
-    parser.add_argument(
-        "--address", help="run on Ray: auto, ray://host:port, or local for a node on this machine (default: not on Ray)"
-    )
+    parser.add_argument("--address", help=ADDRESS_HELP)
     parser.add_argument("--redraw", action="store_true", help="only rewrite tables and figures from the table in DIR")
     parser.add_argument("--json", action="store_true", help="print one JSON object per cell, and a summary last")
 

@@ -15,7 +15,7 @@ from foretouch.cli.screen import FittedPanel, FittedTable
 from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
-    from foretouch.dataset.pairing import TouchCut
+    from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.ros.nodes.monitor import NodeView, View
     from foretouch_msgs.msg import TouchPrediction
 

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from foretouch.dataset.record import check_name
-from foretouch.dataset.recording import RecordedDataset, is_dataset
+from foretouch.dataset.record import check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
-from foretouch.dataset.recording.folder import lock
+from foretouch.dataset.recording.folder import is_dataset, lock
+from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.errors import DatasetError, FileError
 
 
@@ -50,7 +50,8 @@ def drop(path: str | Path, ids: Sequence[str]) -> int:
 def undo(path: str | Path) -> int:
     """Undo the latest edit that is in force, and return its number; a `DatasetError` if there is none."""
     with _locked(Path(path)):
-        undone = max(read_edits(Path(path)).in_force(), default=0)
+        in_force = read_edits(Path(path)).in_force()
+        undone = max((number for number, edit in in_force.items() if edit.ids), default=0)
         if not undone:
             raise DatasetError(f"{path}: holds no edit to undo")
         append_edit(Path(path), Edit(action="undo", edit=undone))
@@ -78,7 +79,7 @@ def _renamed(now: dict[str, str], ids: Sequence[str], label: str) -> tuple[str, 
     recorded = _recorded(now, ids)
     taken = now.keys() - set(ids)
     for name in ids:
-        wanted = f"{label}/{name.partition('/')[2]}"
+        wanted = renamed_id(name, label)
         if wanted in taken:
             raise DatasetError(f"{name}: id {wanted} is taken")
         taken.add(wanted)

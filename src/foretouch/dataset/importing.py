@@ -16,17 +16,13 @@ from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
 from foretouch.dataset.files import disk_errors, new_folder
-from foretouch.dataset.pairing import (
-    AssembledSample,
-    AssemblerConfig,
-    PairingConfig,
-    RejectedGrasp,
-    Role,
-    SampleAssembler,
-    SerializedCloud,
-)
-from foretouch.dataset.recording import Identity, RecordingConfig, RecordingWriter, SampleRecord
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.cut import PairingConfig
+from foretouch.dataset.pairing.matcher import RejectedGrasp
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, StoredSample, decode_sample
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
@@ -38,26 +34,15 @@ _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
 
 @dataclass(frozen=True, kw_only=True)
 class BagTopics:
-    """The topics of a bag that samples are assembled from, and how they are read.
+    """The topics of a bag that samples are assembled from, and how they are read."""
 
-    Attributes:
-        clouds: `sensor_msgs/PointCloud2` of the objects alone (see `foretouch.dataset.messages`).
-        grasps: `foretouch_msgs/GraspArray`, each with the stamp of its cloud.
-        executed: `foretouch_msgs/ExecutedGrasp`.
-        tactile: Tactile messages of a type in `TACTILE_TYPES`.
-        object: Label of the object on the table.
-        fingers: Indices of thumb and middle finger in the messages; None for the names in `tactile_config`.
-        tactile_config: Names of the fingers; its type is replaced by that of the topic.
-        pairing: Settings of the pairing, as in a live recording.
-    """
-
-    clouds: str = full_name(CLOUD_TOPIC)
-    grasps: str = full_name(GRASPS_TOPIC)
-    executed: str = full_name(EXECUTED_TOPIC)
-    tactile: str = TACTILE_TOPIC
-    object: str = "unknown"
-    fingers: tuple[int, int] | None = None
-    tactile_config: TactileConfig = TactileConfig()
+    clouds: str = full_name(CLOUD_TOPIC)  # `sensor_msgs/PointCloud2` of the objects alone (see `dataset.messages`)
+    grasps: str = full_name(GRASPS_TOPIC)  # `foretouch_msgs/GraspArray`, each with the stamp of its cloud
+    executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
+    tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
+    object: str = "unknown"  # label of the object on the table
+    fingers: tuple[int, int] | None = None  # indices of thumb and middle finger; None for those that are named
+    tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
     pairing: PairingConfig = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 
     def roles(self) -> dict[str, Role]:

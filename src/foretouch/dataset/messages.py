@@ -107,19 +107,12 @@ def _point(position: Any) -> SimpleNamespace:
 
 
 class ObjectCloud(NamedTuple):
-    """One object of an `object_cloud`.
+    """One object of an `object_cloud`."""
 
-    Attributes:
-        id: Its label as text; "" in a cloud without labels.
-        cloud: (N, 3), the points of this object.
-        pixels: (N,) int64, flat index of each point in the image that it was cut from; None without an image.
-        image_shape: (H, W) of that image.
-    """
-
-    id: str
-    cloud: Cloud
-    pixels: Int64 | None = None
-    image_shape: tuple[int, int] | None = None
+    id: str  # its label as text; "" in a cloud without labels
+    cloud: Cloud  # (N, 3), the points of this object
+    pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it was cut from, if any
+    image_shape: tuple[int, int] | None = None  # (H, W) of that image
 
 
 def decode_cloud(message: Any) -> Cloud:

@@ -21,35 +21,20 @@ Outcome = Literal["unknown", "success", "failure"]
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """The hand and the camera; all recordings of a dataset share them.
+    """The hand and the camera; all recordings of a dataset share them."""
 
-    Attributes:
-        hand: Properties by name, such as model, serial number and which of its fingers are thumb and middle finger.
-        camera: Properties by name, such as model, serial number and image size.
-    """
-
-    hand: Mapping[str, str] = field(default_factory=dict)
-    camera: Mapping[str, str] = field(default_factory=dict)
+    hand: Mapping[str, str] = field(default_factory=dict)  # such as model, serial number and names of its two fingers
+    camera: Mapping[str, str] = field(default_factory=dict)  # such as model, serial number and image size
 
 
 @dataclass(frozen=True, eq=False)
 class TouchSeries:
-    """The readings around one grasp, in the order of their stamps.
+    """The readings around one grasp, in the order of their stamps; a `DatasetError` if a shape is another."""
 
-    Attributes:
-        stamps_ns: (T,) int64, from the sensor's headers [ns]; equal stamps are kept.
-        counts: (T, 50) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts].
-        phases: (T,) uint8: REST, APPROACH or HOLD.
-        others: Further channels by name, such as `PAC0_TH`: (T,) float32 each [counts].
-
-    Raises:
-        DatasetError: If a shape differs from these.
-    """
-
-    stamps_ns: Int64
-    counts: Float32
-    phases: UInt8
-    others: Mapping[str, Float32] = field(default_factory=dict)
+    stamps_ns: Int64  # (T,) int64, from the sensor's headers [ns]; equal stamps are kept
+    counts: Float32  # (T, 50) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    phases: UInt8  # (T,) uint8: REST, APPROACH or HOLD
+    others: Mapping[str, Float32] = field(default_factory=dict)  # such as `PAC0_TH`: (T,) float32 each [counts]
 
     def __post_init__(self) -> None:
         length = len(self.stamps_ns)
@@ -63,29 +48,17 @@ class TouchSeries:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampleRecord:
-    """One recorded grasp; it is labelled if `sample.touch` is set.
+    """One recorded grasp; it is labelled if `sample.touch` is set, else its grasp is the best planned one."""
 
-    Attributes:
-        sample: If its id is "", the writer assigns `<object>/<number>`. Unlabelled: `grasp` is the best planned one.
-        candidates: The other grasps planned on the same cloud.
-        outcome: The operator's verdict.
-        note: The operator's remark.
-        series: The readings around the grasp.
-        contact_ns: Stamp of the first contact [ns].
-        detector: Description of the method that detected the contact.
-        pairing_error_ns: Widest gap between the requested interval and the readings found [ns].
-        flags: Such as `arrival_stamped`.
-    """
-
-    sample: GraspSample
-    candidates: tuple[Grasp, ...] = ()
-    outcome: Outcome = "unknown"
-    note: str = ""
-    series: TouchSeries | None = None
-    contact_ns: int | None = None
-    detector: str = ""
-    pairing_error_ns: int | None = None
-    flags: tuple[str, ...] = ()
+    sample: GraspSample  # if its id is "", the writer assigns `<object>/<number>`
+    candidates: tuple[Grasp, ...] = ()  # the other grasps planned on the same cloud
+    outcome: Outcome = "unknown"  # the operator's verdict
+    note: str = ""  # the operator's remark
+    series: TouchSeries | None = None  # the readings around the grasp
+    contact_ns: int | None = None  # stamp of the first contact [ns]
+    detector: str = ""  # description of the method that detected the contact
+    pairing_error_ns: int | None = None  # widest gap between the requested interval and the readings found [ns]
+    flags: tuple[str, ...] = ()  # such as `arrival_stamped`
 
 
 def check_name(name: str, what: str) -> str:
@@ -104,6 +77,11 @@ def check_name(name: str, what: str) -> str:
 def numbered_id(label: str, number: int) -> str:
     """The id of a sample that was given none: `<object>/<number>`."""
     return f"{label}/{number:06d}"
+
+
+def renamed_id(sample_id: str, label: str) -> str:
+    """The id of a sample that is assigned to another object."""
+    return f"{label}/{sample_id.partition('/')[2]}"
 
 
 def id_number(sample_id: str) -> int:

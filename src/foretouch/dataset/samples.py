@@ -60,15 +60,11 @@ def _not_supported(*_: Any) -> Any:
 class DatasetFormat:
     """The functions of one format; its module holds them as `DATASET_FORMAT`.
 
-    Attributes:
-        recognise: Whether a path that exists is of this format.
-        open: Opens a path for reading, with or without recordings that were cut off.
-        export: Writes samples to a folder that does not exist yet; adds to the counts, and reports progress once a
-            sample.
+    `export` writes to a folder that does not exist yet, adds to the counts, and reports progress once a sample.
     """
 
-    recognise: Callable[[Path], bool] = _not_supported
-    open: Callable[[Path, bool], SampleSet] = _not_supported
+    recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
+    open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
     export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
 
 

@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from foretouch.checked_files import FileBytes, Version, file_sha256, parse_json
+from foretouch.checked_files import FileBytes, Version, file_sha256, parse_json, require_schema
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
@@ -67,9 +67,12 @@ _verified: dict[tuple[Path, Version | None], tuple[str, list["_Part"]]] = {}  # 
 
 _POINTS: Final = ("xyz", "rgb")
 _NULLABLE: Final = ("rgb", "touch", "tare")
-_PARTS: Final[dict[str, dict[str, type]]] = {
-    "shards": {"file": str, "samples": int, "sha256": str},
-    "files": {"file": str, "sha256": str},
+_MANIFEST_SCHEMA: Final = {
+    "samples": int,
+    "sha256": str,
+    "about?": dict,
+    "shards?": [{"file": str, "samples": int, "sha256": str}],
+    "files?": [{"file": str, "sha256": str}],
 }
 
 
@@ -178,19 +181,10 @@ def content_sha256(samples: Iterable[GraspSample]) -> str:
 def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST
     manifest = read_manifest(file, FORMAT, SCHEMA_VERSION, SEAL)
-    for name, kind in (("samples", int), ("sha256", str), ("about", dict)):
-        value = manifest.get(name, {} if name == "about" else None)
-        if type(value) is not kind:
-            raise FileError(file, f"{shown(value)} is of type {type(value).__name__}", field=name)
-    for name, wanted in _PARTS.items():
-        parts = manifest.setdefault(name, [])
-        if not isinstance(parts, list):
-            raise FileError(file, f"{shown(parts)} is no list", field=name)
-        for part in parts:
-            if not isinstance(part, dict) or any(type(part.get(key)) is not kind for key, kind in wanted.items()):
-                raise FileError(file, f"{shown(part)} lacks one of {', '.join(wanted)}", field=name)
-            if not part["file"] or "\0" in part["file"] or Path(part["file"]).name != part["file"]:
-                raise FileError(file, f"{shown(part['file'])!r} is not the name of a file in the store", field="file")
+    require_schema(file, manifest, _MANIFEST_SCHEMA)
+    for part in [*manifest.setdefault("shards", []), *manifest.setdefault("files", [])]:
+        if not part["file"] or "\0" in part["file"] or Path(part["file"]).name != part["file"]:
+            raise FileError(file, f"{shown(part['file'])!r} is not the name of a file in the store", field="file")
     return manifest
 
 

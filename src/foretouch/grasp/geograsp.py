@@ -33,35 +33,23 @@ PlanStatus = Literal["ok", "initial_points", "no_grasp"]
 
 @dataclass(eq=False)
 class GraspPlan:
-    """The grasps of one object, with the intermediate results of GeoGrasp.
+    """The grasps of one object, with the intermediate results of GeoGrasp, None where planning failed before.
 
-    Attributes:
-        status: "ok": ranked candidates. "initial_points": no pair of candidates passes, the only grasp is that
-            of the initial points. "no_grasp": there is none.
-        reason: Explanation of the status.
-        grasps: Best first. The first of method "stable" is the mean of the best pairs, whatever the scores of single
-            pairs, which follow it.
-        initial_points: (2, 3) float64 [m], the extremes near the grasp plane; None if planning failed before.
-        axis: (3,) float64, the object's axis; None if planning failed before.
-        centroid: (3,) float64 [m], of the object; None if planning failed before.
-        axis_ratio: Middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary. None as `axis`.
-        slide_m: Shift of the grasp plane along the axis [m].
-        outdone: Number of clouds in a row on which another grasp was better than the held one.
-        counts: Points, candidates and pairs after each stage, by name.
-        ms: Wall time of each stage and their `total` [ms].
+    The first grasp of method "stable" is the mean of the best pairs, whatever the scores of single pairs, which follow.
+    With the status "initial_points", no pair of candidates passes, and the only grasp is that of the initial points.
     """
 
     status: PlanStatus = "no_grasp"
-    reason: str = ""
-    grasps: tuple[Grasp, ...] = ()
-    initial_points: Float64 | None = None
-    axis: Float64 | None = None
-    centroid: Float64 | None = None
-    axis_ratio: float | None = None
-    slide_m: float = 0.0
-    outdone: int = 0
-    counts: dict[str, int] = field(default_factory=dict)
-    ms: dict[str, float] = field(default_factory=dict)
+    reason: str = ""  # explanation of the status
+    grasps: tuple[Grasp, ...] = ()  # best first
+    initial_points: Float64 | None = None  # (2, 3) float64 [m], the extremes near the grasp plane
+    axis: Float64 | None = None  # (3,) float64, the object's axis
+    centroid: Float64 | None = None  # (3,) float64 [m], of the object
+    axis_ratio: float | None = None  # middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary
+    slide_m: float = 0.0  # shift of the grasp plane along the axis [m]
+    outdone: int = 0  # number of clouds in a row on which another grasp was better than the held one
+    counts: dict[str, int] = field(default_factory=dict)  # points, candidates and pairs after each stage, by name
+    ms: dict[str, float] = field(default_factory=dict)  # wall time of each stage and their `total` [ms]
 
 
 def plan_grasps(

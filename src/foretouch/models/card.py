@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.checked_files import read_json
+from foretouch.checked_files import read_json, require_schema
 from foretouch.errors import FileError, ModelError, quoted, shown
 
 CARD_FORMAT: Final = "foretouch-model"
@@ -62,11 +62,10 @@ def read_card(path: str | Path) -> dict[str, Any]:
     kind = card.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ModelError(f"{path}: kind: {quoted(kind)} is none of {', '.join(KINDS)}")
-    for field, types in {**_COMMON, **KINDS[kind]}.items():
-        if field not in card:
-            raise ModelError(f"{path}: {field}: is missing")
-        if not isinstance(card[field], types):
-            raise ModelError(f"{path}: {field}: {quoted(card[field])} is of type {type(card[field]).__name__}")
+    try:
+        require_schema(path, card, {**_COMMON, **KINDS[kind]})
+    except FileError as err:
+        raise ModelError(str(err)) from err
     return card
 
 

@@ -140,6 +140,13 @@ class HandHistory:
         self.signature = ObjectSignature.of(cloud)
         return self._counted(restarted)
 
+    def keep_to_clock(self, now_ns: int) -> str:
+        """Set readings aside that are ahead of the clock (see `SensorTracker.keep_to_clock`)."""
+        aside, reason = self.tracker.set_aside, self.tracker.keep_to_clock(now_ns)
+        if self.tracker.set_aside != aside:
+            self.signature = None
+        return reason
+
     def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
         """Whether the object of a cloud is the one that was touched last.
 

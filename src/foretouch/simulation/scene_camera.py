@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from foretouch.camera import SyntheticCamera
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import SimulationError
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene, to_millimetres

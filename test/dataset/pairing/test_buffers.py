@@ -7,8 +7,7 @@ import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
 from foretouch.dataset.messages import cloud_fields
-from foretouch.dataset.pairing import SerializedCloud, TouchBuffer, TouchReading
-from foretouch.dataset.pairing.buffers import CloudBuffer
+from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
 from foretouch.types import Cloud
 
 

@@ -23,15 +23,16 @@ from foretouch.checked_files import FileBytes
 from foretouch.dataset.editing import drop
 from foretouch.dataset.files import sealed
 from foretouch.dataset.info import describe
-from foretouch.dataset.recording import RecordedDataset, RecordingWriter, RepairReport, repair_dataset, verify_dataset
 from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import write_listed
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import _sample_messages
+from foretouch.dataset.recording.reader import RecordedDataset, _sample_messages
 from foretouch.dataset.recording.records import walk
+from foretouch.dataset.recording.repair import RepairReport, repair_dataset
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
-from foretouch.dataset.recording.verify import FileReport
+from foretouch.dataset.recording.verify import FileReport, verify_dataset
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
 
 COUNT = 4

@@ -14,8 +14,8 @@ from recording_builders import MESSAGE, TACTILE, record, write_dataset
 from rosbags.highlevel import AnyReader
 
 from foretouch.dataset.bag import Recording
-from foretouch.dataset.recording import SAMPLE_TOPIC, repair_dataset
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE
 
 
 def write_and_repair(folder: Path) -> list[Path]:

@@ -28,16 +28,13 @@ from recording_builders import (
 )
 
 from foretouch.dataset.files import sealed
-from foretouch.dataset.recording import (
-    SAMPLE_TOPIC,
-    Identity,
-    MessageCounts,
-    RecordedDataset,
-    RecordingConfig,
-    RecordingWriter,
-    repair_dataset,
-    verify_dataset,
-)
+from foretouch.dataset.record import Identity
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.records import MessageCounts
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
+from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import DatasetError, FileError
 
 CAMPAIGN = Path(__file__).parents[3] / "benchmarks" / "recorder" / "kill.py"

@@ -79,7 +79,7 @@ def test_wrong_cards_and_what_is_none_are_named(card: Path, make_net, small, tmp
         ("format_version: 1 is not 2", {"format_version": 1}),
         ("kind: 'tree' is none of network, contact", {"kind": "tree"}),
         ("skill: is missing", {"skill": ...}),
-        ("data: 3 is of type int", {"data": 3}),
+        ("data: 3 is not a mapping", {"data": 3}),
         ("config: widht: unknown setting; known: n_points", {"config": {"widht": 3}}),
         ("n_points: 'many' is not a whole number", {"config": {"n_points": "many"}}),
         (r"head.1.linear.bias: .*\(8,\) is not .*\(9,\)", {"config": {**config, "head_widths": [16, 9]}}),

@@ -12,7 +12,9 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
+from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.realsense import RealSenseCamera
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.simulation import random_scene

@@ -7,7 +7,8 @@ from pair_builders import REST, level
 from robot_builders import QUICK, Robot
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.pairing import AssemblerConfig, PairingConfig
+from foretouch.dataset.pairing.assembler import AssemblerConfig
+from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.nodes.monitor import Drawable, MonitorNode

@@ -9,7 +9,10 @@ from pair_builders import REST, level
 from rclpy.serialization import serialize_message
 from robot_builders import MS, QUICK, accounts, outcomes, start
 
-from foretouch.dataset.recording import HOLD, RecordedDataset, TopicCounts, verify_dataset
+from foretouch.dataset.record import HOLD
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.records import TopicCounts
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording

@@ -12,7 +12,10 @@ from pair_builders import REST, level
 from rclpy.qos import ReliabilityPolicy
 from robot_builders import FRAME, MS, QUICK, Robot, accounts, outcomes, start
 
-from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_dataset, verify_dataset
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.repair import repair_dataset
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
+from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
@@ -142,7 +145,7 @@ def test_an_override_of_qos_takes_effect_outlives_what_publishers_offer_and_may_
 
 def removed_during_a_recording(graph, path, **parameters):
     """Record two samples, remove the folder, and wait until the status names it; gives the time that took [s]."""
-    node, robot, statuses = start(graph, path, **parameters)
+    node, robot, statuses = start(graph, path, sample_views=False, **parameters)
     for number in range(2):
         robot.record(f"g-{number}", number)
     shutil.rmtree(path)

@@ -2,6 +2,7 @@
 """The service, the action, and a model that cannot be loaded."""
 
 import math
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import plan_targets
+from foretouch.ros.runtime.lifecycle_node import REQUESTS
 from foretouch.types import Cloud
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TablePlane, TouchPredictionArray
@@ -307,3 +309,27 @@ def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(
     model = node._predictor.model.name
     assert line.startswith(f"model {model} is made for the simulated hand only, but /other/tactile comes from ")
     del sender
+
+
+def test_each_of_two_hundred_requests_and_a_hundred_goals_at_once_is_answered_or_refused_and_counted(planner):
+    graph, asked = planner.graph, {"predict_touch": 200, "sample_grasps": 100}
+    client = graph.probe.create_client(PredictTouch, "predict_touch", qos_profile=REQUESTS)
+    assert client.wait_for_service(10.0)
+    answers = [client.call_async(planner.request()) for _ in range(asked["predict_touch"])]
+    graph.until(lambda: all(one.done() for one in answers))
+    touches = [one.result().touch for one in answers]
+    assert all(bool(touch.predictions) is (touch.reason == "") for touch in touches)
+    assert all(touch.reason.startswith("busy: ") for touch in touches if touch.reason)
+    actions = graph.action_client(
+        SampleGrasps, "sample_grasps", goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS
+    )
+    sent = [actions.send_goal_async(planner.goal()) for _ in range(asked["sample_grasps"])]
+    graph.until(lambda: all(one.done() for one in sent))
+    ends = [one.result().get_result_async() for one in sent]
+    graph.until(lambda: all(one.done() for one in ends))
+    assert {one.result().status for one in ends} <= {GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED}
+    counts = Counter()
+    for name, count in planner.node.notes().items():
+        if name.startswith("requests."):
+            counts[name.split(".")[1]] += int(count)
+    assert counts == asked

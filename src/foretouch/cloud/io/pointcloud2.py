@@ -23,6 +23,7 @@ from foretouch.types import AnyArray, Cloud, Float32, UInt8
 DATATYPES: dict[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _NAMES = {1: "INT8", 2: "UINT8", 3: "INT16", 4: "UINT16", 5: "INT32", 6: "UINT32", 7: "FLOAT32", 8: "FLOAT64"}
 _UINT8, _FLOAT32, _FLOAT64 = 2, 7, 8
+_UINT = {2: 4, 4: 6}  # by size [bytes]
 _PACKED_COLOUR = (5, 6, 7)  # four bytes, regardless of the declared type
 
 
@@ -156,12 +157,13 @@ def decode(
     return xyz, rgb
 
 
-def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
+def encode(cloud: Cloud, **columns: AnyArray) -> tuple[PointCloud2Layout, array.array[int]]:
     """Layout and bytes of a message for a cloud.
 
     Args:
         cloud: Organised or not; a point takes 12 bytes (x, y, z), with colour 16 (and `rgb`,
             packed into a FLOAT32 as PCL and RViz expect).
+        columns: Further fields of its N points by name, (N,) uint16 or uint32.
 
     Returns:
         Layout, and the bytes as `array.array("B")`: the only type that rclpy accepts without checking each byte.
@@ -174,6 +176,17 @@ def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
         fields.append(PointField("rgb", 12, _FLOAT32))
         points = _with_colour(points, cloud.rgb)
     step = 12 if cloud.rgb is None else 16
+    if columns:
+        record = np.dtype(
+            [("own", "<f4", (step // 4,)), *((name, f"<u{one.itemsize}") for name, one in columns.items())]
+        )
+        records = np.empty(cloud.size, record)
+        records["own"] = points.reshape(-1, points.shape[-1])
+        for name, one in columns.items():
+            records[name] = one
+            fields.append(PointField(name, step, _UINT[one.itemsize]))
+            step += one.itemsize
+        points = records
     data = array.array("B")
     data.frombytes(points.reshape(-1).view(np.uint8).data)
     layout = PointCloud2Layout(

@@ -60,27 +60,21 @@ class SegmentationConfig(Settings):
 class Segmentation:
     """The table and the objects of a cloud.
 
-    Attributes:
-        status: "ok" with at least one object, else what is missing.
-        reason: Explanation of the status; "" if ok.
-        plane: The table, its normal towards the camera; None if not found.
-        objects: Nearest centroid first; ids 1, 2, ...
-        labels: (H, W) or (N,) int32, the id of each point's object, 0 for none. Flying pixels at the outline of an
-            object have its label, but an unreliable depth, so they are not in its cloud.
-        counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
-            points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points
-            that could affect the result are checked; background is the table, points below it, isolated points and
-            those without x or y; rejected are the points of `n_rejected` implausible clusters.
-        ms: Time of each stage and `total` [ms].
+    Flying pixels at the outline of an object have its label, but an unreliable depth, so they are not in its cloud.
+
+    Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
+    points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
+    affect the result are checked; background is the table, points below it, isolated points and those without x or y;
+    rejected are the points of `n_rejected` implausible clusters.
     """
 
-    status: SegmentationStatus
-    reason: str
-    plane: Plane | None
-    objects: tuple[ObjectSegment, ...]
-    labels: Int32
-    counts: dict[str, int]
-    ms: dict[str, float]
+    status: SegmentationStatus  # "ok" with at least one object, else what is missing
+    reason: str  # explanation of the status; "" if ok
+    plane: Plane | None  # the table, its normal towards the camera; None if not found
+    objects: tuple[ObjectSegment, ...]  # nearest centroid first; ids 1, 2, ...
+    labels: Int32  # (H, W) or (N,) int32, the id of each point's object, 0 for none
+    counts: dict[str, int]  # of points
+    ms: dict[str, float]  # time of each stage and `total` [ms]
 
 
 def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:

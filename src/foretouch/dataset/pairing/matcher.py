@@ -180,6 +180,10 @@ class GraspTouchMatcher:
 
     # Output.
 
+    def expects_grasp(self, now_s: float) -> bool:
+        """Whether a grasp is not complete yet, or a contact has just ended that the robot may still report."""
+        return bool(self.pending) or any(now_s - since_s <= self.config.wait_s for _, since_s in self._unclaimed)
+
     def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
         """The grasps that are complete by now; at the end, all."""
         self._claim_late_episodes(now_s, ending=ending)

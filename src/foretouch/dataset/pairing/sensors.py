@@ -32,6 +32,11 @@ class ContactEpisodes:
         self._onset: dict[str, int] = {}
         self._holding = False
 
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """The fingers that are in contact."""
+        return tuple(name for name, finger in self._detector.fingers.items() if finger.touching)
+
     def update(self, stamp_ns: int, counts: Float32) -> Episode | None:
         """Add a reading of both fingers; gives the episode that ends with it."""
         changes = self._detector.update(stamp_ns, counts)

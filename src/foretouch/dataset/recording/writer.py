@@ -40,6 +40,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.chain import ID, Session, begin_session, copy_session, end_session
+from foretouch.dataset.recording.edits import Edit, append_edit
 from foretouch.dataset.recording.folder import new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.reader import recorded_ids
@@ -243,6 +244,12 @@ class RecordingWriter:
             self.labelled += sample.touch is not None
             self._after_write()
             return sample.id
+
+    def edit(self, edit: Edit) -> int:
+        """Append an edit to the dataset's log and return its number (raises as `append_edit`, or if the session has ended)."""
+        with self._guard:
+            self._require_open()
+            return append_edit(self.path, edit)
 
     def flush(self) -> None:
         """Write the collected messages (raises as `write`)."""

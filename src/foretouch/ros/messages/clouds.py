@@ -11,10 +11,8 @@ import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
@@ -24,13 +22,13 @@ from foretouch.dataset.messages import decode_objects
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Plane
+from foretouch.types import AnyArray, Cloud, Plane
 from foretouch_msgs.msg import Object
 
 
-def cloud_to_msg(cloud: Cloud) -> PointCloud2:
-    """Convert a cloud to a message of 12 bytes per point, 16 with colour."""
-    layout, data = encode(cloud)
+def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
+    """Convert a cloud to a message of 12 bytes per point, 16 with colour, and further columns (see `encode`)."""
+    layout, data = encode(cloud, **columns)
     message = PointCloud2(
         header=header_to_msg(cloud.frame_id, cloud.stamp_ns),
         height=layout.height,
@@ -50,20 +48,18 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
 
     Frame and stamp [ns] are those of the scene's cloud.
     """
-    coloured = bool(targets) and all(one.cloud.rgb is not None for one in targets)
-    points = np.concatenate([_records(one, coloured=coloured) for one in targets] or [np.empty(0, _record())])
-    message = PointCloud2(
-        header=header_to_msg(frame_id, nanoseconds),
-        height=1,
-        width=len(points),
-        fields=_fields(points.dtype),
-        point_step=points.dtype.itemsize,
-        row_step=points.nbytes,
-        is_dense=True,
-    )
-    # An array.array is stored as it is; a NumPy array would be checked byte by byte.
-    message.data = array.array("B", points.tobytes())
-    return message
+    colours = [one.cloud.rgb for one in targets if one.cloud.rgb is not None]
+    pixels = [
+        np.divmod(one.pixels, one.image_shape[1]) for one in targets if one.pixels is not None and one.image_shape
+    ]
+    xyz = np.concatenate([one.cloud.xyz for one in targets] or [np.empty((0, 3), np.float32)])
+    rgb = np.concatenate(colours) if targets and len(colours) == len(targets) else None
+    ids, sizes = [int(one.id) for one in targets], [one.cloud.size for one in targets]
+    columns = {"label": np.repeat(np.array(ids, np.uint32), sizes or 1)}
+    if pixels:
+        rows, places = map(np.concatenate, zip(*pixels, strict=True))
+        columns |= {"row": rows.astype(np.uint16), "column": places.astype(np.uint16)}
+    return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
 
 
 @dataclass(eq=False)
@@ -99,31 +95,3 @@ def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[
         FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape)
         for one in (message.targets if isinstance(message, TargetCloud) else decode_objects(message))
     )
-
-
-def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:
-    rgb, pixel = [("rgb", "<u4")] if coloured else [], [("row", "<u2"), ("column", "<u2")] if imaged else []
-    return np.dtype([*((name, "<f4") for name in "xyz"), *rgb, ("label", "<u4"), *pixel])
-
-
-def _records(target: FoundObject, *, coloured: bool) -> npt.NDArray[Any]:
-    imaged = target.pixels is not None and target.image_shape is not None
-    records = np.empty(target.cloud.size, _record(coloured=coloured, imaged=imaged))
-    for i, name in enumerate("xyz"):
-        records[name] = target.cloud.xyz[:, i]
-    if coloured and target.cloud.rgb is not None:
-        r, g, b = target.cloud.rgb.T.astype(np.uint32)
-        records["rgb"] = (r << 16) | (g << 8) | b
-    records["label"] = int(target.id)
-    if target.pixels is not None and target.image_shape is not None:
-        records["row"], records["column"] = np.divmod(target.pixels, target.image_shape[1])
-    return records
-
-
-def _fields(record: np.dtype[Any]) -> list[PointField]:
-    codes = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32, "<u2": PointField.UINT16}
-    floats = {"rgb": PointField.FLOAT32}  # PCL and RViz expect packed colours to be declared as such
-    return [
-        PointField(name=name, offset=offset, datatype=floats.get(name, codes[kind.str]), count=1)
-        for name, (kind, offset, *_) in (record.fields or {}).items()
-    ]

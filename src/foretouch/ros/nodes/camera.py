@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera
+from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.realsense import CameraStatus, RealSenseCamera
+from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.clouds import cloud_to_msg

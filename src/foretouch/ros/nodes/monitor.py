@@ -18,7 +18,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.messages import decode_cloud
-from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Role, SampleAssembler, SerializedCloud, TouchCut
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_from_msg

@@ -17,6 +17,7 @@ and everything that is published is brought back (see `output_frame`).
 import math
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
@@ -36,8 +37,9 @@ from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
+from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets, status_name
 from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.runtime.lifecycle_node import REQUESTS
 from foretouch.ros.runtime.output_frame import Latest, OutputFrame, in_cloud_frame
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
@@ -94,6 +96,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._latest: Latest | None = None
         self._latest_lock = threading.Lock()
         self._warned = False  # that no level meets the budget
+        self._requests: Counter[str] = Counter()  # by name and status
         self._foreign = ("", -math.inf)  # frame of the last request that the graph does not know, and when [s]
 
     def _setup(self) -> None:
@@ -110,7 +113,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = self.advertise(MarkerArray, "markers")
-        self._threads = ThreadPool(self, 2)  # more would only share the processor
+        self._threads = ThreadPool(self, 2, 100)  # more threads would only share the processor
         closing.callback(self._threads.close)
         group = ReentrantCallbackGroup()
         self.serve(PredictTouch, "predict_touch", self._predict_touch, group)
@@ -136,9 +139,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 self,
                 kind,
                 name,
-                self.internal_errors.guarded(name, partial(self._execute, work, failure), partial(_aborted, failure)),
+                self.internal_errors.guarded(
+                    name, partial(self._execute, name, work, failure), partial(_aborted, failure)
+                ),
                 cancel_callback=lambda _: CancelResponse.ACCEPT,
                 callback_group=ReentrantCallbackGroup(),
+                goal_service_qos_profile=REQUESTS,
+                result_service_qos_profile=REQUESTS,
+                cancel_service_qos_profile=REQUESTS,
             ).destroy
         )
 
@@ -181,6 +189,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 found["regime"] = "none: the model's card holds no calibration"
         for part in (predictor.budget if predictor else None, self._adapter, self._keeper, self._frame):
             found |= part.notes() if part is not None else {}
+        found |= {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
         return found | ({PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {})
 
     def _config_changed(self, config: TouchPredictorConfig) -> None:
@@ -269,20 +278,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message = tactile_class(config.tactile.type)
         if model is None or model.calibration is None:
             return
+        log = self.get_logger()
         self._keeper = HistoryKeeper(
-            model, config.hand, config.history_folder, info=self.get_logger().info, warn=self.get_logger().warning
+            model, config.hand, config.history_folder, now_ns=self._now_ns, info=log.info, warn=log.warning
         )
         self._closing.callback(self._keeper.close)
         self._adapter = predictor.adapter = OnlineAdapter(
-            model,
-            reader,
-            self._keeper,
-            lambda: self.config,
-            lambda: int(self.get_clock().now().nanoseconds),
-            self.get_logger().warning,
+            model, reader, self._keeper, lambda: self.config, self._now_ns, log.warning
         )
         self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=200)  # two seconds of a hand
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=10)
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
 
     def _add_requested(self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[Grasp]) -> None:
         """Keep grasps of a request, which may be executed."""
@@ -297,19 +305,29 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The service.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        response.touch = await _configured(self._threads).run(
-            partial(self._answer_or_refuse_request, request, time.monotonic())
-        )
-        return response
-
-    def _answer_or_refuse_request(self, request: Any, arrived: float) -> TouchPredictionArray:
         try:
-            return self._answer_request(request, arrived)
+            response.touch = await self._do("predict_touch", partial(self._answer_request, request, time.monotonic()))
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
         except Exception as err:  # noqa: BLE001  the answer names the request's cloud
             status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
-        return TouchPredictionArray(header=request.cloud.header, status=status, reason=reason)
+        else:
+            return response
+        response.touch = TouchPredictionArray(header=request.cloud.header, status=status, reason=reason)
+        return response
+
+    async def _do(self, name: str, work: Callable[[], _T]) -> _T:
+        """Answer a request in a thread, and count its outcome."""
+        outcome = Status.FAILED
+        try:
+            answer = await _configured(self._threads).run(work)
+            outcome = Status.OK
+        except RefusalError as refusal:
+            outcome = refusal.status
+            raise
+        finally:
+            self._requests[f"{name}.{status_name(outcome).lower()}"] += 1
+        return answer
 
     def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
         config = self.config
@@ -345,11 +363,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         return planner_result(self._planner_action)
 
     async def _execute(
-        self, work: Callable[[Any], Any], failure: Callable[[RefusalError], Any], goal_handle: Any
+        self, name: str, work: Callable[[Any], Any], failure: Callable[[RefusalError], Any], goal_handle: Any
     ) -> Any:
         """The result of work on a goal, which then has succeeded, or was aborted or cancelled."""
         try:
-            result = await _configured(self._threads).run(partial(work, goal_handle))
+            result = await self._do(name, partial(work, goal_handle))
             end = goal_handle.succeed
         except RefusalError as refusal:
             result, end = failure(refusal), goal_handle.abort

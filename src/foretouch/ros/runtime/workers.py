@@ -19,6 +19,7 @@ from typing import Any, Generic, TypeVar
 from rclpy.node import Node
 
 from foretouch.bounded_queue import BoundedQueue
+from foretouch.ros.messages.requests import RefusalError, status_code
 
 _T = TypeVar("_T")
 
@@ -173,10 +174,14 @@ class Worker(Generic[_T]):
 
 
 class ThreadPool:
-    """So many threads for the requests of one node, whose executor is woken when work is done."""
+    """So many threads for the requests of one node, whose executor is woken when work is done.
 
-    def __init__(self, node: Node, threads: int) -> None:
+    At most `limit` requests wait; further ones are refused, as `busy`.
+    """
+
+    def __init__(self, node: Node, threads: int, limit: int) -> None:
         self._node = node
+        self._limit, self._waiting = limit, 0
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix=node.get_name())
 
     async def run(self, work: Callable[[], _T]) -> _T:
@@ -184,11 +189,17 @@ class ThreadPool:
 
         Only for callbacks in a callback group that they do not share: a group is busy while its callback waits.
         """
-        future = self._pool.submit(work)
-        future.add_done_callback(self._wake)
-        while not future.done():
-            await _Pause()
-        return future.result()
+        if self._waiting >= self._limit:
+            raise RefusalError(status_code("busy"), f"busy: {self._limit} requests wait already: ask again later")
+        self._waiting += 1
+        try:
+            future = self._pool.submit(work)
+            future.add_done_callback(self._wake)
+            while not future.done():
+                await _Pause()
+            return future.result()
+        finally:
+            self._waiting -= 1
 
     def close(self) -> None:
         """Wait for running work and cancel the rest."""

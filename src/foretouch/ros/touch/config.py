@@ -6,7 +6,7 @@ from typing import Final
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
-from foretouch.dataset.pairing import PairingConfig
+from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
@@ -52,9 +52,11 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
         300.0, "Time after the last touch of an object until its touches are forgotten", minimum=0.0, maximum=1e6
     )
     same_object_m: float = setting(
-        0.02, "How far an object may have moved, or changed in apparent size, since it was touched",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
+        0.02,
+        "How far an object may have moved, or changed in apparent size, since it was touched",
+        minimum=0.0,
+        maximum=1.0,
+    )
     hand: str = setting(
         "",
         "Name of the hand, such as right: what its sensors read is kept in a file of this name across restarts; empty: until "
