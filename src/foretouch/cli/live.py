@@ -24,12 +24,9 @@ _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
 
 
 def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
-    """Draw the state of each node, its problems, the answers so far, the last executed grasp and prediction.
+    """Draw what the graph has reported: nodes, their problems, answers, the last executed grasp and prediction.
 
-    Args:
-        view: What the graph has reported.
-        title: Of the panel.
-        waiting: What the first answer waits for.
+    `waiting` says what the first answer waits for.
     """
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or waiting or "none yet"
     parts: list[RenderableType] = [Text(f"clouds answered: {answered}"), _nodes(view.nodes)]

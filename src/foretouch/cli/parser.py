@@ -63,6 +63,11 @@ class CommandParser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **{"formatter_class": _Formatter, **options})
 
+    def add_json(self) -> None:
+        """Add the option that nearly all commands have."""
+        help_text = "print JSON on stdout, an object a line, and nothing else there"
+        self.add_argument("--json", action="store_true", help=help_text)
+
     def format_help(self) -> str:
         """Usage, description, arguments in groups, an example and the exit statuses."""
         formatter = self._get_formatter()

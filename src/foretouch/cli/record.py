@@ -181,7 +181,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="end after this number of samples with readings (default: at Ctrl-C)",
     )
     add_options(parser, "--params", "--namespace")
-    parser.add_argument("--json", action="store_true", help="one JSON object a second, the last with the final counts")
 
 
 def run(arguments: argparse.Namespace) -> int:

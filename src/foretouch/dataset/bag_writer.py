@@ -20,6 +20,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
+from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 
@@ -125,6 +126,8 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
             stamp_ns = record.sample.stamp_ns
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, encode_sample(record, samples.identity))
             writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
+            for topic, taxels_ns, data in taxel_clouds(record):
+                writer.write(topic, POINT_CLOUD_TYPE, taxels_ns, data)
             result.written += 1
 
 

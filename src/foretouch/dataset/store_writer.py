@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from foretouch import __version__
 from foretouch.checked_files import file_sha256
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.record import DISCARDED, id_number, numbered_id
-from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.samples import SampleSet, only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest
 from foretouch.errors import DatasetError
 from foretouch.types import GraspSample
@@ -149,12 +149,23 @@ class BuildResult:
     renumbered: int = 0  # samples whose id a source before had; both ids are in the manifest
 
 
+#: Reads the samples of a source, given its number among the sources: with finite points only, None for a discarded one.
+ReadSamples = Callable[[int, SampleSet], Iterable[GraspSample | None]]
+
+
+def read_samples(_number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
+    """A `ReadSamples` for this process."""
+    for record in samples.records(discarded=True):
+        yield None if DISCARDED in record.flags else only_finite(record.sample)
+
+
 def build_store(
     sources: Sequence[str | Path],
     out: str | Path,
     *,
     attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] = lambda _: {},
     progress: Callable[[], None] = lambda: None,
+    read: ReadSamples = read_samples,
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
@@ -166,6 +177,7 @@ def build_store(
         out: The store; must not exist.
         attach: Makes text files to add to the store, such as splits, by name, from the samples.
         progress: Called once a sample.
+        read: Reads the samples of a source, given its number too.
 
     Raises:
         FileError: If `out` exists, or a source is no dataset or damaged.
@@ -177,17 +189,17 @@ def build_store(
     about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
     ids = _UniqueIds()
     with StoreWriter(out, about) as writer:
-        for source in sources:
+        for number, source in enumerate(sources):
             renumbered = ids.begin(str(source))
             samples = open_samples(source)
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-            for record in samples.records(discarded=True):
+            for found in read(number, samples):
                 progress()
-                if DISCARDED in record.flags:
+                if found is None:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(only_finite(record.sample))
+                sample = ids.with_own_id(found)
                 writer.write(sample)
                 result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
             if renumbered:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of one training, by whatever method, and how they are read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ class RunConfig(Settings):
     """
 
     name: str = setting(
-        "", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the run folder's"
+        "", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the model folder's"
     )
     data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
     method: str = setting(

@@ -27,7 +27,15 @@ from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import ACTIONS, Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
-from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, TopicStatistics, sample_topics
+from foretouch.ros.recorder.subscriptions import (
+    ROBOT_TOPICS,
+    VIEWER_TOPICS,
+    MessageQueue,
+    RecorderSubscriptions,
+    TopicStatistics,
+    sample_topics,
+    viewer_topics,
+)
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
@@ -39,13 +47,13 @@ _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentityConfig(Settings):
+class IdentityConfig(Settings, read_only=True):
     """Which hand and which camera: a dataset holds recordings of one of each."""
 
-    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
-    hand_serial: str = setting("", "Serial number of the hand", read_only=True)
-    camera: str = setting("realsense", "Model of the camera", read_only=True)
-    camera_serial: str = setting("", "Serial number of the camera", read_only=True)
+    hand: str = setting("shadow_hand", "Model of the hand")
+    hand_serial: str = setting("", "Serial number of the hand")
+    camera: str = setting("realsense", "Model of the camera")
+    camera_serial: str = setting("", "Serial number of the camera")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +81,13 @@ class RecorderConfig(NodeConfig, TactileInput):
         read_only=True,
     )
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
+    viewer_topics: tuple[str, ...] = setting(
+        ROBOT_TOPICS, "Topics to record for viewers too, as far as they are published; drawing `markers` takes the graph "
+        "3 ms a cloud", choices=VIEWER_TOPICS, read_only=True,
+    )  # fmt: skip
+    sample_views: bool = setting(
+        True, "Whether to record what each grasp read for viewers too: its readings as clouds of taxels, and markers"
+    )
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
     unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", minimum=0.0, maximum=3600.0)
     assume_grasps: bool = setting(
@@ -139,7 +154,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._status = self.advertise(RecorderStatus, "recorder_status")
         # The middleware keeps so many messages while this process does not get to run.
         topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
-        self._input_topics = RecorderSubscriptions(self, topics, self._mismatch)
+        others, missing = viewer_topics(self.config.viewer_topics, depth=1000)
+        if missing:
+            self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
+        self._input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
         self._closing.callback(self._input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
@@ -268,6 +286,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             inputs,
             topics.lost,
             lambda text: self.get_logger().warning(text),
+            views=config.sample_views,
         )
         self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")

@@ -45,14 +45,7 @@ def profile_variable() -> str:
 
 
 def start_rclpy(arguments: Sequence[str]) -> None:
-    """Prepare the environment and call `rclpy.init`, without signal handlers.
-
-    Args:
-        arguments: Command line with ROS arguments.
-
-    Raises:
-        ConfigError: If an argument is malformed.
-    """
+    """Prepare the environment and call `rclpy.init`, without signal handlers; a `ConfigError` if an argument is malformed."""
     prepare_environment()
     stale_bytes(free=True)
     import rclpy

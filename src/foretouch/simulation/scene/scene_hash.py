@@ -73,7 +73,7 @@ _CONSTANTS: Final[dict[str, Any]] = {
 }
 # Settings that do not count at these values.
 _OFF: Final = {
-    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration", "repeat_every")),
+    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration", "repeat_every", "segmented")),
     "pdc_span": fingertip.PDC_SPAN,
     "method": "original",
     "first_variant": 0,
