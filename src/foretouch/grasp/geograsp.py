@@ -187,7 +187,7 @@ def _plan_stable(
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
-        downsampled = points.in_canonical_order().downsampled(config)
+        downsampled = points.downsampled(config, sort=True)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         weighted = weigh_points(downsampled.xyz, mean_neighbour_distance(downsampled.xyz, config.neighbours), config)
