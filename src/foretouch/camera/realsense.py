@@ -45,6 +45,9 @@ class CameraStatus:
     failures: int = 0  # consecutive attempts without a frame
     since_frame_s: float | None = None  # age of the last frame [s]; None before the first
 
+    def __str__(self) -> str:
+        return f"camera: {self.state}{self.reason and f': {self.reason}'}"
+
     @property
     def is_ok(self) -> bool:
         """Whether frames arrive, or none are expected yet or any more."""
@@ -270,9 +273,4 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    logging.getLogger(__name__).log(
-        logging.INFO if status.is_ok else logging.WARNING,
-        "camera: %s%s",
-        status.state,
-        f": {status.reason}" if status.reason else "",
-    )
+    logging.getLogger(__name__).log(logging.INFO if status.is_ok else logging.WARNING, "%s", status)

@@ -169,11 +169,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self.get_logger().error(reason)
 
     def _log_status(self, status: CameraStatus) -> None:
-        text = f"camera {status.state}" + (f": {status.reason}" if status.reason else "")
         if status.is_ok:
-            self.get_logger().info(text)
+            self.get_logger().info(str(status))
         else:
-            self.get_logger().warning(text)
+            self.get_logger().warning(str(status))
 
 
 def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
