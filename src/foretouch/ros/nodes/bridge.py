@@ -82,14 +82,10 @@ def _unsubscribe(one: _Served) -> None:
 
 
 class BridgeNode(ForetouchNode[BridgeConfig]):
-    """The bridge as a lifecycle node; it serves while it is active.
-
-    Attributes:
-        url: Where clients connect, while it is active; else "".
-    """
+    """The bridge as a lifecycle node; it serves while it is active."""
 
     def __init__(self, name: str = "bridge", **options: Any) -> None:
-        self.url = ""
+        self.url = ""  # where clients connect, while it is active
         self._served: dict[str, _Served] = {}  # by full name
         self._server: Any = None
         self._gate: OriginGate

@@ -54,16 +54,12 @@ class CameraNodeConfig(NodeConfig):
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
-    """Publishes organised clouds, and the state of the camera in /diagnostics.
-
-    Attributes:
-        synthetic: The software device where `source` is `synthetic` or `scene`; it can be paused and unplugged.
-    """
+    """Publishes organised clouds, and the state of the camera in /diagnostics."""
 
     exclusive_topics = ("points",)
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
-        self.synthetic: SyntheticCamera | None = None
+        self.synthetic: SyntheticCamera | None = None  # the software device where `source` is `synthetic` or `scene`
         self._camera: RealSenseCamera | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()

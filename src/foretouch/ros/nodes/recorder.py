@@ -130,18 +130,13 @@ def _decode_label(request: Any) -> Label:
 
 
 class RecorderNode(ForetouchNode[RecorderConfig]):
-    """The recorder as a lifecycle node; deactivating it ends the recording.
-
-    Attributes:
-        path: Path of the current dataset, or of the last one; "" before the first.
-        reason: Why the last recording ended by itself, or "".
-    """
+    """The recorder as a lifecycle node; deactivating it ends the recording."""
 
     exclusive_topics = (GRASPS_TOPIC,)
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        self.path = ""
-        self.reason = ""
+        self.path = ""  # of the current dataset, or of the last one
+        self.reason = ""  # why the last recording ended by itself
         self._input_topics: RecorderSubscriptions | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()

@@ -136,26 +136,17 @@ class ReplayConfig(NodeConfig):
 
 
 class ReplayNode(ForetouchNode[ReplayConfig]):
-    """The replay as a lifecycle node; activating it again plays from the beginning.
-
-    Attributes:
-        ended: Set at the end of the replay; `outcome` is the reason.
-        outcome: `waiting`, `playing`, `finished`, `stopped` or `failed`.
-        reason: Why it failed, else "".
-        clouds_topic: Full name of the topic of the clouds; "" before it is known.
-        played: Published messages by topic, also of the clouds.
-        unanswered: In lockstep, clouds without an answer on `touch` in time.
-    """
+    """The replay as a lifecycle node; activating it again plays from the beginning."""
 
     exclusive_topics = ("points", "objects", GRASPS_TOPIC, "touch")
 
     def __init__(self, name: str = "replay", **options: Any) -> None:
-        self.ended = threading.Event()
-        self.outcome = "waiting"
-        self.played: Counter[str] = Counter()
-        self.unanswered = 0
-        self.reason = ""
-        self.clouds_topic = ""
+        self.ended = threading.Event()  # set at the end of the replay
+        self.outcome = "waiting"  # or `playing`, and at the end `finished`, `stopped` or `failed`
+        self.played: Counter[str] = Counter()  # published messages by topic, also of the clouds
+        self.unanswered = 0  # in lockstep, clouds without an answer on `touch` in time
+        self.reason = ""  # why it failed
+        self.clouds_topic = ""  # full name of the topic of the clouds, once it is known
         self._source: Source | None = None
         self._topic_publishers: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}

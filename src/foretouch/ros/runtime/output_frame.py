@@ -128,16 +128,11 @@ class _FramedRequest(NamedTuple):
 class OutputFrame:
     """Finds the transform of each cloud. Thread-safe.
 
-    Attributes:
-        name: The frame; "" for that of the cloud.
-
-    Raises:
-        ConfigError: If the calibration cannot be used.
-        MissingDependencyError: If tf2 is needed and not installed.
+    A `ConfigError` if the calibration cannot be used, or a `MissingDependencyError` if tf2 is needed and not installed.
     """
 
     def __init__(self, node: Node, config: OutputFrameConfig) -> None:
-        self.name = config.output_frame
+        self.name = config.output_frame  # "" for that of the cloud
         self._timeout = Duration(seconds=config.transform_timeout_s)
         self._calibration = read_hand_eye(config.hand_eye) if config.hand_eye else None
         self._tf2: Any = None
