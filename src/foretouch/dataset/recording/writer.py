@@ -85,17 +85,6 @@ class RecordingWriter:
         config: Settings.
         fallback_folder: Folder of a new dataset for a session whose file is removed meanwhile; None for none.
 
-    Attributes:
-        path: The dataset; that in `fallback_folder` after the session was copied there.
-        file: The path of the session's file.
-        output: The open file; once it is `removed`, nothing more should be recorded.
-        closed: Whether the session has ended, by `close` or because the disk is full or failed.
-        counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
-        samples: Samples appended.
-        labelled: Samples appended with a touch.
-        before_end: Called once before the last counts are written, however the session ends: the owner counts the
-            messages that it still keeps in queues.
-
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera, version or format,
             or cannot be written.
@@ -109,16 +98,17 @@ class RecordingWriter:
         *,
         fallback_folder: str | Path | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.path = Path(path)  # that in `fallback_folder` after the session was copied there
         self.identity = identity
         self.config = config or RecordingConfig()
-        self.counts = MessageCounts()
-        self.samples = 0
-        self.labelled = 0
+        self.counts = MessageCounts()  # by topic; samples are counted under `SAMPLE_TOPIC`
+        self.samples = 0  # appended
+        self.labelled = 0  # appended with a touch
+        # Called once before the last counts, however the session ends: the owner counts what it still keeps in queues.
         self.before_end: Callable[[], None] = lambda: None
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
-        self.closed = False
+        self.closed = False  # whether the session has ended, by `close` or because the disk is full or failed
         self._unsynced_samples = 0
         self._guard = threading.RLock()
         self._pending: list[tuple[str, Message]] = []
@@ -128,7 +118,7 @@ class RecordingWriter:
             self._ids = recorded_ids(self.path)  # each is used once, and numbers continue those before
             self._last_number = max(map(id_number, self._ids), default=0)
             self.file = new_session_path(self.path)
-            self.output = McapFile(self.file)
+            self.output = McapFile(self.file)  # once it is `removed`, nothing more should be recorded
             stack.callback(self.output.abandon)
             session = Session(self.file.name, uuid4().hex)
             self.output.write_metadata(ABOUT, _about(self.file.stem, identity) | {ID: session.id})
