@@ -22,9 +22,7 @@ class ScheduleConfig(Settings):
     """A scene whose samples follow each other in time; camera and hand are given the same."""
 
     path: str = setting("", "Path of the scene file (YAML)", read_only=True)
-    dwell_s: float = setting(
-        3.0, "Time that each sample stays on the table", minimum=0.05, maximum=86400.0, read_only=True
-    )
+    dwell_s: float = setting(3.0, "Time that each sample stays on the table", bounds=(0.05, 86400.0), read_only=True)
     samples: int = setting(
         1000, "Number of samples that are shown before the first comes again", minimum=1, read_only=True
     )

@@ -32,8 +32,7 @@ class RayConfig(Settings):
     field_of_view_deg: float = setting(
         120.0,
         "Widest angle of view, across and down; a D415 has 65 x 40 degrees, the widest RealSense 90",
-        minimum=10.0,
-        maximum=170.0,
+        bounds=(10.0, 170.0),
     )
 
 

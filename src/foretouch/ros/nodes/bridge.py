@@ -36,14 +36,14 @@ class BridgeConfig(NodeConfig, TactileInput):
     """Settings of the bridge."""
 
     address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too", read_only=True)
-    port: int = setting(8765, "Port to listen on; 0 for a free one", minimum=0, maximum=65535, read_only=True)
+    port: int = setting(8765, "Port to listen on; 0 for a free one", bounds=(0, 65535), read_only=True)
     allow_origin: tuple[str, ...] = setting(
         (),
         "Origins of web pages that may connect, such as https://app.foxglove.dev; programs need none",
         read_only=True,
     )
     backlog: int = setting(
-        256, "Messages that may wait for a client; its oldest are dropped", minimum=1, maximum=100_000, read_only=True
+        256, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000), read_only=True
     )
 
 

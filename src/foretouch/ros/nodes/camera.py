@@ -30,7 +30,7 @@ from foretouch.simulation.schedule import ScheduleConfig
 class SyntheticConfig(Settings):
     """The scene in front of a synthetic camera: three objects on a table, of which one swings."""
 
-    seed: int = setting(0, "Seed of the random scene", minimum=0, maximum=2**31 - 1, read_only=True)
+    seed: int = setting(0, "Seed of the random scene", bounds=(0, 2**31 - 1), read_only=True)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -105,18 +105,17 @@ class ReplayConfig(NodeConfig):
         read_only=True,
     )
     rate_hz: float = setting(
-        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", minimum=0.0, maximum=1000.0
+        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", bounds=(0.0, 1000.0)
     )
     loop: bool = setting(False, "Start again at the end, with increasing stamps")
     restamp: bool = setting(False, "Stamp every message with the time of its publication")
     lockstep: bool = setting(False, "Publish each cloud after the answer on `touch` to the one before", read_only=True)
-    subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", minimum=0, maximum=100)
+    subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", bounds=(0, 100))
     discovery_s: float = setting(
         3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
         " announce themselves every 3 s; 0 does not wait",
-        minimum=0.0,
-        maximum=60.0,
+        bounds=(0.0, 60.0),
     )
     wait_for: tuple[str, ...] = setting(
         (), "Topics that must have a subscriber, besides the nodes of the graph, before the first cloud", read_only=True
@@ -124,8 +123,7 @@ class ReplayConfig(NodeConfig):
     wait_limit_s: float = setting(
         10.0,
         "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
-        minimum=0.0,
-        maximum=3600.0,
+        bounds=(0.0, 3600.0),
     )
     frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
 

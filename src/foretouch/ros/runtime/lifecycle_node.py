@@ -48,7 +48,7 @@ class NodeConfig(Settings):
 
     autostart: bool = setting(True, "Whether the node configures and activates itself", read_only=True)
     diagnostics_period_s: float = setting(
-        1.0, "Time between reports in /diagnostics", minimum=0.1, maximum=60.0, read_only=True
+        1.0, "Time between reports in /diagnostics", bounds=(0.1, 60.0), read_only=True
     )
     direct: bool = setting(
         True,

@@ -34,7 +34,7 @@ class HandEye(Settings):
     """The keys of a file with a static hand-eye calibration, the pose of the camera's frame in a frame of the robot."""
 
     translation: tuple[float, ...] = setting(
-        (), "x, y, z of the camera's frame in the robot's", unit="m", minimum=-100.0, maximum=100.0
+        (), "x, y, z of the camera's frame in the robot's", unit="m", bounds=(-100.0, 100.0)
     )
     rotation: tuple[float, ...] = setting((), "Its orientation, a quaternion x, y, z, w of unit length")
     frame_id: str = setting("", "The robot's frame, which must be that of the answers; any if empty")
@@ -100,7 +100,7 @@ class OutputFrameConfig(Settings):
         read_only=True,
     )
     transform_timeout_s: float = setting(
-        0.1, "Longest wait for the transform of a cloud from tf2", minimum=0.0, maximum=10.0, read_only=True
+        0.1, "Longest wait for the transform of a cloud from tf2", bounds=(0.0, 10.0), read_only=True
     )
 
     def __post_init__(self) -> None:
