@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
-from foretouch.cloud.geometry.pcl_filters import mean_neighbour_distance
+from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.config import GeoGraspConfig
@@ -134,6 +134,7 @@ def _plan_original(
         found = find_axis(xyz, plane, config)
         plan.axis, plan.centroid, plan.axis_ratio = found.direction, found.centroid, found.ratio
         counts["n_voxel"] = len(found.grid.counts)
+        counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
         if rng is not None:
             plan.slide_m = _random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)

@@ -33,6 +33,10 @@ def normals_and_curvature(xyz, query, radius_m: float = 0.03) -> tuple[Array, Ar
     return np.where(spans[:, None], normal, np.nan), np.where(spans, curvature, np.nan)
 
 
+def count_without_normal(xyz, radius_m: float = 0.03) -> int:
+    return np.count_nonzero(~_covariance(summed_moments(xyz, xyz, radius_m))[1])
+
+
 def voxels(xyz, leaf_m: float) -> tuple[Array, Array]:
     """Cell of each point, ordered by z, then y, then x, and the points of each cell."""
     ijk = np.floor(xyz * (np.float32(1.0) / np.float32(leaf_m)))
