@@ -136,11 +136,8 @@ class RealSenseCamera:
     def read(self, timeout_s: float) -> Cloud | None:
         """Return the next cloud; None if there was none in time, for the reason that `status` gives.
 
-        Opening a device may take longer than `timeout_s` [s].
-
-        Raises:
-            CameraError: If the camera does not offer what the settings ask for.
-            FileError: If the file is not a recording.
+        Opening a device may take longer than `timeout_s` [s]. A `CameraError` if the camera does not offer what the settings
+        ask for, or a `FileError` if the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
         while self._status.state not in {"ended", "closed"}:

@@ -179,14 +179,10 @@ class RecordingWriter:
         publish_time_ns: int | None = None,
         sequence: int | None = None,
     ) -> None:
-        """Collect a serialised message of a declared topic; the next flush writes it to the file.
+        """Collect a serialised message, CDR with its encapsulation header; the next flush writes it to the file.
 
-        Args:
-            topic: Declared by `add_topic`.
-            data: CDR with its encapsulation header.
-            log_time_ns: When it was received [ns]; clocks may jump.
-            publish_time_ns: When it was sent [ns]; by default the same.
-            sequence: Sequence number of the middleware; by default a count.
+        It was received and sent at these times [ns], by default the same; clocks may jump. Its sequence number is that of
+        the middleware, by default a count.
 
         Raises:
             DatasetError: If the topic is unknown or the time negative; the message is not counted.
@@ -204,13 +200,10 @@ class RecordingWriter:
                 self.flush()
 
     def append(self, record: SampleRecord) -> str:
-        """Write a sample in a chunk of its own, after all messages before it.
+        """Write a sample in a chunk of its own, after all messages before it; gives its id.
 
-        Args:
-            record: An empty id becomes `<object>/<number>`, the number one above the dataset's highest.
-
-        Returns:
-            The id. The sample is now as safe as `RecordingConfig` specifies.
+        An empty id becomes `<object>/<number>`, the number one above the dataset's highest. The sample is now as safe as
+        `RecordingConfig` specifies.
 
         Raises:
             DatasetError: If the sample breaks a rule or its id is taken; the session continues.

@@ -173,11 +173,7 @@ class OutputFrame:
         return self._calibration.source or "camera"
 
     def transform(self, cloud: Header) -> FrameTransform | None:
-        """The transform of answers for a cloud; None if they stay in its frame.
-
-        Raises:
-            RefusalError: UNKNOWN_FRAME, with a reason that begins with `no_transform`.
-        """
+        """The transform of answers for a cloud, None if they stay in its frame; a `RefusalError` as of `_refusal`."""
         if self.name in {"", cloud.frame_id}:
             return None
         if self._calibration is None:
@@ -202,13 +198,10 @@ class OutputFrame:
 def in_cloud_frame(
     frame: OutputFrame, cloud: PointCloud2, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
 ) -> _FramedRequest:
-    """Bring a request to the frame of the camera.
+    """Bring a request to the frame of the camera; a `RefusalError`: UNKNOWN_FRAME, or EMPTY_CLOUD without a latest cloud.
 
     The header of the cloud gives the frame of cloud, table and grasps: the camera's, or `frame`, that of the answers. A
     cloud that is only a header stands for the latest one, with its table.
-
-    Raises:
-        RefusalError: UNKNOWN_FRAME, or EMPTY_CLOUD if there is no latest cloud.
     """
     header = cloud.header
     if header.frame_id and not cloud.fields:
