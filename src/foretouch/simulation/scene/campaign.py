@@ -71,8 +71,6 @@ class ThermistorConfig(RangedSettings):
     )
     slope_spread: float = setting(0.15, "Standard deviation of these slopes between electrodes", bounds=(0.0, 10.0))
 
-    RANGES = ("object_kelvin",)
-
 
 @dataclass(frozen=True, kw_only=True)
 class WarmUpConfig(TemperatureConfig):

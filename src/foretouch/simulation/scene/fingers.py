@@ -23,21 +23,15 @@ class PostureConfig(RangedSettings):
         (0.0, 0.0), "Angle from the middle of the pad towards +y of the fingertip, low and high", bounds=(-60.0, 60.0)
     )
 
-    RANGES = ("pitch_deg", "roll_deg")
-
 
 @dataclass(frozen=True, kw_only=True)
-class TimelineConfig(Settings):
+class TimelineConfig(Settings, read_only=True):
     """The messages of a grasp: rest, closing, hold, release. Tare and touch are read out of them."""
 
-    rate_hz: float = setting(100.0, "Rate of the messages", bounds=(1.0, 1000.0), read_only=True)
-    rest_s: float = setting(0.2, "Time before contact, and again after release", bounds=(0.02, 600.0), read_only=True)
-    close_s: float = setting(
-        0.2, "Time from first touch to steady contact, and back", bounds=(0.0, 60.0), read_only=True
-    )
-    hold_s: float = setting(
-        0.5, "Time of steady contact; its last message is the touch", bounds=(0.02, 600.0), read_only=True
-    )
+    rate_hz: float = setting(100.0, "Rate of the messages", bounds=(1.0, 1000.0))
+    rest_s: float = setting(0.2, "Time before contact, and again after release", bounds=(0.02, 600.0))
+    close_s: float = setting(0.2, "Time from first touch to steady contact, and back", bounds=(0.0, 60.0))
+    hold_s: float = setting(0.5, "Time of steady contact; its last message is the touch", bounds=(0.02, 600.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +43,6 @@ class DriftConfig(RangedSettings):
     tare_age_s: tuple[float, ...] = setting(
         (2.0, 30.0), "Age of the tare at the touch, low and high", bounds=(0.0, 1e9)
     )
-
-    RANGES = ("session_s", "tare_age_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +114,6 @@ class TargetConfig(RangedSettings):
     force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
     depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
 
-    RANGES = ("force_n", "depth_m")
     LOWEST = 0.0
 
 
