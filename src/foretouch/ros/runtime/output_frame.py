@@ -168,7 +168,7 @@ class OutputFrame:
         return self._calibration.source or "camera"
 
     def transform(self, cloud: Header) -> FrameTransform | None:
-        """The transform of answers for a cloud, None if they stay in its frame; a `RefusalError` as of `_refusal`."""
+        """The transform of answers for a cloud, None if they stay in its frame; a `RefusalError` if there is none."""
         if self.name in {"", cloud.frame_id}:
             return None
         if self._calibration is None:
