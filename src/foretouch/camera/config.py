@@ -72,33 +72,29 @@ class TimeoutConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealSenseConfig(Settings):
+class RealSenseConfig(Settings, read_only=True):
     """A RealSense depth camera, live or recorded, and the processing of its frames."""
 
-    serial: str = setting("", "Serial number of the live device; empty for the first one found", read_only=True)
-    file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device", read_only=True)
-    record_to: str = setting("", "File (.db3) that all frames are recorded to as they arrive", read_only=True)
-    width: int = setting(848, "Columns of a live image", unit="px", minimum=64, maximum=3840, read_only=True)
-    height: int = setting(480, "Rows of a live image", unit="px", minimum=64, maximum=2160, read_only=True)
-    fps: int = setting(30, "Frames per second of a live device", unit="Hz", minimum=1, maximum=300, read_only=True)
+    serial: str = setting("", "Serial number of the live device; empty for the first one found")
+    file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device")
+    record_to: str = setting("", "File (.db3) that all frames are recorded to as they arrive")
+    width: int = setting(848, "Columns of a live image", unit="px", minimum=64, maximum=3840)
+    height: int = setting(480, "Rows of a live image", unit="px", minimum=64, maximum=2160)
+    fps: int = setting(30, "Frames per second of a live device", unit="Hz", minimum=1, maximum=300)
     align: str = setting(
         "none",
         "Colour: `none`, aligned to the depth image, or the depth aligned to the colour image",
         choices=("none", "colour_to_depth", "depth_to_colour"),
-        read_only=True,
     )
     filters: FilterConfig = FilterConfig()
     timeouts: TimeoutConfig = TimeoutConfig()
-    real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost", read_only=True)
-    repeat: bool = setting(False, "Whether a recording starts again at its end", read_only=True)
-    frame_id: str = setting(
-        "", "Frame of the clouds; empty for the optical frame of the image they come from", read_only=True
-    )
+    real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost")
+    repeat: bool = setting(False, "Whether a recording starts again at its end")
+    frame_id: str = setting("", "Frame of the clouds; empty for the optical frame of the image they come from")
     stamp: str = setting(
         "auto",
         "Stamp of a cloud: of the frame, of its arrival, or (`auto`) of the frame if that is wall-clock time",
         choices=("auto", "frame", "arrival"),
-        read_only=True,
     )
 
     def __post_init__(self) -> None:

@@ -62,7 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay", metavar="SLOT[.ATTEMPT]", help="repeat one attempt and print its sample or why it failed"
     )
     parser.add_argument("--no-sheet", action="store_true", help=f"do not draw {SHEET}")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and nothing else there")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts, new_figure, save
 from foretouch.tactile import electrode_positions
-from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 _FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _SHEET_COLUMNS = 2  # samples side by side
@@ -85,7 +84,7 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     return save(figure, Path(path), dpi=100)
 
 
-def _outside(one: DrawnGrasp, name: str) -> npt.NDArray[np.bool_] | None:
+def _outside(one: DrawnGrasp, name: str) -> Bool | None:
     """(24,) which electrodes of a finger were read outside of their intervals; None without both."""
     lower, upper = one.prediction.lower, one.prediction.upper
     if one.read is None or lower is None or upper is None:
@@ -171,13 +170,7 @@ class _Scale:
         return electrode_levels(touch, rest if self._tared else None, name)
 
     def draw(
-        self,
-        axes: Axes,
-        touch: Touch,
-        rest: Touch | None,
-        name: str,
-        size: float,
-        outside: npt.NDArray[np.bool_] | None = None,
+        self, axes: Axes, touch: Touch, rest: Touch | None, name: str, size: float, outside: Bool | None = None
     ) -> None:
         """Draw the 24 electrodes of one fingertip, unrolled from the core, and a ring around some of them.
 

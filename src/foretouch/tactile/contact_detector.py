@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.tactile import columns
-from foretouch.types import ELECTRODES, Float64
+from foretouch.types import ELECTRODES, Float64, Int64
 
 #: Columns of PDC and the electrodes of each finger in a vector of 50 counts.
 FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_MF", "E_MF"))}
@@ -180,10 +180,7 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactCo
 
 
 def find_contact(
-    stamps_ns: Sequence[int] | npt.NDArray[np.int64],
-    counts: npt.ArrayLike,
-    rest: npt.ArrayLike,
-    config: ContactConfig | None = None,
+    stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None
 ) -> tuple[int | None, int | None]:
     """First contacts of thumb and middle finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
     settings = config or ContactConfig()

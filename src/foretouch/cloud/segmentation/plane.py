@@ -50,7 +50,6 @@ class PlaneFit:
     reason: str = ""  # why there is none; "" otherwise
     rms_m: float = 0.0  # root mean square distance of its points [m]
     noise_per_m: float = 0.0  # s of the stereo noise model sigma = s·z² [1/m], measured along the normal on its points
-    inliers: int = 0  # number of points within the threshold
     scored: int = 0  # number of points used
 
 
@@ -160,7 +159,7 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
     noise = math.sqrt(scaled @ scaled / max(inliers, 1))
     reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, config)
     plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
-    return PlaneFit(plane, reason, rms, noise, inliers, len(points))
+    return PlaneFit(plane, reason, rms, noise, len(points))
 
 
 def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float64:

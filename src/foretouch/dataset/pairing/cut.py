@@ -71,15 +71,15 @@ class PairingError(DatasetError):
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A grasp in time, by the robot's clock [ns]."""
+    """A grasp in time, by the robot's clock [ns], or a contact by that of the sensor."""
 
     start: int  # when the hand began to close; before it, nothing was touched
     contact: int  # when contact was steady
     release: int  # when the hand began to open
 
-    def overlaps(self, start: int, release: int) -> bool:
-        """Whether another time span [ns] overlaps from start to release."""
-        return self.start < release and start < self.release
+    def overlaps(self, other: "Interval") -> bool:
+        """Whether another one overlaps from start to release."""
+        return self.start < other.release and other.start < self.release
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,6 @@ The temperature before a grasp is that of its tare. Recordings without tares hol
 stands for it; `last temperature` takes that of the grasp before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

@@ -87,9 +87,7 @@ class SupervisedTrainer(Trainer):
         self.net.train()
         for number, (batch, points, grasps, target) in enumerate(self.batches()):
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            loss = labeled_loss(
-                scaled, target, self.sizes, self.config.loss, self.training_device.context, self.config.root_epsilon
-            )
+            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.config.root_epsilon)
             self.require_finite({"loss": loss}, number, self.training_device.context.shard(batch), scaled - target)
             self.optimisers["net"].step(loss)
             yield {"loss": float(loss.detach())}

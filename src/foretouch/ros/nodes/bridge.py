@@ -32,18 +32,16 @@ _SLOW: Final = "a client reads too slowly: its oldest messages are dropped"
 
 
 @dataclass(frozen=True, kw_only=True)
-class BridgeConfig(NodeConfig, TactileInput):
+class BridgeConfig(NodeConfig, TactileInput, read_only=True):
     """Settings of the bridge."""
 
-    address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too", read_only=True)
-    port: int = setting(8765, "Port to listen on; 0 for a free one", minimum=0, maximum=65535, read_only=True)
+    address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too")
+    port: int = setting(8765, "Port to listen on; 0 for a free one", minimum=0, maximum=65535)
     allow_origin: tuple[str, ...] = setting(
-        (),
-        "Origins of web pages that may connect, such as https://app.foxglove.dev; programs need none",
-        read_only=True,
+        (), "Origins of web pages that may connect, such as https://app.foxglove.dev; programs need none"
     )
     backlog: int = setting(
-        256, "Messages that may wait for a client; its oldest are dropped", minimum=1, maximum=100_000, read_only=True
+        256, "Messages that may wait for a client; its oldest are dropped", minimum=1, maximum=100_000
     )
 
 

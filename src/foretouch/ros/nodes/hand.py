@@ -12,8 +12,8 @@ computes contacts, so that a slow computation delays no message.
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -39,8 +39,7 @@ _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _DEPTH = 100
 
 
-@dataclass(frozen=True, eq=False)
-class _Command:
+class _Command(NamedTuple):
     """A grasp to execute."""
 
     message: Any  # GraspArray; its first grasp is executed
@@ -48,8 +47,7 @@ class _Command:
     arrived: float  # when it was accepted (`time.monotonic`) [s]
 
 
-@dataclass(frozen=True, eq=False)
-class _RunningGrasp:
+class _RunningGrasp(NamedTuple):
     """A grasp that is being executed."""
 
     command: _Command
@@ -275,7 +273,7 @@ class HandNode(ForetouchNode[HandConfig]):
     def _fingers(self, number: int) -> dict[str, Any]:
         """Counts of each finger that has a BioTac, as `biotac_all_to_msg` takes them."""
         if self._current is None and self._ready is not None:
-            self._current, self._ready = replace(self._ready, first=number), None
+            self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
         grasping, *idle = [fingers.read(elapsed_s) for fingers in self._resting]
         current = self._current

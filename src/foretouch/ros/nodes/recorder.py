@@ -47,13 +47,13 @@ _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentityConfig(Settings):
+class IdentityConfig(Settings, read_only=True):
     """Which hand and which camera: a dataset holds recordings of one of each."""
 
-    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
-    hand_serial: str = setting("", "Serial number of the hand", read_only=True)
-    camera: str = setting("realsense", "Model of the camera", read_only=True)
-    camera_serial: str = setting("", "Serial number of the camera", read_only=True)
+    hand: str = setting("shadow_hand", "Model of the hand")
+    hand_serial: str = setting("", "Serial number of the hand")
+    camera: str = setting("realsense", "Model of the camera")
+    camera_serial: str = setting("", "Serial number of the camera")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ament_index_python import has_resource
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -32,6 +32,7 @@ from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, ent
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.runtime.diagnostics import made_status
 from foretouch.ros.runtime.discovery import Matching, matched_ends
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
@@ -378,13 +379,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def _report_outcome(self, outcome: str, reason: str = "") -> None:
         self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
         values = self.notes() | {"unreadable": str(self.unreadable)}
-        self._status.publish(
-            DiagnosticStatus(
-                level=DiagnosticStatus.ERROR if self.has_failed else DiagnosticStatus.OK,
-                name=self.get_fully_qualified_name(),
-                message=f"{outcome}: {reason}" if reason else outcome,
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-        )
+        level, text = (DiagnosticStatus.ERROR, f"{outcome}: {reason}") if reason else (DiagnosticStatus.OK, outcome)
+        self._status.publish(made_status(self.get_fully_qualified_name(), level, text, values))
         if reason:
             self.get_logger().error(reason)

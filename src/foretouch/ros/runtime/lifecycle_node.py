@@ -43,17 +43,13 @@ REQUESTS = QoSProfile(depth=1000)
 
 
 @dataclass(frozen=True, kw_only=True)
-class NodeConfig(Settings):
+class NodeConfig(Settings, read_only=True):
     """Settings of every node."""
 
-    autostart: bool = setting(True, "Whether the node configures and activates itself", read_only=True)
-    diagnostics_period_s: float = setting(
-        1.0, "Time between reports in /diagnostics", minimum=0.1, maximum=60.0, read_only=True
-    )
+    autostart: bool = setting(True, "Whether the node configures and activates itself")
+    diagnostics_period_s: float = setting(1.0, "Time between reports in /diagnostics", minimum=0.1, maximum=60.0)
     direct: bool = setting(
-        True,
-        "Whether messages to nodes of the same process that have this set are handed over without the middleware",
-        read_only=True,
+        True, "Whether messages to nodes of the same process that have this set are handed over without the middleware"
     )
 
 

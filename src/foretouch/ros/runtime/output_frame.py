@@ -87,20 +87,17 @@ def read_hand_eye(path: str) -> FrameTransform:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutputFrameConfig(Settings):
+class OutputFrameConfig(Settings, read_only=True):
     """Settings of nodes that publish poses."""
 
-    output_frame: str = setting(
-        "", "Frame of what is published, such as base_link; that of the cloud if empty", read_only=True
-    )
+    output_frame: str = setting("", "Frame of what is published, such as base_link; that of the cloud if empty")
     hand_eye: str = setting(
         "",
         "File with the pose of the camera in output_frame, of translation (m) and rotation (x, y, z, w), or of "
         "easy_handeye2; tf2 if empty",
-        read_only=True,
     )
     transform_timeout_s: float = setting(
-        0.1, "Longest wait for the transform of a cloud from tf2", minimum=0.0, maximum=10.0, read_only=True
+        0.1, "Longest wait for the transform of a cloud from tf2", minimum=0.0, maximum=10.0
     )
 
     def __post_init__(self) -> None:

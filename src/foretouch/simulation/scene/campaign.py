@@ -81,8 +81,6 @@ class ThermistorConfig(RangedSettings):
         0.15, "Standard deviation of these slopes between electrodes", minimum=0.0, maximum=10.0
     )
 
-    RANGES = ("object_kelvin",)
-
 
 @dataclass(frozen=True, kw_only=True)
 class WarmUpConfig(TemperatureConfig):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
@@ -26,23 +26,15 @@ class PostureConfig(RangedSettings):
         maximum=60.0,
     )
 
-    RANGES = ("pitch_deg", "roll_deg")
-
 
 @dataclass(frozen=True, kw_only=True)
-class TimelineConfig(Settings):
+class TimelineConfig(Settings, read_only=True):
     """The messages of a grasp: rest, closing, hold, release. Tare and touch are read out of them."""
 
-    rate_hz: float = setting(100.0, "Rate of the messages", minimum=1.0, maximum=1000.0, read_only=True)
-    rest_s: float = setting(
-        0.2, "Time before contact, and again after release", minimum=0.02, maximum=600.0, read_only=True
-    )
-    close_s: float = setting(
-        0.2, "Time from first touch to steady contact, and back", minimum=0.0, maximum=60.0, read_only=True
-    )
-    hold_s: float = setting(
-        0.5, "Time of steady contact; its last message is the touch", minimum=0.02, maximum=600.0, read_only=True
-    )
+    rate_hz: float = setting(100.0, "Rate of the messages", minimum=1.0, maximum=1000.0)
+    rest_s: float = setting(0.2, "Time before contact, and again after release", minimum=0.02, maximum=600.0)
+    close_s: float = setting(0.2, "Time from first touch to steady contact, and back", minimum=0.0, maximum=60.0)
+    hold_s: float = setting(0.5, "Time of steady contact; its last message is the touch", minimum=0.02, maximum=600.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +46,6 @@ class DriftConfig(RangedSettings):
     tare_age_s: tuple[float, ...] = setting(
         (2.0, 30.0), "Age of the tare at the touch, low and high", minimum=0.0, maximum=1e9
     )
-
-    RANGES = ("session_s", "tare_age_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +117,6 @@ class TargetConfig(RangedSettings):
     force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
     depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
 
-    RANGES = ("force_n", "depth_m")
     LOWEST = 0.0
 
 
@@ -148,7 +137,7 @@ class ExecutionErrorConfig(Settings):
 class GraspsConfig(Settings):
     """Where and how the hand grasps."""
 
-    geograsp: GeoGraspConfig = GeoGraspConfig()
+    geograsp: SceneGeoGraspConfig = SceneGeoGraspConfig()
     slide: bool = setting(False, "Whether the grasp plane is slid at random along the object's axis (P2)")
     initial_points: bool = setting(
         False, "Whether the initial points are grasped, as in the data of P1, in place of the best ranked pair"

@@ -33,8 +33,6 @@ class PoseConfig(RangedSettings):
     yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Angle about the vertical, low and high")
     rest: str = setting("upright", "Part that the object rests on: its foot, its side, or any point", choices=RESTS)
 
-    RANGES = ("x_m", "y_m", "yaw_deg")
-
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceConfig(Settings):
@@ -127,7 +125,6 @@ class ClutterConfig(RangedSettings):
         (0.1, 0.25), "Distance between the axes of object and clutter, low and high", maximum=10.0
     )
 
-    RANGES = ("distance_m",)
     LOWEST = 0.005
 
 
@@ -155,8 +152,6 @@ class FamilyConfig(RangedSettings):
         (0.01, 0.03), "Thickness of the soft layer, low and high", minimum=1e-4, maximum=0.5
     )
     pose: PoseConfig = PoseConfig()
-
-    RANGES = ("size_m", "thickness_m", "young_pa")
 
     def __post_init__(self) -> None:
         super().__post_init__()
