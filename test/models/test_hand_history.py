@@ -223,6 +223,26 @@ def test_readings_come_back_with_the_model_that_they_are_of_and_no_file_is_overw
     assert [history.tracker.evidence(0).readings for history in found] == [3, 2]
 
 
+def test_readings_ahead_of_a_clock_that_was_set_back_are_set_aside_and_the_state_is_that_before_them(
+    model: TouchModel,
+) -> None:
+    history, tare = read(HandHistory(model), FIRST), Touch.from_vector(REST + 40.0)
+    now = FIRST[-1].stamp_ns
+    before = history.copy()
+    assert history.keep_to_clock(now - 50 * S) == history.keep_to_clock(0) == ""  # of jitter, and before `/clock`
+    for minute in range(5):
+        history.add_tare(now + 30 * DAY + minute * 61 * S, tare)
+    assert "5 readings that are ahead of it are set aside" in history.keep_to_clock(now + 600 * S)
+    assert (history.tracker.set_aside, history.signature, history.touches) == (5, None, 0)
+    before.start_object()
+    for name, value in before.tracker.to_tensors().items():
+        assert_array_equal(history.tracker.to_tensors()[name], value, err_msg=name)
+    assert history.tracker.evidence(now + 600 * S).reading_age_s == 600.0
+    again = HandHistory.from_tensors(model, history.to_tensors())  # earlier states are not in the file
+    assert "count as taken now" in again.keep_to_clock(now - DAY)
+    assert again.tracker.evidence(now - DAY + 5 * S).reading_age_s == 5.0
+
+
 def test_a_file_that_cannot_be_written_or_set_aside_is_named(tmp_path: Path, path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"file/right.safetensors: cannot be written: .*"):

@@ -15,7 +15,6 @@ from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError
@@ -47,7 +46,7 @@ from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.processes import one_thread_each
 from foretouch.tactile import MODALITIES
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Cloud, Float64, Grasp, GraspSample
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -173,7 +172,7 @@ class _OnePart(ContactEstimator):
 
     forests_alone: bool = True
 
-    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         inputs = rows[:, len(CONDITIONS) :]
         scaled = self._trees(inputs) if self.forests_alone else self.kernel.predict(inputs)
         return scaled * self.deviation + self.mean, np.ones(len(rows), np.bool_)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import TactileError
-from foretouch.types import Float64, Touch
+from foretouch.types import Bool, Float64, Touch
 
 FULL_SCALE: Final = 4095  # largest count of the 12-bit converter
 
@@ -68,7 +68,7 @@ def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
     return np.where(is_tdc(found), found, np.nan)
 
 
-def is_tdc(values: Float64) -> npt.NDArray[np.bool_]:
+def is_tdc(values: Float64) -> Bool:
     """Which values a working thermistor can have sent: not NaN, not 0 as of drivers without one, and not saturated."""
     return (values > 0.0) & (values < FULL_SCALE)
 

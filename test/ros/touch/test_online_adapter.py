@@ -283,8 +283,28 @@ def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back
     for hours, lines in ((1, 1), (1, 1), (0, 1), (2, 2)):
         hand.now = start - hours * 3_600_000 * MS
         assert (hand.reference(), len(hand.said)) == ("tare", lines)
-    assert hand.said[0] == "history: the clock was set back: readings that are ahead of it count as taken now"
-    assert hand.keeper.history.tracker.evidence(hand.now).readings == 4
+    counts = [f"history: the clock was set back: {n} readings that are ahead of it are set aside" for n in (1, 2)]
+    assert hand.said == counts
+    assert hand.keeper.history.tracker.evidence(hand.now).readings == 1
+    assert hand.keeper.notes()["history.set_aside"] == "3"
+
+
+def test_after_a_clock_that_was_ahead_for_five_tares_the_history_goes_on_from_before_with_right_ages(card):
+    hand, tare = DirectHand(card, use_tare=True), Touch.from_vector(TOUCH_REST)
+    hand.adapter._recent_tare = lambda _: tare
+    start, minute = hand.now, 61_000 * MS
+    tracker, counts = hand.keeper.history.tracker, []
+    for at in [*range(3), *range(43_203, 43_208), *range(8, 28)]:
+        hand.now = start + at * minute
+        assert hand.reference() == "tare"
+        counts.append(tracker.evidence(hand.now).readings)
+    assert counts == [*range(1, 9), *range(4, 24)]
+    assert hand.said == ["history: the clock was set back: 5 readings that are ahead of it are set aside"]
+    hand.now += 10 * minute
+    assert tracker.evidence(hand.now).reading_age_s == pytest.approx(610.0, abs=1.0)
+    hand.now -= 3_600_000 * MS  # as `/clock` does where a simulation begins again
+    assert (hand.reference(), len(hand.said)) == ("tare", 2)
+    assert tracker.evidence(hand.now).reading_age_s == 0.0
 
 
 class Hand(CanRobot):

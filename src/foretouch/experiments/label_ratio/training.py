@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
@@ -42,7 +41,7 @@ from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import columns, modality_size
-from foretouch.types import Float32, Float64, GraspSample
+from foretouch.types import Float32, Float64, GraspSample, Integer
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
@@ -142,7 +141,7 @@ class PresampledSet(TrainingSet):
 
     cached_points: Float32  # (S, P, C) float32
 
-    def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
+    def points(self, index: Integer, rng: np.random.Generator, n_points: int | None = None) -> Float32:
         """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
 
         Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each;

@@ -81,7 +81,7 @@ def evaluate_model(
     If it was trained on all of them, the scores of its cross-validation on this kind of split are those in its card.
 
     Args:
-        model: Name, card, weights or folder of a run; it may predict only some of the modalities.
+        model: Name, card, weights or model folder; it may predict only some of the modalities.
         data: The dataset.
         split: `KIND` or `KIND/PART`; the baselines beside each test sample were fitted without it.
         seed: Seed of the baselines.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One training from settings to a run folder with weights, calibration and card, resumable at every epoch.
+"""One training from settings to a model folder with weights, calibration and card, resumable at every epoch.
 
 With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
@@ -47,7 +47,7 @@ def train_run(
     Args:
         config: Resolved settings.
         data: The dataset.
-        out: Folder of the run.
+        out: The model folder.
         report: Called with each epoch's record, and with the result.
         resume: Continue the run in `out`, if there is one.
         workers: Processes for cross-validation and calibration; the result does not depend on it.

@@ -11,8 +11,6 @@ without this step. The 24 electrodes of a finger are correlated and count as
 plausible range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final

@@ -12,8 +12,8 @@ computes contacts, so that a slow computation delays no message.
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -39,8 +39,7 @@ _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _DEPTH = 100
 
 
-@dataclass(frozen=True, eq=False)
-class _Command:
+class _Command(NamedTuple):
     """A grasp to execute."""
 
     message: Any  # GraspArray; its first grasp is executed
@@ -48,8 +47,7 @@ class _Command:
     arrived: float  # when it was accepted (`time.monotonic`) [s]
 
 
-@dataclass(frozen=True, eq=False)
-class _RunningGrasp:
+class _RunningGrasp(NamedTuple):
     """A grasp that is being executed."""
 
     command: _Command
@@ -91,18 +89,12 @@ class HandConfig(NodeConfig):
 
 
 class HandNode(ForetouchNode[HandConfig]):
-    """The hand as a lifecycle node.
-
-    Attributes:
-        phase: `idle`, or the phase of the current grasp (`GraspTrajectory.phase`).
-        busy: Whether a grasp is being executed or computed.
-        executed: Numbers of grasps by outcome: `success`, or the reason of the failure.
-    """
+    """The hand as a lifecycle node."""
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
-        self.phase = "idle"
-        self.busy = False
-        self.executed: Counter[str] = Counter()
+        self.phase = "idle"  # or the phase of the current grasp (`GraspTrajectory.phase`)
+        self.busy = False  # whether a grasp is being executed or computed
+        self.executed: Counter[str] = Counter()  # grasps by outcome: `success`, or the reason of the failure
         self._lock = threading.Lock()
         self._newest: GraspArray | None = None
         self._accepted_ns = -1  # stamp of the cloud of the last accepted grasp
@@ -275,7 +267,7 @@ class HandNode(ForetouchNode[HandConfig]):
     def _fingers(self, number: int) -> dict[str, Any]:
         """Counts of each finger that has a BioTac, as `biotac_all_to_msg` takes them."""
         if self._current is None and self._ready is not None:
-            self._current, self._ready = replace(self._ready, first=number), None
+            self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
         grasping, *idle = [fingers.read(elapsed_s) for fingers in self._resting]
         current = self._current

@@ -278,20 +278,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message = tactile_class(config.tactile.type)
         if model is None or model.calibration is None:
             return
+        log = self.get_logger()
         self._keeper = HistoryKeeper(
-            model, config.hand, config.history_folder, info=self.get_logger().info, warn=self.get_logger().warning
+            model, config.hand, config.history_folder, now_ns=self._now_ns, info=log.info, warn=log.warning
         )
         self._closing.callback(self._keeper.close)
         self._adapter = predictor.adapter = OnlineAdapter(
-            model,
-            reader,
-            self._keeper,
-            lambda: self.config,
-            lambda: int(self.get_clock().now().nanoseconds),
-            self.get_logger().warning,
+            model, reader, self._keeper, lambda: self.config, self._now_ns, log.warning
         )
         self.subscribe(message, config.tactile_topic, self._adapter.add_tactile, depth=200)  # two seconds of a hand
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=10)
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
 
     def _add_requested(self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[Grasp]) -> None:
         """Keep grasps of a request, which may be executed."""

@@ -29,10 +29,12 @@ class HistoryKeeper:
         hand: str = "",
         folder: str = "",
         *,
+        now_ns: Callable[[], int] = time.time_ns,
         info: Callable[[str], object] = print,
         warn: Callable[[str], object] = print,
     ) -> None:
         self.lock = threading.Lock()
+        self._now_ns = now_ns
         self.fault = ""
         self._warn = warn
         self._changed, self._closed = threading.Event(), threading.Event()
@@ -56,9 +58,10 @@ class HistoryKeeper:
 
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
-        read = self.history.tracker.evidence(time.time_ns())
+        read = self.history.tracker.evidence(self._now_ns())
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
         found = {"history.readings": str(read.readings), "history.age_s": age}
+        found |= {"history.set_aside": str(aside)} if (aside := self.history.tracker.set_aside) else {}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
         found |= {"history.file": str(self._file.path)} if self._file else {}
         return found | ({"history.fault": self.fault} if self.fault else {})
@@ -82,7 +85,7 @@ class HistoryKeeper:
         if history is None:
             info(f"history: {file.path}: does not exist yet, the hand starts anew")
         else:
-            read = history.tracker.evidence(time.time_ns())
+            read = history.tracker.evidence(self._now_ns())
             age = "none" if read.reading_age_s is None else f"{read.reading_age_s / 3600.0:.1f} h ago"
             info(f"history: {file.path}: {read.readings} readings, the last one {age}")
         return history

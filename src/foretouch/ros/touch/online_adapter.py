@@ -35,7 +35,7 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Float64, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -153,7 +153,7 @@ class OnlineAdapter:
         with self._keeper.lock:
             try:
                 if tare is not None:
-                    self._add_tare(now_ns, tare, tdc)
+                    self._history.add_tare(now_ns, tare, tdc=tdc)
             except TactileError as err:
                 if not self._tare_refused:  # not for every cloud
                     self._warn(f"tare: refused: {err}")
@@ -169,6 +169,8 @@ class OnlineAdapter:
         """Add the touches that are complete by now to the history, and forget an object that was touched too long ago."""
         config, now_s = self._config(), time.monotonic()
         with self._keeper.lock:
+            if reason := self._history.keep_to_clock(self._now_ns()):
+                self._warn(f"history: {reason}")
             age_s = self._history.tracker.evidence(self._now_ns()).touch_age_s
             if age_s is not None and age_s > config.forget_after_s:
                 self._history.start_object()
@@ -229,7 +231,7 @@ class OnlineAdapter:
             now_ns = self._now_ns()
             extra = sample.extra
             if tare is not None:
-                self._add_tare(now_ns, tare, tdc_of(extra, "tare_"))
+                self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, "tare_"))
             new = not self._history.is_current(sample.cloud, config.same_object_m)
             self._history.add_touch(
                 now_ns, sample.cloud, sample.grasp, cut.touch, new_object=new, limits=config.limits, tdc=tdc_of(extra)
@@ -240,13 +242,6 @@ class OnlineAdapter:
         else:
             with self._input_lock:
                 self._touch_counts["taken_in"] += 1
-
-    def _add_tare(self, now_ns: int, tare: Touch, tdc: Float64 | None) -> None:
-        tracker = self._history.tracker
-        before = tracker.redated
-        self._history.add_tare(now_ns, tare, now_ns=now_ns, tdc=tdc)
-        if tracker.redated > before:
-            self._warn("history: the clock was set back: readings that are ahead of it count as taken now")
 
     def _refuse(self, grasp_id: str, reason: str, message: str) -> None:
         with self._input_lock:
