@@ -28,7 +28,9 @@ from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Ta
 from foretouch.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch.experiments.shared.scores import labelled, load
 from foretouch.experiments.shared.tables import findings, grouped, pivot, select, span, unique
-from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
+from foretouch.learning.data import Dataset
+from foretouch.learning.data.folds import Fold, Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
 from foretouch.types import Float64, GraspSample

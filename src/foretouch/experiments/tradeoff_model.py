@@ -22,7 +22,8 @@ from foretouch.experiments.framework.experiment import Cell, Row, Table
 from foretouch.experiments.framework.frontier import Panel, best_state, interval, time_column
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
-from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
+from foretouch.learning.data import Dataset, labels_of, make_folds
+from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group, rest_level

@@ -10,7 +10,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.learning.data import Fold, Indices, labels_of
+from foretouch.learning.data import labels_of
+from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch.learning.training.generalisation import DECAY, choose_ridge, training_kernel

@@ -16,7 +16,9 @@ import numpy as np
 from foretouch import __version__
 from foretouch.checked_files import write_text
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
+from foretouch.learning.data import Dataset, make_folds
+from foretouch.learning.data.folds import SPLITS, Fold
+from foretouch.learning.data.training_set import duplicate_labels
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
 from foretouch.learning.evaluation.metrics import mean_skill
 from foretouch.learning.training.calibration import calibration_folds, guarantee
