@@ -513,11 +513,8 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         for name in (*_SHOWN, *served)
         if (row := found.get((name, requests[0]))) is not None
     ]
-    head = [
-        "",
-        *(f"skill, {_SPLITS[one]}" for one in skills),
-        *(f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests),
-    ]
+    grasps = (f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests)
+    head = ["", *(f"skill, {_SPLITS[one]}" for one in skills), *grasps]
     kinds = "p50, p95, p99 of the wall time" if wall else "medians of the processor time"
     note = f"Times: {kinds}; in brackets the processor time in a loop without the pause before each call."
     return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]

@@ -38,8 +38,6 @@ from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.calibration import rest_level
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "PrequentialSettings"]
-
 _SEED: Final = 0
 _FEWEST_OBJECTS: Final = 2  # that vision is fitted to
 

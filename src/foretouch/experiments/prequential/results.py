@@ -194,23 +194,18 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     rows: list[Row] = []
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
+        names, readings = recording.objects[chosen], recording.readings[chosen]
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(
-                    recording.objects[chosen],
-                    one.counts[sources][chosen],
-                    recording.readings[chosen],
-                    reference[chosen],
-                )
+                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference[chosen])
                 for one in (scored, constant or scored)
             )
             found = skills(errors, config)
             versus = None if constant is None or constant is scored else compare(errors, without, config)
             place: Row = {"sources": sources, "regime": regime}
             for modality in MODALITIES:
-                row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
-                    "skill", found[modality]
-                )
+                row = {**place, "object": ALL_OBJECTS, "modality": modality}
+                row |= interval_columns("skill", found[modality])
                 if versus:
                     row |= interval_columns("vs_constant", versus[modality])
                     row["vs_constant_verdict"] = versus[modality].verdict

@@ -31,10 +31,7 @@ class PadConfig(Settings):
 
     layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", minimum=1e-5, maximum=1.0)
     modulus_pa: float = setting(
-        1.552e6,
-        "Young's modulus of the layer, as in published finite-element models of the skin",
-        minimum=1.0,
-        maximum=1e12,
+        1.552e6, "Young's modulus of the layer, as in finite-element models of the skin", minimum=1.0, maximum=1e12
     )
     window_m: float = setting(
         0.012, "Side of the square that a contact with a rigid object is solved on", minimum=1e-4, maximum=1.0

@@ -40,13 +40,10 @@ class ExchangeConfig(Settings):
     session: int = setting(1, "First session with the new sensor, counted from 0", minimum=1)
     finger: str = setting("thumb", "Finger whose sensor is replaced", choices=("thumb", "middle"))
     electrode_counts: float = setting(
-        100.0,
-        "Difference of the new sensor's mean electrode at rest from the old one's",
-        minimum=-2000.0,
-        maximum=2000.0,
+        100.0, "Mean electrode at rest of the new sensor minus that of the old one", minimum=-2000.0, maximum=2000.0
     )
     pdc_counts: float = setting(
-        50.0, "Difference of the new sensor's PDC at rest from the old one's", minimum=-2000.0, maximum=2000.0
+        50.0, "PDC at rest of the new sensor minus that of the old one", minimum=-2000.0, maximum=2000.0
     )
 
 
@@ -66,10 +63,7 @@ class ThermistorConfig(RangedSettings):
         (-3.0, 0.0), "Temperature of an object minus that of the fingers, low and high", minimum=-50.0, maximum=50.0
     )
     contact_s: float = setting(
-        20.0,
-        "Time constant with which a finger in contact takes the temperature of the object",
-        minimum=0.1,
-        maximum=1e6,
+        20.0, "Time constant with which a finger in contact takes the object's temperature", minimum=0.1, maximum=1e6
     )
     slope_th: float = setting(
         0.75, "Mean of the thumb's electrode counts per count of TDC", minimum=-10.0, maximum=10.0
@@ -127,11 +121,7 @@ class CampaignConfig(Settings):
         choices=("grasp", "object", "session", "none"),
     )
     live_speed: float = setting(
-        1.0,
-        "Time of the campaign that passes in a second of a live simulated hand",
-        unit="s/s",
-        minimum=0.0,
-        maximum=1e6,
+        1.0, "Time of the campaign that passes in a second of a live hand", unit="s/s", minimum=0.0, maximum=1e6
     )
     warm_up: WarmUpConfig | None = None
     fluid_loss: FluidLossConfig | None = None

@@ -20,10 +20,7 @@ class PostureConfig(RangedSettings):
         (0.0, 0.0), "Angle from the middle of the pad towards the tip, low and high", minimum=-60.0, maximum=60.0
     )
     roll_deg: tuple[float, ...] = setting(
-        (0.0, 0.0),
-        "Angle from the middle of the pad towards +y of the fingertip, low and high",
-        minimum=-60.0,
-        maximum=60.0,
+        (0.0, 0.0), "Angle from the middle of the pad towards +y, low and high", minimum=-60.0, maximum=60.0
     )
 
 
@@ -143,10 +140,7 @@ class GraspsConfig(Settings):
         False, "Whether the initial points are grasped, as in the data of P1, in place of the best ranked pair"
     )
     insertion_m: float = setting(
-        0.0,
-        "Distance below the planned points at which the fingers close, along the table's normal",
-        minimum=0.0,
-        maximum=1.0,
+        0.0, "How far below the planned points the fingers close, along the table's normal", minimum=0.0, maximum=1.0
     )
     max_width_m: float = setting(0.13, "Widest opening of the hand", minimum=0.001, maximum=0.5)
     control: str = setting("force", "Quantity that the hand controls", choices=("force", "depth"))

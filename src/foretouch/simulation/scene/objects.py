@@ -143,10 +143,7 @@ class FamilyConfig(RangedSettings):
         (0.05, 0.1), "Length of each edge of the bounding box, low and high", minimum=0.005, maximum=0.5
     )
     young_pa: tuple[float, ...] | None = setting(
-        None,
-        "Young's modulus, low and high, uniform in its logarithm; absent for rigid objects",
-        minimum=1e3,
-        maximum=1e9,
+        None, "Young's modulus, low and high, uniform in its logarithm; absent for rigid ones", minimum=1e3, maximum=1e9
     )
     thickness_m: tuple[float, ...] = setting(
         (0.01, 0.03), "Thickness of the soft layer, low and high", minimum=1e-4, maximum=0.5
