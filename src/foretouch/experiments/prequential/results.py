@@ -175,12 +175,9 @@ def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -
     rows: list[Row] = []
     for modality in MODALITIES:
         noticed = [k for k, fingers in enumerate(played.restarted[after]) if _FINGER_OF[modality] in fingers]
-        found = {
-            "coverage": inside[:, columns([modality])].mean(),
-            "noticed_after": noticed[0] + 1 if noticed else None,
-        }
-        place = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
-        rows.append(place | {"grasps": len(inside)} | found)
+        place: Row = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
+        coverage, after_touches = inside[:, columns([modality])].mean(), noticed[0] + 1 if noticed else None
+        rows.append(place | {"grasps": len(inside), "coverage": coverage, "noticed_after": after_touches})
     return rows
 
 
