@@ -36,7 +36,7 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
         if one.level
     ]
     if view.executed is not None:
-        parts.append(_executed(*view.executed))
+        parts.append(executed_table(*view.executed))
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions))
     for name, node in view.nodes.items():
@@ -96,13 +96,16 @@ def _modalities(prediction: TouchPrediction) -> list[str]:
     return [modality_text(*zip(*((one.value, one.lower, one.upper) for one in part), strict=True)) for part in parts]
 
 
-def _executed(prediction: TouchPrediction, readings: TouchCut) -> FittedTable:
-    rows: list[list[str | Text]] = [] if prediction.status else [["predicted", *_modalities(prediction)]]
+def executed_table(prediction: TouchPrediction | None, readings: TouchCut) -> FittedTable:
+    """The counts of an executed grasp: as predicted, if they were, as read, and at rest before."""
+    rows: list[list[str | Text]] = []
+    if prediction is not None and not prediction.status:
+        rows.append(["predicted", *_modalities(prediction)])
     rows += [
         [name, *(modality_text(getattr(touch, one.lower()), None, None) for one in MODALITIES)]
         for name, touch in (("read", readings.touch), ("tare", readings.tare))
     ]
-    return _table("", *MODALITIES, rows=rows, title="last grasp executed (counts)")
+    return _table("last grasp", *MODALITIES, rows=rows)
 
 
 def _rounded(number: str) -> str:

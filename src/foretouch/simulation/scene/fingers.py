@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
@@ -134,7 +134,7 @@ class ExecutionErrorConfig(Settings):
 class GraspsConfig(Settings):
     """Where and how the hand grasps."""
 
-    geograsp: GeoGraspConfig = GeoGraspConfig()
+    geograsp: SceneGeoGraspConfig = SceneGeoGraspConfig()
     slide: bool = setting(False, "Whether the grasp plane is slid at random along the object's axis (P2)")
     initial_points: bool = setting(
         False, "Whether the initial points are grasped, as in the data of P1, in place of the best ranked pair"
