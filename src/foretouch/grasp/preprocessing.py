@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Preprocess an object's cloud for GeoGrasp: drop points that are not finite, downsample, remove outliers."""
+"""Preprocess an object's cloud for GeoGrasp: drop points that are not finite or in the air, downsample, remove outliers."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from foretouch.cloud.geometry.flying import flying_mask
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
@@ -61,6 +62,14 @@ class FinitePoints:
         step = math.ceil(math.sqrt(ratio))
         kept = np.flatnonzero((grid.row % step == 0) & (grid.column % step == 0))
         return FinitePoints(self.xyz[kept], self.n_dropped)
+
+    def without_flying(self, config: GeoGraspConfig, counts: dict[str, int]) -> "FinitePoints":
+        """Without flying points (see `flying_mask`), whose number is added to `counts` if there are any."""
+        flying = flying_mask(self.xyz, config.flying_share)
+        if not flying.any():
+            return self
+        counts["n_flying"] = int(np.count_nonzero(flying))
+        return FinitePoints(self.xyz[~flying], self.n_dropped)
 
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
