@@ -37,8 +37,8 @@ Counts = npt.NDArray[np.int16]
 class GraspTimingConfig(TimelineConfig, read_only=True):
     """The phases of a live grasp. Whoever wants a tare finds it in the rest."""
 
-    rest_s: float = setting(0.5, "Time before the hand moves, and again after release", minimum=0.02, maximum=600.0)
-    approach_s: float = setting(0.3, "Time from there to first touch", minimum=0.0, maximum=60.0)
+    rest_s: float = setting(0.5, "Time before the hand moves, and again after release", bounds=(0.02, 600.0))
+    approach_s: float = setting(0.3, "Time from there to first touch", bounds=(0.0, 60.0))
 
 
 @dataclass(frozen=True, eq=False)

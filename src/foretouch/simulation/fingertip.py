@@ -64,20 +64,20 @@ class FingerConfig(Settings):
     percentile is near that of real ones, 3600.
     """
 
-    pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", bounds=(1.0, 4094.0))
     electrode_rest: float = setting(
-        3450.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+        3450.0, "Mean of the electrodes without contact", unit="counts", bounds=(500.0, 4000.0)
     )
-    pdc_span: float = setting(PDC_SPAN, "Rise of PDC where it levels off", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_span: float = setting(PDC_SPAN, "Rise of PDC where it levels off", unit="counts", bounds=(1.0, 4094.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThumbConfig(FingerConfig):
     """Rest levels of a thumb, whose electrodes reach 3350: PDC is higher, electrodes are lower than of other fingers."""
 
-    pdc_rest: float = setting(2779.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_rest: float = setting(2779.0, "PDC without contact", unit="counts", bounds=(1.0, 4094.0))
     electrode_rest: float = setting(
-        3150.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+        3150.0, "Mean of the electrodes without contact", unit="counts", bounds=(500.0, 4000.0)
     )
 
 

@@ -12,9 +12,9 @@ from foretouch.config import Settings, setting
 class FaultConfig(Settings):
     """Faults that are put in on purpose; by default there are none."""
 
-    jitter_s: float = setting(0.0, "Largest error of a stamp, to either side", minimum=0.0, maximum=10.0)
-    skew_s: float = setting(0.0, "How much the sensor's clock is ahead of the robot's", minimum=-3600.0, maximum=3600.0)
-    drop_share: float = setting(0.0, "Part of the messages that are not sent", minimum=0.0, maximum=1.0)
+    jitter_s: float = setting(0.0, "Largest error of a stamp, to either side", bounds=(0.0, 10.0))
+    skew_s: float = setting(0.0, "How much the sensor's clock is ahead of the robot's", bounds=(-3600.0, 3600.0))
+    drop_share: float = setting(0.0, "Part of the messages that are not sent", bounds=(0.0, 1.0))
 
 
 class MessageFaults:

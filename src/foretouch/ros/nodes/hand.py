@@ -89,18 +89,12 @@ class HandConfig(NodeConfig):
 
 
 class HandNode(ForetouchNode[HandConfig]):
-    """The hand as a lifecycle node.
-
-    Attributes:
-        phase: `idle`, or the phase of the current grasp (`GraspTrajectory.phase`).
-        busy: Whether a grasp is being executed or computed.
-        executed: Numbers of grasps by outcome: `success`, or the reason of the failure.
-    """
+    """The hand as a lifecycle node."""
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
-        self.phase = "idle"
-        self.busy = False
-        self.executed: Counter[str] = Counter()
+        self.phase = "idle"  # or the phase of the current grasp (`GraspTrajectory.phase`)
+        self.busy = False  # whether a grasp is being executed or computed
+        self.executed: Counter[str] = Counter()  # grasps by outcome: `success`, or the reason of the failure
         self._lock = threading.Lock()
         self._newest: GraspArray | None = None
         self._accepted_ns = -1  # stamp of the cloud of the last accepted grasp

@@ -89,13 +89,11 @@ class RecorderConfig(NodeConfig, TactileInput):
         True, "Whether to record what each grasp read for viewers too: its readings as clouds of taxels, and markers"
     )
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
-    unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", minimum=0.0, maximum=3600.0)
+    unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", bounds=(0.0, 3600.0))
     assume_grasps: bool = setting(
         False, "Whether a contact without a report is assigned to the best grasp of the last cloud before it"
     )
-    queue_mb: int = setting(
-        500, "Memory for messages that wait for the disk", minimum=10, maximum=100_000, read_only=True
-    )
+    queue_mb: int = setting(500, "Memory for messages that wait for the disk", bounds=(10, 100_000), read_only=True)
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
@@ -130,18 +128,13 @@ def _decode_label(request: Any) -> Label:
 
 
 class RecorderNode(ForetouchNode[RecorderConfig]):
-    """The recorder as a lifecycle node; deactivating it ends the recording.
-
-    Attributes:
-        path: Path of the current dataset, or of the last one; "" before the first.
-        reason: Why the last recording ended by itself, or "".
-    """
+    """The recorder as a lifecycle node; deactivating it ends the recording."""
 
     exclusive_topics = (GRASPS_TOPIC,)
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        self.path = ""
-        self.reason = ""
+        self.path = ""  # of the current dataset, or of the last one
+        self.reason = ""  # why the last recording ended by itself
         self._input_topics: RecorderSubscriptions | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
