@@ -188,7 +188,7 @@ def _plan_stable(
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
-        downsampled = points.in_canonical_order().downsampled(config)
+        downsampled = points.downsampled(config, sort=True)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         downsampled = downsampled.without_flying(config, counts)

@@ -99,7 +99,7 @@ def local_planes(points, centres, radius_m: float) -> tuple[Array, Array]:
 
 def onto_surface(points, place) -> Array:
     squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
-    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.001**2))
+    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.002**2))
     return weight @ points.xyz / weight.sum()
 
 
