@@ -94,9 +94,7 @@ class P1Settings(Settings):
     """Settings of `p1_as_published`."""
 
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
-    epochs: int | None = setting(
-        None, "Number of epochs; by default those of the recipe, 50", minimum=1, maximum=100_000
-    )
+    epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
     types: ObjectTypes = ObjectTypes()
 
 

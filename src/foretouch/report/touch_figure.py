@@ -43,11 +43,7 @@ class DrawnGrasp:
 def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     """Write one PNG with a row for each grasp: scene, contacts, electrodes predicted and read, and how they agree.
 
-    Electrodes that were read outside of their intervals have a ring.
-
-    Args:
-        path: Path of the file; its folder is created.
-        grasps: One or more.
+    Electrodes that were read outside of their intervals have a ring. The folder of the file is created.
     """
     # Finger, `predicted` or `read`, and touch of each panel of electrodes; those of a finger are side by side.
     panels = [
@@ -116,13 +112,7 @@ def _agreement(one: DrawnGrasp) -> str:
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
-    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers.
-
-    Args:
-        path: Path of the file; its folder is created.
-        samples: In order.
-        title: Of the figure.
-    """
+    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers."""
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
     figure = new_figure(7.6 * _SHEET_COLUMNS, 2.6 * rows + 1.3)  # below title and scale
     figure.suptitle(title)

@@ -50,7 +50,7 @@ class PrequentialSettings(Settings):
         (CONSTANT, "contact"), "Predictors by vision; the training mean is none", choices=tuple(PREDICTORS)
     )
     training_fraction: float = setting(
-        1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
     bootstrap: BootstrapConfig = BootstrapConfig()
 
