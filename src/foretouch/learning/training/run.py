@@ -17,7 +17,9 @@ import numpy as np
 from foretouch import __version__
 from foretouch.checked_files import write_text
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
+from foretouch.learning.data import Dataset, make_folds
+from foretouch.learning.data.folds import SPLITS, Fold
+from foretouch.learning.data.training_set import duplicate_labels
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
 from foretouch.learning.evaluation.metrics import mean_skill
 from foretouch.learning.training.calibration import calibration_folds, guarantee
@@ -113,18 +115,12 @@ def compare_splits(
         By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, 50)
         held-out predictions [counts], as far as the splits give them.
     """
-    seed = learner.config.seed
+    seed, ranges = learner.config.seed, learner.config.ranges
     results, predicted = {}, {}
     for split in splits:
-        start = time.monotonic()
+        start, folds = time.monotonic(), _folds(learner, split)
         scores, predicted[split] = cross_validate(
-            learner.samples,
-            learner.labels,
-            learner.predict_fold,
-            _folds(learner, split),
-            learner.config.ranges,
-            seed=seed,
-            workers=workers,
+            learner.samples, learner.labels, learner.predict_fold, folds, ranges, seed=seed, workers=workers
         )
         for name, one in scores.items():
             skills = {modality: round(score.skill, 3) for modality, score in one.items()}
