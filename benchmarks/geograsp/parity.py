@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask, normals_and_curvature
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis
-from foretouch.grasp.preprocessing import finite_points
 from foretouch.grasp.ranking import find_grasp_plane
 from foretouch.types import Cloud, Float64, Plane
 
@@ -121,23 +120,13 @@ def _pose_faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
 
 def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
     """Number of rows with each difference."""
-    clouds: dict[Path, tuple[Cloud, int]] = {}
+    clouds: dict[Path, Cloud] = {}
     found: Counter[str] = Counter()
     for row in rows:
-        if row.cloud not in clouds:  # rows of one cloud follow each other
-            cloud = read_cloud(row.cloud)
-            clouds = {row.cloud: (cloud, _without_normal(cloud, row.config))}
-        cloud, without = clouds[row.cloud]
-        plan = plan_grasps(cloud, row.plane, row.config)
-        plan.counts["n_nan_normals"] = without
-        found.update(set(faults(row, plan)))
+        if row.cloud not in clouds:
+            clouds = {row.cloud: read_cloud(row.cloud)}  # rows of one cloud follow each other
+        found.update(set(faults(row, plan_grasps(clouds[row.cloud], row.plane, row.config))))
     return found
-
-
-def _without_normal(cloud: Cloud, config: GeoGraspConfig) -> int:
-    """Number of filtered points that have no normal, which the original computes for all."""
-    xyz = finite_points(cloud).downsampled(config).without_outliers(config)
-    return int(np.count_nonzero(np.isnan(normals_and_curvature(xyz, np.arange(len(xyz)), config.normal_radius_m)[1])))
 
 
 def reproduces(grasp: ExecutedGrasp, slide_m: float) -> bool:

@@ -5,7 +5,7 @@ A component declares its settings in its own module::
 
     @dataclass(frozen=True, kw_only=True)
     class CropConfig(Settings):
-        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0)
+        max_range_m: float = setting(2.0, "Points farther than this are ignored", bounds=(0.1, 16.0))
 
 The fields contain the description, unit, bounds and whether a running node may change them. The
 command line, the YAML reader and the ROS parameters are all derived from this declaration.
@@ -106,13 +106,15 @@ def setting(
     description: str,
     *,
     unit: str = "",
+    bounds: tuple[float | None, float | None] | None = None,
     minimum: float | None = None,
     maximum: float | None = None,
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
-    limits = {"minimum": minimum, "maximum": maximum, "choices": choices, "read_only": read_only}
+    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); `bounds` are both limits."""
+    low, high = (minimum, maximum) if bounds is None else bounds
+    limits = {"minimum": low, "maximum": high, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
 
 

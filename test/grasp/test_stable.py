@@ -79,7 +79,7 @@ def test_the_contacts_face_each_other_across_the_object_also_after_a_slide(box_c
     plan = plan_grasps(box_cloud, top_view, STABLE)
     (best,) = plan.grasps
     assert plan.status == "ok"
-    assert 0.05 < best.width_m < 0.07  # the box is 60 mm wide
+    assert 0.053 < best.width_m < 0.07  # the points of the box span 58 mm: the contacts are near the outline
     axis, centroid = object_axis(box_cloud, top_view, STABLE)
     np.testing.assert_array_equal([axis, centroid], [plan.axis, plan.centroid])
     assert abs((best.g1 - best.g2) @ axis) < 0.01

@@ -10,7 +10,13 @@ from every_case import every_case
 from kernels.references import points as reference
 
 from foretouch.cloud.geometry import flying, pcl_filters
-from foretouch.cloud.geometry.pcl_filters import VoxelGrid, mean_neighbour_distance, normals_and_curvature, voxel_grid
+from foretouch.cloud.geometry.pcl_filters import (
+    VoxelGrid,
+    count_without_normal,
+    mean_neighbour_distance,
+    normals_and_curvature,
+    voxel_grid,
+)
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, axis, plan_grasps, preprocessing, ranking, stable
 from foretouch.grasp import geograsp as geograsp_module
@@ -70,6 +76,8 @@ def test_normals() -> None:
         np.testing.assert_allclose(curvature, other, atol=1e-9)
         unlike = np.abs(np.abs(np.einsum("ij,ij->i", normal, plain)) - 1.0) > 1e-6
         assert np.count_nonzero(unlike) <= 0.02 * len(some)
+        if len(xyz) < _MOST // 3:
+            assert count_without_normal(xyz) == reference.count_without_normal(xyz)
 
     every_case(HARD, check)
 
@@ -140,7 +148,10 @@ def test_plans_of_hard_objects() -> None:
         return VoxelGrid(*reference.voxels(xyz, leaf_m), leaf_m)
 
     patches = {
-        geograsp_module: {"mean_neighbour_distance": reference.mean_neighbour_distance},
+        geograsp_module: {
+            "count_without_normal": reference.count_without_normal,
+            "mean_neighbour_distance": reference.mean_neighbour_distance,
+        },
         pcl_filters: {"mean_neighbour_distance": reference.mean_neighbour_distance},
         axis: {"voxel_grid": voxels},
         ranking: {"normals_and_curvature": reference.normals_and_curvature, "voxel_grid": voxels},

@@ -90,8 +90,8 @@ _PAIRS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
 class PerceptionSettings(TradeoffSettings):
     """Settings of the area."""
 
-    scenes: int = setting(40, "Number of generated scenes of three objects", minimum=2, maximum=1000)
-    real: int = setting(60, "Number of real objects, if recordings are given", minimum=0, maximum=1000)
+    scenes: int = setting(40, "Number of generated scenes of three objects", bounds=(2, 1000))
+    real: int = setting(60, "Number of real objects, if recordings are given", bounds=(0, 1000))
 
 
 @dataclass(frozen=True, eq=False)

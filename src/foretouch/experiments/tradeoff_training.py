@@ -66,9 +66,9 @@ _COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (_ONE_BLOCK, NETWORK)
 class TrainingSettings(TradeoffSettings):
     """Settings of the area."""
 
-    trees: int = setting(60, "Trees of each forest of the contact model", minimum=1, maximum=1000)
+    trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))
     splits: tuple[str, ...] = setting(tuple(_SPLITS), "Skills of contact models to measure", choices=tuple(_SPLITS))
-    samples: int = setting(200, "Grasps to simulate where no recordings are given", minimum=100, maximum=100_000)
+    samples: int = setting(200, "Grasps to simulate where no recordings are given", bounds=(100, 100_000))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -198,7 +198,7 @@ def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
 
 
 def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
-    from foretouch.learning.data import TrainingSet
+    from foretouch.learning.data.training_set import TrainingSet
     from foretouch.learning.training.run_config import load_run_config
     from foretouch.learning.training.supervised import SupervisedTrainer
 

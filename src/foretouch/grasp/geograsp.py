@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
-from foretouch.cloud.geometry.pcl_filters import mean_neighbour_distance
+from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.config import GeoGraspConfig
@@ -135,6 +135,7 @@ def _plan_original(
         found = find_axis(xyz, plane, config)
         plan.axis, plan.centroid, plan.axis_ratio = found.direction, found.centroid, found.ratio
         counts["n_voxel"] = len(found.grid.counts)
+        counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
         if rng is not None:
             plan.slide_m = _random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
@@ -187,7 +188,7 @@ def _plan_stable(
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
-        downsampled = points.in_canonical_order().downsampled(config)
+        downsampled = points.downsampled(config, sort=True)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         downsampled = downsampled.without_flying(config, counts)

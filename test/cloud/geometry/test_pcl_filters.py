@@ -9,7 +9,13 @@ from every_case import every_case
 from scipy.spatial.transform import Rotation
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
-from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance, normals_and_curvature, voxel_grid
+from foretouch.cloud.geometry.pcl_filters import (
+    count_without_normal,
+    inlier_mask,
+    mean_neighbour_distance,
+    normals_and_curvature,
+    voxel_grid,
+)
 from foretouch.errors import CloudError
 
 
@@ -60,11 +66,13 @@ def test_no_plane_no_normal_and_empty_and_tiny_clouds():
         normals, curvature = normals_and_curvature(xyz, np.arange(len(xyz)))
         assert np.isnan(normals).all()
         assert np.isnan(curvature).all()
+        assert count_without_normal(xyz) == len(xyz)
 
     every_case(cases, check)
     none = np.zeros((0, 3), np.float32)
     normals, curvature = normals_and_curvature(none, np.zeros(0, np.int64))
     assert (normals.shape, curvature.shape) == ((0, 3), (0,))
+    assert count_without_normal(none) == 0
     assert voxel_grid(none, 0.01).mean(np.zeros((0, 3))).shape == (0, 3)
     for n in range(4):
         assert inlier_mask(np.eye(3, dtype=np.float32)[:n]).shape == (min(n, 3),)

@@ -33,6 +33,10 @@ def normals_and_curvature(xyz, query, radius_m: float = 0.03) -> tuple[Array, Ar
     return np.where(spans[:, None], normal, np.nan), np.where(spans, curvature, np.nan)
 
 
+def count_without_normal(xyz, radius_m: float = 0.03) -> int:
+    return np.count_nonzero(~_covariance(summed_moments(xyz, xyz, radius_m))[1])
+
+
 def flying_points(xyz, some, radius: float, gap_m: float, slope: float, share: float, support: float) -> Array:
     z, rays = xyz[:, 2], xyz[:, :2] / xyz[:, 2:]
     found = np.zeros(len(some), np.bool_)
@@ -95,7 +99,7 @@ def local_planes(points, centres, radius_m: float) -> tuple[Array, Array]:
 
 def onto_surface(points, place) -> Array:
     squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
-    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.001**2))
+    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.002**2))
     return weight @ points.xyz / weight.sum()
 
 

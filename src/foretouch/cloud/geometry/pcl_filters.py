@@ -18,6 +18,7 @@ _fit_planes = Kernel("fit_planes", np.float64, np.float32, int, float, np.float6
 _voxel_cells = Kernel("voxel_cells", np.float32, int, float, np.int64, np.int64, np.int64)
 _cell_means = Kernel("cell_means", np.float64, int, int, np.int64, np.int64, int, np.float64)
 
+_CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius
 _MARGIN = 1.001  # radii: far more than float32 rounding
 _LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on a line up to float32 rounding
 
@@ -90,6 +91,23 @@ def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) 
     normals, curvature = np.empty((len(sums), 3)), np.empty(len(sums))
     _fit_planes(sums, points, len(sums), _LINE, normals, curvature)
     return normals, curvature
+
+
+def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
+    """Number of points (N, 3), finite, for which `normals_and_curvature` would find no normal; N may be 0."""
+    if len(xyz) == 0:
+        return 0
+    # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
+    grid = voxel_grid(xyz, radius_m * _CUBE)
+    offset = xyz.astype(np.float64) - xyz[0]
+    mean = grid.mean(np.column_stack([offset, (offset[:, :, None] * offset[:, None]).reshape(-1, 9)]))
+    covariance = mean[:, 3:].reshape(-1, 3, 3) - mean[:, :3, None] * mean[:, None, :3]
+    trace = np.trace(covariance, axis1=1, axis2=2)
+    # Sum of the products of two eigenvalues: zero on a line, where only one eigenvalue is not zero.
+    products = (trace * trace - np.einsum("qij,qij->q", covariance, covariance)) / 2.0
+    spans_plane = (grid.counts >= 3) & (products > _LINE * trace * trace)
+    undecided = np.flatnonzero(~spans_plane[grid.cell])
+    return int(np.count_nonzero(np.isnan(normals_and_curvature(xyz, undecided, radius_m)[1])))
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> Bool:

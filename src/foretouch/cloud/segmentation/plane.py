@@ -37,9 +37,9 @@ _SEED = 0  # of the samples: the same points give the same plane
 class PlaneConfig(Settings):
     """Settings of the plane fit, and which planes are not a table."""
 
-    threshold_m: float = setting(0.01, "Points closer than this belong to a plane", minimum=0.001, maximum=0.1)
-    min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", minimum=0.01, maximum=1.0)
-    max_trials: int = setting(1024, "Maximum number of RANSAC samples", minimum=64, maximum=100_000)
+    threshold_m: float = setting(0.01, "Points closer than this belong to a plane", bounds=(0.001, 0.1))
+    min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", bounds=(0.01, 1.0))
+    max_trials: int = setting(1024, "Maximum number of RANSAC samples", bounds=(64, 100_000))
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,14 +88,8 @@ class _Pending:
 class GraspTouchMatcher:
     """Collects plans, executed grasps, labels and contacts until a grasp is complete. Not thread-safe.
 
-    Args:
-        buffer, clouds, config, contact: Readings, clouds, and settings of the pairing and of the contact detector.
-        assume: Whether a contact without a report belongs to the best grasp of the last cloud before it.
-        successes_only: Whether grasps that failed after contact are rejected too.
-
-    Attributes:
-        pending: Executed grasps that are not complete yet.
-        plans: Grasps by the stamp of the cloud that they were planned on [ns], until they are forgotten.
+    If `assume` is set, a contact without a report belongs to the best grasp of the last cloud before it; with
+    `successes_only`, grasps that failed after contact are rejected too.
     """
 
     def __init__(
@@ -114,9 +108,9 @@ class GraspTouchMatcher:
         self._contact = contact
         self._assume = assume
         self._successes_only = successes_only
-        self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()
+        self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()  # by the stamp of their cloud [ns], until forgotten
         self._stamp_of: dict[str, int | None] = {}  # None: the id was planned on two clouds
-        self.pending: list[_Pending] = []
+        self.pending: list[_Pending] = []  # executed grasps that are not complete yet
         self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
         self._finished: deque[ExecutedGrasp] = deque(maxlen=256)  # to reject intervals that overlap with theirs

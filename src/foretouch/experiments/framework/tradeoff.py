@@ -44,9 +44,9 @@ Answer = Floating
 class TradeoffSettings(Settings):
     """Settings of every area."""
 
-    timing_s: float = setting(60.0, "Time of all timings together", minimum=0.1, maximum=3600.0)
+    timing_s: float = setting(60.0, "Time of all timings together", bounds=(0.1, 3600.0))
     pause_s: float = setting(
-        0.0, "Time asleep before each call, as in a graph that waits for clouds", minimum=0.0, maximum=10.0
+        0.0, "Time asleep before each call, as in a graph that waits for clouds", bounds=(0.0, 10.0)
     )
     requests: tuple[int, ...] = setting((1,), "Sizes of the requests that are timed", minimum=1)
     detail: str = setting("all", "few: the main variants; all: all variants and pairs", choices=("few", "all"))
@@ -230,13 +230,9 @@ def _time_variants(
         times = time_calls(calls, requests, share * settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
-    found = {
-        key: {
-            **_quantiles(calls, ready[key[0]].whole),
-            _HOT: 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None,
-        }
-        for key, calls in times.items()
-    }
+    found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}
+    for key, row in found.items():
+        row[_HOT] = 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None
     for variant in variants:
         other, reference = variant.compared_with or area.shipped, variant.reference or area.reference
         facts = {

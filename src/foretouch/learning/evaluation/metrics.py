@@ -117,9 +117,9 @@ Verdict = Literal["better", "worse", "tie", "too few objects"]
 class BootstrapConfig(Settings):
     """Settings of the bootstrap."""
 
-    draws: int = setting(10_000, "Resamples of the objects", minimum=100, maximum=1_000_000)
+    draws: int = setting(10_000, "Resamples of the objects", bounds=(100, 1_000_000))
     seed: int = setting(0, "Seed of the resamples", minimum=0)
-    level: float = setting(0.95, "Nominal coverage of the intervals", minimum=0.5, maximum=0.999)
+    level: float = setting(0.95, "Nominal coverage of the intervals", bounds=(0.5, 0.999))
 
 
 _DEFAULT: Final = BootstrapConfig()

@@ -52,11 +52,11 @@ class SrganLossConfig(Settings):
         "Variant of P2's equations 3 to 5; see the module",
         choices=("as_printed", "contrast", "batch_means", "srgan"),
     )
-    weight_labeled: float = setting(1.0, "w_L", minimum=0.0, maximum=1e6)
-    weight_unlabeled: float = setting(10.0, "w_U", minimum=0.0, maximum=1e6)
-    weight_fake: float = setting(0.1, "w_F", minimum=0.0, maximum=1e6)
+    weight_labeled: float = setting(1.0, "w_L", bounds=(0.0, 1e6))
+    weight_unlabeled: float = setting(10.0, "w_U", bounds=(0.0, 1e6))
+    weight_fake: float = setting(0.1, "w_F", bounds=(0.0, 1e6))
     gradient_penalty: float = setting(
-        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", minimum=0.0, maximum=1e6
+        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", bounds=(0.0, 1e6)
     )
 
 

@@ -105,18 +105,17 @@ class ReplayConfig(NodeConfig):
         read_only=True,
     )
     rate_hz: float = setting(
-        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", minimum=0.0, maximum=1000.0
+        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", bounds=(0.0, 1000.0)
     )
     loop: bool = setting(False, "Start again at the end, with increasing stamps")
     restamp: bool = setting(False, "Stamp every message with the time of its publication")
     lockstep: bool = setting(False, "Publish each cloud after the answer on `touch` to the one before", read_only=True)
-    subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", minimum=0, maximum=100)
+    subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", bounds=(0, 100))
     discovery_s: float = setting(
         3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
         " announce themselves every 3 s; 0 does not wait",
-        minimum=0.0,
-        maximum=60.0,
+        bounds=(0.0, 60.0),
     )
     wait_for: tuple[str, ...] = setting(
         (), "Topics that must have a subscriber, besides the nodes of the graph, before the first cloud", read_only=True
@@ -124,8 +123,7 @@ class ReplayConfig(NodeConfig):
     wait_limit_s: float = setting(
         10.0,
         "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
-        minimum=0.0,
-        maximum=3600.0,
+        bounds=(0.0, 3600.0),
     )
     frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
 
@@ -136,26 +134,17 @@ class ReplayConfig(NodeConfig):
 
 
 class ReplayNode(ForetouchNode[ReplayConfig]):
-    """The replay as a lifecycle node; activating it again plays from the beginning.
-
-    Attributes:
-        ended: Set at the end of the replay; `outcome` is the reason.
-        outcome: `waiting`, `playing`, `finished`, `stopped` or `failed`.
-        reason: Why it failed, else "".
-        clouds_topic: Full name of the topic of the clouds; "" before it is known.
-        played: Published messages by topic, also of the clouds.
-        unanswered: In lockstep, clouds without an answer on `touch` in time.
-    """
+    """The replay as a lifecycle node; activating it again plays from the beginning."""
 
     exclusive_topics = ("points", "objects", GRASPS_TOPIC, "touch")
 
     def __init__(self, name: str = "replay", **options: Any) -> None:
-        self.ended = threading.Event()
-        self.outcome = "waiting"
-        self.played: Counter[str] = Counter()
-        self.unanswered = 0
-        self.reason = ""
-        self.clouds_topic = ""
+        self.ended = threading.Event()  # set at the end of the replay
+        self.outcome = "waiting"  # or `playing`, and at the end `finished`, `stopped` or `failed`
+        self.played: Counter[str] = Counter()  # published messages by topic, also of the clouds
+        self.unanswered = 0  # in lockstep, clouds without an answer on `touch` in time
+        self.reason = ""  # why it failed
+        self.clouds_topic = ""  # full name of the topic of the clouds, once it is known
         self._source: Source | None = None
         self._topic_publishers: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}

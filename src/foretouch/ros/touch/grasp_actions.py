@@ -140,8 +140,7 @@ def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> fl
 def planner_action_class(type_name: str) -> Any:
     """The class of an action such as `moveit_task_constructor_msgs/SampleGraspPoses`; None if it cannot be loaded.
 
-    Raises:
-        ConfigError: If the name is not of the form package/Type, or the type has no fields of this action.
+    A `ConfigError` if the name is not of the form package/Type, or the type has no fields of this action.
     """
     package, _, name = type_name.partition("/")
     if not package.isidentifier() or not name.isidentifier():
