@@ -71,7 +71,9 @@ def test_a_hand_history_keeps_what_was_written(disk: Path) -> None:
     file.write(history)
     before, ballast = files_of(disk), fill(disk, 0)
     read(3)
-    with pytest.raises(FileError, match=r"right\.safetensors: cannot be written, the one before is kept: No space left"):
+    with pytest.raises(
+        FileError, match=r"right\.safetensors: cannot be written, the one before is kept: No space left"
+    ):
         file.write(history)
     assert files_of(disk) == before
     assert file.read(model) is not None
