@@ -34,28 +34,29 @@ def rosbags_messages(*files: Path) -> dict[str, list[Any]]:
     return dict(found)
 
 
-def rerun_components(path: Path, folder: Path) -> dict[str, set[str]]:
-    """What Rerun's importer makes of an MCAP file: components by entity."""
+def run_rerun(folder: Path, *arguments: str | Path) -> str:
+    """What a command of Rerun prints, which sends no statistics and keeps its settings in a folder."""
     found = find_spec("rerun_cli")
     if found is None or found.origin is None:
         pytest.skip("Rerun is not installed: pip install 'foretouch[view]'")
-    rerun = str(Path(found.origin).with_name("rerun"))
     environment = {**os.environ, "XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder), "RERUN_APP_ONLY": "true"}
-    out = folder / "imported.rrd"
-
-    def run(*arguments: str) -> str:
+    for command in (("analytics", "disable"), arguments):
         done = subprocess.run(
-            [rerun, *arguments], env=environment, capture_output=True, text=True, timeout=120.0, check=False
-        )
+            [Path(found.origin).with_name("rerun"), *command],
+            env=environment, capture_output=True, text=True, timeout=120.0, check=False,
+        )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        return done.stdout + done.stderr
+    return done.stdout + done.stderr
 
-    run("analytics", "disable")
-    printed = run("mcap", "convert", str(path), "-o", str(out))
+
+def rerun_components(path: Path, folder: Path) -> dict[str, set[str]]:
+    """What Rerun's importer makes of an MCAP file: components by entity."""
+    printed = run_rerun(folder, "mcap", "convert", path, "-o", folder / "imported.rrd")
     faults = [line for line in printed.splitlines() if re.search(r"\b(WARN|ERROR)\b", line) and "app_id" not in line]
     assert not faults  # the name of the file is no name of an application, which every file is told
     components = defaultdict(set)
-    for entity, names in re.findall(r"- (/\S*) - data columns: \[(.*)\]", run("rrd", "print", str(out))):
+    printed = run_rerun(folder, "rrd", "print", folder / "imported.rrd")
+    for entity, names in re.findall(r"- (/\S*) - data columns: \[(.*)\]", printed):
         components[entity] |= set(names.split())
     return dict(components)
 

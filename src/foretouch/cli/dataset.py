@@ -13,6 +13,7 @@ from typing import Any
 from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing
 from foretouch.dataset.chunks import ReadOnRay, chunks_folder
 from foretouch.dataset.formats import export_formats, readable_formats
@@ -86,9 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _action(actions: Any, name: str, act: Callable[..., int], summary: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = actions.add_parser(name, help=summary, description=f"{summary}.")
+    parser: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
     parser.set_defaults(act=act)
-    parser.add_argument("--json", action="store_true", help="print JSON on stdout, and nothing else there")
+    parser.add_json()
     return parser
 
 
@@ -171,6 +172,7 @@ def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
     yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
     yield from (("edit", text) for text in found.edits)
+    yield "last check", found.check
 
 
 def _message_counts(counts: Mapping[str, Any]) -> str:

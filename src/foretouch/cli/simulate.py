@@ -62,7 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay", metavar="SLOT[.ATTEMPT]", help="repeat one attempt and print its sample or why it failed"
     )
     parser.add_argument("--no-sheet", action="store_true", help=f"do not draw {SHEET}")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and nothing else there")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -90,14 +89,11 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
 def _explain(scene: SceneConfig, as_json: bool) -> int:
     plans, everyone = explain_scene(scene), len(scene.objects)
     if as_json:
-        print_json({
-            "effects": [
-                {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
-                for p in plans
-            ],
-            "samples": 0,
-            "scene_sha256": scene.sha256(),
-        })  # fmt: skip
+        effects = [
+            {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
+            for p in plans
+        ]
+        print_json({"effects": effects, "samples": 0, "scene_sha256": scene.sha256()})
     else:
         rows = [
             [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]

@@ -28,21 +28,14 @@ _CLOUD_TOPIC: Final = "/foretouch/points"
 
 
 class BagWriter:
-    """Writes a recording; a context manager. If the block ends with an exception, the recording is removed.
+    """Writes a recording, a new directory; a context manager. If the block ends with an exception, it is removed.
 
-    Args:
-        path: Directory to create.
-
-    Attributes:
-        definitions: The message types; register those that are not installed.
-
-    Raises:
-        FileError: If the path exists, or cannot be created.
+    A `FileError` if the path exists, or cannot be created.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.definitions = Definitions()
+        self.definitions = Definitions()  # register the message types that are not installed
         self._connections: dict[str, Connection] = {}
         try:
             self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)

@@ -17,10 +17,7 @@ from foretouch.errors import DatasetError, FileError
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
-    """Assign samples to another object, which also changes their ids.
-
-    Returns:
-        The number of the edit.
+    """Assign samples to another object, which also changes their ids; gives the number of the edit.
 
     Raises:
         DatasetError: If the label is no plain name, a sample does not exist, or two would have the same id.

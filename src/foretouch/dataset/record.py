@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+import numpy as np
+
 from foretouch.errors import DatasetError
 from foretouch.types import TOUCH_SIZE, AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
@@ -59,6 +61,16 @@ class SampleRecord:
     detector: str = ""  # description of the method that detected the contact
     pairing_error_ns: int | None = None  # widest gap between the requested interval and the readings found [ns]
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
+
+
+def readings(record: SampleRecord) -> TouchSeries | None:
+    """The readings around a grasp; of a sample without a series its touch as the only one, or None without a touch."""
+    sample = record.sample
+    if record.series is not None or sample.touch is None:
+        return record.series
+    others = {name: np.array([value], np.float32) for name, value in sample.extra.items()}
+    counts = sample.touch.vector()[None].astype(np.float32)
+    return TouchSeries(np.array([sample.stamp_ns]), counts, np.array([HOLD], np.uint8), others)
 
 
 def check_name(name: str, what: str) -> str:

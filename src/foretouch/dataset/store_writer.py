@@ -33,9 +33,7 @@ _SHARD_ROWS = 1024
 class StoreWriter:
     """Collects samples; the store appears at the path when the `with` block ends without an error.
 
-    Args:
-        path: The store; must not exist.
-        about: Facts for the manifest: what made the samples, from which sources, with which seed.
+    `about` are facts for the manifest: what made the samples, from which sources, with which seed.
 
     Raises:
         FileError: If the path exists or its folder cannot be written.
@@ -170,19 +168,12 @@ def build_store(
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
     A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
-    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones.
-
-    Args:
-        sources: Datasets in any readable format.
-        out: The store; must not exist.
-        attach: Makes text files to add to the store, such as splits, by name, from the samples.
-        progress: Called once a sample.
-        read: Reads the samples of a source, given its number too.
+    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
+    files to add to the store, such as splits, by name, from the samples; `read` reads those of a source, given its number.
 
     Raises:
         FileError: If `out` exists, or a source is no dataset or damaged.
-        DatasetError: If two sources hold the same sample, two samples of one source have the same id, or a number is
-            not finite.
+        DatasetError: If two sources hold the same sample, two of one source the same id, or a number is not finite.
     """
     result = BuildResult()
     origins: list[dict[str, Any]] = []

@@ -14,7 +14,7 @@ import numpy as np
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import header_fields, with_stamp
-from foretouch.dataset.record import HOLD, SampleRecord, TouchSeries
+from foretouch.dataset.record import SampleRecord, TouchSeries, readings
 from foretouch.dataset.recording.sample_codec import sample_types
 from foretouch.grasp.pose import electrodes_at
 from foretouch.tactile import columns
@@ -34,7 +34,7 @@ class TaxelCloud(NamedTuple):
 
 def taxel_clouds(record: SampleRecord) -> Iterator[TaxelCloud]:
     """The readings around a grasp in their order, the thumb's first; of a sample without a series its touch, if any."""
-    sample, series = record.sample, record.series or _touch_as_series(record)
+    sample, series = record.sample, readings(record)
     if series is None:
         return
     for finger, contact in (("TH", sample.grasp.g1), ("MF", sample.grasp.g2)):
@@ -71,15 +71,3 @@ def _template(frame_id: str, names: list[str], points: AnyArray) -> tuple[bytes,
     data = bytes(sample_types().store.serialize_cdr(message, POINT_CLOUD_TYPE))
     end = len(data) - 1  # the last byte is `is_dense`
     return data[: end - points.nbytes], data[end:]
-
-
-def _touch_as_series(record: SampleRecord) -> TouchSeries | None:
-    """A series of the sample's touch alone."""
-    sample = record.sample
-    if sample.touch is None:
-        return None
-    others = {
-        name: np.array([value], np.float32) for name, value in sample.extra.items() if not name.startswith("tare")
-    }
-    counts = sample.touch.vector()[None].astype(np.float32)
-    return TouchSeries(np.array([sample.stamp_ns]), counts, np.array([HOLD], np.uint8), others)

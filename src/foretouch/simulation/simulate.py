@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, astuple, dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +79,7 @@ class Simulation:
         """
         _require_length(self.scene, count)
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
-        made_here = map(partial(_make_block, _engine_of(self.scene)), blocks)
+        made_here = map(partial(_make_block, self.scene), blocks)
         results = made_here if workers == 1 else _spread(self.scene, blocks, workers)
         for samples, timings, failures, given_up in results:
             self._add(timings, failures)
@@ -120,7 +120,7 @@ def _require_length(scene: SceneConfig, count: int) -> None:
 
 def _write_chunk(scene: SceneConfig, slots: range, write: Callable[[GraspSample], None]) -> dict[str, Any]:
     """Write the samples of some slots; gives time by effect and failures in plain types."""
-    samples, timings, failures, given_up = _make_block(_engine_of(scene), slots)
+    samples, timings, failures, given_up = _make_block(scene, slots)
     if given_up:
         raise _given_up(failures[-scene.max_attempts :])
     for sample in samples:
@@ -141,6 +141,7 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
     return _engine_of(scene).run(key)
 
 
+@lru_cache(maxsize=1)  # a worker process has one scene all its life
 def _engine_of(scene: SceneConfig) -> Engine:
     return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
 
@@ -149,10 +150,10 @@ def _engine_of(scene: SceneConfig) -> Engine:
 _Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
 
 
-def _make_block(engine: Engine, slots: range) -> _Block:
+def _make_block(scene: SceneConfig, slots: range) -> _Block:
     from threadpoolctl import threadpool_limits
 
-    scene = engine.scene
+    engine = _engine_of(scene)
     engine.timings = {effect.name: EffectTiming() for effect in EFFECTS}
     samples: list[GraspSample] = []
     failures: list[Failure] = []
@@ -248,26 +249,13 @@ def _given_up(failures: list[Failure]) -> SimulationError:
     )
 
 
-_engine: Engine | None = None  # of a worker process
-
-
-def _start_worker(scene: SceneConfig) -> None:
-    global _engine  # noqa: PLW0603  # a worker process has one scene all its life
-    _engine = _engine_of(scene)
-
-
-def _work(slots: range) -> _Block:
-    assert _engine is not None  # noqa: S101  # _start_worker made it
-    return _make_block(_engine, slots)
-
-
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
     """Blocks in order from several processes, a few made ahead of the reader."""
-    with one_thread_each(), process_pool(workers, _start_worker, (scene,)) as pool:
+    with one_thread_each(), process_pool(workers) as pool:
         pending: deque[Future[_Block]] = deque()
         try:
             for slots in blocks:
-                pending.append(pool.submit(_work, slots))
+                pending.append(pool.submit(_make_block, scene, slots))
                 if len(pending) >= workers * _AHEAD:
                     yield pending.popleft().result()
             while pending:

@@ -57,32 +57,22 @@ class AssembledSample(NamedTuple):
 
 
 class SampleAssembler:
-    """Assembles samples of one session. Not thread-safe.
-
-    Args:
-        config: Settings.
-        reader: Decodes tactile messages.
-
-    Attributes:
-        results: Executed grasps by result: `recorded`, or why they were rejected.
-        rejected_clouds: Clouds that could not become samples without a touch, as `unlabelled <reason>`.
-        clouds_without_grasps: Number of clouds that left the buffer without a plan.
-        objects: Stamps from which on an object is on the table [ns], with its label, in order; may be changed.
-        rest_since_s: Since when no finger is in contact; None while one is, or unless `watch_sensors` is set.
-    """
+    """Assembles samples of one session; `reader` decodes tactile messages. Not thread-safe."""
 
     def __init__(self, config: AssemblerConfig, reader: TactileReader) -> None:
         self.config = config
-        self.results: Counter[str] = Counter()
-        self.rejected_clouds: Counter[str] = Counter()
-        self.clouds_without_grasps = 0
+        self.results: Counter[str] = Counter()  # executed grasps: `recorded`, or why they were rejected
+        self.rejected_clouds: Counter[str] = Counter()  # no samples without a touch, as `unlabelled <reason>`
+        self.clouds_without_grasps = 0  # that left the buffer without a plan
         self._reader = reader
         self.readings = TouchBuffer(config.pairing.kept_s)
         self._episodes = ContactEpisodes(config.contact)
         self._health = SensorHealth()
         self._last_unlabelled_ns: int | None = None
         self._last_tactile_s = self._last_cloud_s = float("-inf")
+        # Since when no finger is in contact; None while one is, or unless `watch_sensors` is set.
         self.rest_since_s: float | None = None
+        # Stamps from which on an object is on the table [ns], with its label, in order; may be changed.
         self.objects = [(0, config.object)]
         self.reset_grasps()
 

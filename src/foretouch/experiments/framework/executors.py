@@ -5,8 +5,6 @@ A cell takes plain data and returns plain data; an exception becomes a failed re
 one thread, so that sums have a fixed order and cells share the cores.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections import deque
@@ -16,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from foretouch.errors import DatasetError, ForetouchError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
@@ -34,7 +32,7 @@ class Job:
     sha256: str  # hash of the data
 
     @classmethod
-    def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Job:
+    def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Self:
         """Job of an experiment with resolved settings."""
         return cls(f"{experiment.module}:{experiment.name}", json.dumps(settings, sort_keys=True), str(data), sha256)
 

@@ -11,8 +11,6 @@ without this step. The 24 electrodes of a finger are correlated and count as
 plausible range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
@@ -54,15 +52,7 @@ _PRIOR: Final = np.log(
     [[0.5, 0.2, 0.5, SLOW_TIME_S, FAST_TIME_S, TARE_NOISE, 1.0], [8.0, 8.0, 8.0, 2.7, 2.7, 2.7, 2.0]]
 )
 _LIMITS: Final = np.log(
-    [
-        [1e-3, 20.0],
-        [1e-3, 20.0],
-        [1e-3, 20.0],
-        [_DAY_S, 100.0 * _DAY_S],
-        [0.1 * _HOUR_S, 12.0 * _HOUR_S],
-        [1e-3, 10.0],
-        [0.1, 2.0],
-    ]
+    [*[[1e-3, 20.0]] * 3, [_DAY_S, 100.0 * _DAY_S], [0.1 * _HOUR_S, 12.0 * _HOUR_S], [1e-3, 10.0], [0.1, 2.0]]
 )
 
 
