@@ -34,6 +34,8 @@ from foretouch.experiments.framework.manifest import open_folder, read_results
 from foretouch.learning.training.run_folder import RunFolder, read_state, write_state
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
+from foretouch.tactile.description import load_sensor, sensor_files
+from foretouch.tactile.messages.described import SensorReader
 
 VALUES = (
     None, True, 0, -1, 2**63, 10**400, 0.5, 1e308, float("inf"), float("nan"), "", "x", "../..", "a\x1b[2J\n", "é" * 500,
@@ -219,6 +221,18 @@ def _read_experiment(path: Path) -> None:
     read_results(path / "results.csv")
 
 
+def _sensor(folder: Path) -> Path:
+    for file in sensor_files()["biotac_sp"].parent.glob("biotac_sp.*"):
+        shutil.copy(file, folder)
+    return folder / "biotac_sp.yaml"
+
+
+def _read_sensor(path: Path) -> None:
+    sensor = load_sensor(path)
+    SensorReader(sensor)
+    assert np.isfinite(sensor.layout.positions).all(), sensor.sha256
+
+
 def _in(make: Callable[[Path], Path]) -> Callable[[Path], Path]:
     def made(folder: Path) -> Path:
         folder.mkdir()
@@ -238,6 +252,7 @@ KINDS = {
     "run": _kind(_run, _read_run),
     "history": _kind(_history, _read_history),
     "experiment": _kind(_experiment, _read_experiment),
+    "sensor": _kind(_in(_sensor), _read_sensor),
 }
 
 
