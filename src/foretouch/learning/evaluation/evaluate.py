@@ -145,7 +145,8 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
     if any(kind not in table for table in tables.values()):
         raise DatasetError(
             f"{name}: was trained on all samples that the split {split} tests, so that none is held out; train with"
-            f" split='{kind}/{part}', evaluate other data, or score them nevertheless with --training-scores"
+            f" release=true (scores by cross-validation) or split='{kind}/{part}', evaluate other data, or score them"
+            " nevertheless with --training-scores"
         )
     scores = {
         who: {key: {"coverage90": None, **one} for key, one in table[kind].items()} for who, table in tables.items()

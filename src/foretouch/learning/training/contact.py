@@ -25,7 +25,7 @@ from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
 
-_FEWEST_SAMPLES: Final = 5
+FEWEST_SAMPLES: Final = 5
 _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
@@ -94,8 +94,11 @@ def fit_contact(
     Raises:
         DatasetError: If there are fewer than five samples, or a value of the labels is constant.
     """
-    if len(rows) < _FEWEST_SAMPLES:
-        raise DatasetError(f"contact model: {len(rows)} samples are fewer than {_FEWEST_SAMPLES}")
+    if len(rows) < FEWEST_SAMPLES:
+        rule = (
+            f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {FEWEST_SAMPLES - len(rows)} more grasps are needed"
+        )
+        raise DatasetError(f"contact model: {rule}")
     mean, deviation = labels.mean(axis=0), labels.std(axis=0)
     if not (span := np.ptp(labels, axis=0)).all():
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
