@@ -308,6 +308,8 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "start_recording": "start a recording",
     "stop_recording": "end the recording",
     "execute_grasp": "execute the best of the newest grasps now",
+    "press_th": "press the thumb of the simulated hand for a second, as a person does for `record --check`",
+    "press_mf": "the same of the middle finger",
     "forget_touches": "forget the readings of the current object",
     "forget_history": "forget all readings of the hand",
 }

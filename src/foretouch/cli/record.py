@@ -165,6 +165,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--middle", metavar="NAME", help="name of the middle finger (default: MF or 1)")
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
     parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="check hand, camera and table before a session, press each finger in turn, store the report with the"
+        " dataset, and record nothing",
+    )
     parser.add_argument("--points", action="store_true", help="record the camera's whole clouds too")
     parser.add_argument(
         "--assume-grasps",
@@ -184,13 +190,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Record; exit status 1 if the recording did not start, or ended by itself."""
+    """Record; exit status 1 if the recording did not start or ended by itself, or the check found a fault."""
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     announce("starting the recorder")
     with graph:
         node = cast("RecorderNode", graph.nodes["recorder"])
         if node.state_name != "active":
             raise ForetouchError("the recorder did not start; see its log")
+        if arguments.check:
+            from foretouch.cli.check import run_check
+
+            return run_check(node, arguments)
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         state = node.session_status()
@@ -214,7 +224,7 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
         "tactile.type": arguments.tactile_type,
         "tactile.thumb": arguments.thumb,
         "tactile.middle": arguments.middle,
-        "points": arguments.points or None,
+        "points": arguments.points or arguments.check or None,
         "objects": arguments.objects,
         "assume_grasps": arguments.assume_grasps or None,
         **_identity("hand", arguments.hand),

@@ -18,7 +18,7 @@ from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.fingertip import quantise
+from foretouch.simulation.fingertip import quantise, read_press
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
 from foretouch.simulation.scene.ranges import draw
@@ -139,6 +139,11 @@ class SimulatedHand:
             rotation=rotation,
             forces=(state.contacts[0].force_n, state.contacts[1].force_n),
         )
+
+    def press(self, finger: int) -> Counts:
+        """(25,) int16: what a press by a person adds to the counts of the thumb, 0, or the middle finger, 1."""
+        one = self._resting.world.fingers[finger]
+        return np.asarray(read_press(one) - np.append(one.pdc_rest, one.electrode_rest)).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
         """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""

@@ -119,6 +119,13 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
     return np.append(_pdc_counts(window.frame, volume, finger), electrodes)
 
 
+def read_press(finger: Finger) -> Float64:
+    """(25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
+    approach = 0.5 * THINNING_M * np.maximum(-electrode_normals()[:, 2], 0.0)
+    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
+    return np.append(finger.pdc_rest + 0.5 * finger.pdc_span, electrodes)
+
+
 def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
     """Liquid pushed aside by the contact [m³]; where the skin's displacement is a rise, it takes liquid up."""
     return max(float(np.minimum(displacement, BOTTOMING_M).sum()) * cell_m2, 0.0)

@@ -8,6 +8,7 @@ The BioTac SP is not temperature-compensated and drifts with temperature, inflat
 only with those of the same finger at rest shortly before: the tare.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -71,6 +72,12 @@ def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
 def is_tdc(values: Float64) -> Bool:
     """Which values a working thermistor can have sent: not NaN, not 0 as of drivers without one, and not saturated."""
     return (values > 0.0) & (values < FULL_SCALE)
+
+
+def to_celsius(tdc: float) -> float:
+    """Temperature of a finger [°C] by its TDC [counts], for which `is_tdc` holds, by the product manual."""
+    share = tdc / FULL_SCALE
+    return 4025.0 / math.log((155183.0 - 46555.0 * share) / share) - 273.15
 
 
 def offsets(touch: Touch, tare: Touch) -> Float64:

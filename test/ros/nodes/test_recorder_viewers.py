@@ -133,7 +133,7 @@ def check_taxels(messages: dict[str, list[Any]], record: Any) -> None:
 
 def test_without_sample_views_and_viewer_topics_only_what_samples_are_made_of_is_recorded(graph, tmp_path):
     (node,) = graph.add("recorder", folder=str(tmp_path), sample_views=False, viewer_topics=["/joint_states"], **QUICK)
-    assert not {"/robot_description", "/foretouch/markers"} & node._input_topics.inputs.keys()
+    assert not {"/robot_description", "/foretouch/markers"} & node.input_topics.inputs.keys()
     robot = RecordedRobot(graph, node)
     node.begin(str(tmp_path / "set"), "can")
     robot.record("g", 1)

@@ -13,8 +13,10 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
@@ -26,8 +28,8 @@ from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rota
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
-from foretouch.simulation.message_faults import FaultConfig, MessageFaults
+from foretouch.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch.simulation.message_faults import TactileFaultConfig, TactileFaults
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
@@ -37,6 +39,7 @@ from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _DEPTH = 100
+_PRESS_S = 1.0  # how long a person presses a finger
 
 
 class _Command(NamedTuple):
@@ -75,7 +78,7 @@ class HandConfig(NodeConfig):
 
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
     course: GraspTimingConfig = field(default_factory=GraspTimingConfig)
-    faults: FaultConfig = field(default_factory=FaultConfig)
+    faults: TactileFaultConfig = field(default_factory=TactileFaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     biotacs: tuple[str, ...] = setting(
         ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGER_ORDER, read_only=True
@@ -101,6 +104,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._ready: _RunningGrasp | None = None
         self._current: _RunningGrasp | None = None
         self._repeats = 0
+        self._pressed: tuple[Counts, float] | None = None  # what a person adds to the counts, and until when
         self._late = 0
         self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
@@ -108,11 +112,11 @@ class HandNode(ForetouchNode[HandConfig]):
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
         self._resting: list[RestingFingers] = []
-        self._faults = MessageFaults(FaultConfig())
+        self._faults = TactileFaults(TactileFaultConfig())
         super().__init__(name, HandConfig, **options)
 
     def _setup(self) -> None:
-        self._faults = MessageFaults(self.config.faults)
+        self._faults = TactileFaults(self.config.faults)
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
@@ -124,6 +128,8 @@ class HandNode(ForetouchNode[HandConfig]):
         self._tactile = self.advertise(BiotacAll, TACTILE_TOPIC, depth=_DEPTH)
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
         self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
+        for k, name in enumerate(_GRASPING):
+            self.serve(Trigger, f"press_{name.lower()}", partial(self._on_press, k), MutuallyExclusiveCallbackGroup())
         self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
 
     def _start(self) -> None:
@@ -176,6 +182,14 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _on_execute(self, _request: Any, response: Any) -> Any:
         response.success, response.message = self._accept()
+        return response
+
+    def _on_press(self, finger: int, _request: Any, response: Any) -> Any:
+        if self._hand is not None:
+            added = np.zeros((2, 25), np.int16)
+            added[finger] = self._hand.press(finger)
+            self._pressed = added, time.monotonic() + _PRESS_S
+            response.success = True
         return response
 
     def _accept(self) -> tuple[bool, str]:
@@ -259,7 +273,7 @@ class HandNode(ForetouchNode[HandConfig]):
     def _send(self, number: int, start_ns: int, period_ns: int) -> None:
         counts = self._fingers(number)
         if (stamp := self._faults.stamp(start_ns + number * period_ns)) is not None:
-            self._tactile.publish(biotac_all_to_msg(counts, "rh_tactile", stamp))
+            self._tactile.publish(biotac_all_to_msg(self._faults.readings(counts), "rh_tactile", stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.trajectory.counts) - 1:
             self._finish(current, start_ns + current.first * period_ns, period_ns)
@@ -274,6 +288,9 @@ class HandNode(ForetouchNode[HandConfig]):
         if current is not None:
             row = min(number - current.first, len(current.trajectory.counts) - 1)
             grasping, self.phase = current.trajectory.counts[row], current.trajectory.phase(row)
+        if self._pressed is not None and time.monotonic() < self._pressed[1]:
+            grasping = grasping.copy()
+            grasping[:, :25] += self._pressed[0]
         # A finger that does not grasp reads as a middle finger at rest.
         return {
             **dict(zip(_GRASPING, grasping, strict=True)),

@@ -135,7 +135,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         self.path = ""  # of the current dataset, or of the last one
         self.reason = ""  # why the last recording ended by itself
-        self._input_topics: RecorderSubscriptions | None = None
+        self.input_topics: RecorderSubscriptions | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
         self._duration_s = 0.0
@@ -143,15 +143,15 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         super().__init__(name, RecorderConfig, **options)
 
     def _setup(self) -> None:
-        self._reader: TactileReader = make_reader(self.config.tactile)
+        self.reader: TactileReader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
         # The middleware keeps so many messages while this process does not get to run.
         topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
         others, missing = viewer_topics(self.config.viewer_topics, depth=1000)
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
-        self._input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
-        self._closing.callback(self._input_topics.destroy)
+        self.input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
+        self._closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
         self.serve(StartRecording, "start_recording", self._start_recording, group)
@@ -174,7 +174,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.end()
 
     def _teardown(self) -> None:
-        self._input_topics = None
+        self.input_topics = None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
@@ -211,7 +211,12 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def inputs(self) -> dict[str, TopicStatistics]:
         """Rate, age and clock offset of each input by topic."""
-        return {} if self._input_topics is None else self._input_topics.statistics()
+        return {} if self.input_topics is None else self.input_topics.statistics()
+
+    @property
+    def identity(self) -> Identity:
+        """Hand and camera, as datasets hold them."""
+        return _dataset_identity(self.config)
 
     @property
     def recording(self) -> bool:
@@ -236,7 +241,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if self.recording:
             raise ConfigError(f"{self.path} is being recorded; stop it first")
         self.end()
-        topics, config = self._input_topics, self.config
+        topics, config = self.input_topics, self.config
         assert topics is not None  # noqa: S101  made by setup
         label = label or next(iter(config.objects), "")
         for name in filter(None, (label, *config.objects)):
@@ -270,7 +275,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             for name, one in topics.inputs.items()
             if one.topic.name in roles
         }
-        assembler = SampleAssembler(assembling, self._reader)
+        assembler = SampleAssembler(assembling, self.reader)
         self._session = RecordingSession(
             writer,
             queue,
@@ -287,8 +292,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def end(self) -> SessionStatus:
         """End the session, if one is running; gives the final state of the last one."""
-        if self._input_topics is not None:
-            self._input_topics.close()
+        if self.input_topics is not None:
+            self.input_topics.close()
         return self._finish()
 
     def _finish(self) -> SessionStatus:
@@ -305,7 +310,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         session, state = self._session, self.session_status()
         return status_to_msg(
             state,
-            {} if self._input_topics is None else self._input_topics.statistics(),
+            {} if self.input_topics is None else self.input_topics.statistics(),
             path=self.path,
             recording=self.recording,
             duration_s=self._duration_s if session is None else time.monotonic() - session.began_s,
@@ -391,7 +396,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
                     self.get_logger().warning(f"{self.config.joy_topic}: button {button}: {action}: {err}")
 
     def _tick(self) -> None:
-        inputs = self._input_topics
+        inputs = self.input_topics
         for text in () if inputs is None else inputs.tick():
             self.get_logger().info(text)
         session = self._session

@@ -76,9 +76,7 @@ def _held(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect(
-        "weight", _weight, "gravity", reads=("bodies", "touches", "axial_load_n"), writes=("weight", "axial_load_n")
-    ),
+    Effect("weight", _weight, "gravity", reads=("bodies", "touches"), writes=("weight",), changes=("axial_load_n",)),
     *(
         Effect(
             f"contact_{level}",
@@ -90,5 +88,5 @@ EFFECTS = (
         )
         for level in LEVELS
     ),
-    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=("contacts",)),
+    Effect("held", _held, "gravity", reads=("weight",), changes=("contacts",)),
 )

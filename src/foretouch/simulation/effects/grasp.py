@@ -99,12 +99,5 @@ EFFECTS = (
     Effect("grasp", _plan, "grasps", reads=("cloud", "pixels"), writes=("plan", "grasp")),
     Effect("fingers", _fingers, "grasps", reads=("grasp",), writes=("fingers",)),
     Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n")),
-    Effect(
-        "execution_error",
-        _execution_error,
-        "grasps.error",
-        reads=("fingers", "targets"),
-        writes=("fingers", "targets"),
-        again=True,
-    ),
+    Effect("execution_error", _execution_error, "grasps.error", changes=("fingers", "targets"), again=True),
 )

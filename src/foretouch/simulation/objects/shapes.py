@@ -111,13 +111,7 @@ def _volleyball() -> TriangleMesh:
 
 
 _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
-    "ball": _ball,
-    "box": _box,
-    "can": _can,
-    "flat_ball": _flat_ball,
-    "minion": _minion,
-    "sponge": _sponge,
-    "volleyball": _volleyball,
+    build.__name__[1:]: build for build in (_ball, _box, _can, _flat_ball, _minion, _sponge, _volleyball)
 }
 #: Names that a scene may use; `random` is a family with a member for each number.
 SHAPES: Final = (*_BUILDERS, "random")
