@@ -257,6 +257,7 @@ def test_an_exported_bag_is_named_after_its_folder_and_read_by_others(dataset: P
     assert {path.name for path in (tmp_path / "grasps").iterdir()} == {"grasps.mcap", "metadata.yaml"}
     assert ".part" not in (tmp_path / "grasps" / "metadata.yaml").read_text()
     with Recording(tmp_path / "grasps") as recording:
+        assert recording.cloud_topic() == "/foretouch/object_cloud"  # taxels are no clouds of a camera
         topics = {topic.name: (topic.type, topic.count) for topic in recording.topics}
     cloud_type = "sensor_msgs/msg/PointCloud2"
     taxels = {f"/foretouch/taxels/{finger}": (cloud_type, 18) for finger in ("thumb", "middle_finger")}
