@@ -180,7 +180,7 @@ def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Pat
             (r"touch: shape \(3,\) is not \(50,\)", {"touch": np.zeros(3)}),
             (r"series.counts: shape \(6, 3\)", {"series": np.zeros((6, 3))}),
             (r"rotation: shape \(3,\) is not \(3, 3\)", {"rotation": np.zeros(3)}),
-            ("hand: is no list of named texts", {"hand": "[1]"}),
+            ("hand, camera: is no list of named texts", {"hand": "[1]"}),
             ("is no sample: .*JSON|is no sample: Expecting", {"hand": "{"}),
             ("is no sample: zip", {"extra_names": np.array(["a"])}),
         ],
