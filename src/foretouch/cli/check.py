@@ -3,7 +3,6 @@
 
 import argparse
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,10 +31,11 @@ def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
         findings.extend(found)
         for one in found:
             if arguments.json:
-                print_json(asdict(one))
+                print_json(one.record())
+            elif one.fix:
+                print_text(f"FAULT {one.name}: {one.found}; fix: {one.fix}", "red")
             else:
-                text = f"{'FAULT' if one.fault else 'ok   '} {one.name}: {one.found}{'; fix: ' * one.fault}{one.fix}"
-                print_text(text, "red" if one.fault else "")
+                print_text(f"ok    {one.name}: {one.found}")
 
     try:
         warn(f"keep the fingers open and still for {_REST_S:g} s")
@@ -52,6 +52,6 @@ def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
         feed.close()
     path = Path(config.folder, arguments.output)
     store_check(path, node.identity, findings, time.time_ns())
-    faults = sum(one.fault for one in findings)
+    faults = sum(bool(one.fix) for one in findings)
     warn(f"{len(findings)} checks, {faults} faults; stored in {path / CHECKS}")
     return int(bool(faults))
