@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from every_case import every_case
 from pair_builders import REST, level
-from recording_builders import IDENTITY, write_dataset
+from recording_builders import write_dataset
 
 from foretouch.dataset.info import describe
 from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, last_check, store_check
@@ -122,18 +122,19 @@ def test_the_pressed_finger_must_answer_and_alone(rng) -> None:
     assert list(press(thumb, both)) == ["press middle finger"]
 
 
-def test_reports_are_lines_in_the_dataset_and_another_hand_is_refused(tmp_path: Path) -> None:
-    findings = [CheckFinding("table", "none", "look")]
-    store_check(tmp_path / "set", IDENTITY, findings, 5)
-    assert last_check(tmp_path / "set") == "1970-01-01 00:00:00 UTC: 1 checks, faults: table"
+def test_reports_are_lines_in_the_dataset(tmp_path: Path) -> None:
     write_dataset(tmp_path / "set", 1)
-    store_check(tmp_path / "set", IDENTITY, [], 6)
+    assert (last_check(tmp_path / "set"), describe(tmp_path / "set").check) == ("", "")
+    store_check(tmp_path / "set", [CheckFinding("table", "none", "look")], 5)
+    assert last_check(tmp_path / "set") == "1970-01-01 00:00:00 UTC: 1 checks, faults: table"
+    store_check(tmp_path / "set", [CheckFinding("table", "found")], 6)
+    assert describe(tmp_path / "set").check == "1970-01-01 00:00:00 UTC: 1 checks, no fault"
     lines = [json.loads(line) for line in (tmp_path / "set" / CHECKS).read_text().splitlines()]
     assert [one["stamp_ns"] for one in lines] == [5, 6]
-    described = describe(tmp_path / "set").check
-    assert described == "1970-01-01 00:00:00 UTC: 0 checks, no fault"
     assert lines[0]["findings"] == [{"name": "table", "fault": True, "found": "none", "fix": "look"}]
     (tmp_path / "set" / CHECKS).write_text("{}\n")
     assert last_check(tmp_path / "set") == "the last report cannot be read"
-    with pytest.raises(FileError, match="another kind"):
-        store_check(tmp_path / "set", type(IDENTITY)(hand={}, camera={}), [], 7)
+    (tmp_path / "set" / CHECKS).unlink()
+    (tmp_path / "set" / CHECKS).mkdir()
+    with pytest.raises(FileError, match=r"checks\.jsonl"):
+        store_check(tmp_path / "set", [], 7)

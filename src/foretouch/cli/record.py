@@ -245,7 +245,8 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
     samples = math.inf if arguments.samples is None else arguments.samples
     keys, ended = RecordingKeys(node.act), partial(_ended, node, samples, end)
-    report, has_keys = partial(_print_status, node, arguments), has_keyboard() and not arguments.json
+    report = partial(_print_status, node, arguments)
+    has_keys = has_keyboard() and not terminal().is_dumb_terminal and not arguments.json
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         if not has_keys:
             warn(f"keys are off without a terminal; the services {_SERVICES} of the recorder do the same")

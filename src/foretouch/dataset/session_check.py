@@ -19,8 +19,6 @@ from foretouch import __version__
 from foretouch.checked_files import open_own, parse_json
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.pairing.sensors import ALIVE, SensorHealth
-from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.folder import opened_to_write
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.tactile.readings import is_tdc, to_celsius
@@ -190,14 +188,10 @@ def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> 
     return float(distances[_POINTS]) if len(distances) > _POINTS else math.inf
 
 
-def store_check(path: Path, identity: Identity, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
-    """Append a report to those of a dataset, which is created if needed (raises as `RecordingWriter`)."""
+def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
+    """Append a report to those of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written."""
     report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [one.record() for one in findings]}
-    with (
-        opened_to_write(path, identity),
-        disk_errors(path / CHECKS),
-        os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log,
-    ):
+    with disk_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
         log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())
         log.flush()
         os.fsync(log.fileno())
