@@ -198,7 +198,7 @@ def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
 
 
 def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
-    from foretouch.learning.data import TrainingSet
+    from foretouch.learning.data.training_set import TrainingSet
     from foretouch.learning.training.run_config import load_run_config
     from foretouch.learning.training.supervised import SupervisedTrainer
 

@@ -224,18 +224,11 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
     for k, (name, colour) in enumerate(_FINGER_COLOURS.items()):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
-        axes.annotate(
-            FINGER_NAMES[name],
-            (ends[k, 0], ends[k, 1]),
-            (0, 8 if k == upper else -8),
-            textcoords="offset points",
-            ha="center",
-            va="bottom" if k == upper else "top",
-            color=colour,
-            fontsize=9,
-            fontweight="bold",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
-        )
+        offset, va = (8, "bottom") if k == upper else (-8, "top")
+        style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 9, "fontweight": "bold"}
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
+        place = (ends[k, 0], ends[k, 1])
+        axes.annotate(FINGER_NAMES[name], place, (0, offset), va=va, color=colour, bbox=box, **style)
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 

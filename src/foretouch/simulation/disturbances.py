@@ -123,19 +123,11 @@ def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "
     return result
 
 
-def slip_path(
-    rows: int,
-    rate_hz: float,
-    rng: np.random.Generator,
-    *,
-    speed_m_s: float = SLIP_SPEED_M_S,
-    length_m: float = SLIP_LENGTH_M,
-) -> Float64:
+def slip_path(rows: int, rate_hz: float, rng: np.random.Generator) -> Float64:
     """(rows,) float64 [m]: how far the object has slid in the tangent plane, starting at 0, never back.
 
-    It sticks for exponentially distributed times and slips by exponentially distributed lengths, which
-    keep the mean speed; `length_m` is the mean length of one slip.
+    It sticks for exponentially distributed times and slips by exponentially distributed lengths, which keep the mean speed.
     """
-    slips = rng.poisson(speed_m_s / (length_m * rate_hz), rows)
-    path = np.cumsum(rng.standard_gamma(np.maximum(slips, 1)) * length_m * (slips > 0))
+    slips = rng.poisson(SLIP_SPEED_M_S / (SLIP_LENGTH_M * rate_hz), rows)
+    path = np.cumsum(rng.standard_gamma(np.maximum(slips, 1)) * SLIP_LENGTH_M * (slips > 0))
     return np.asarray(path - path[0]) if rows else path

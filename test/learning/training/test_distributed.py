@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
 from foretouch.learning.training.losses import Features, SrganLossConfig, discriminator_loss, labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer

@@ -230,13 +230,9 @@ def _time_variants(
         times = time_calls(calls, requests, share * settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
-    found = {
-        key: {
-            **_quantiles(calls, ready[key[0]].whole),
-            _HOT: 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None,
-        }
-        for key, calls in times.items()
-    }
+    found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}
+    for key, row in found.items():
+        row[_HOT] = 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None
     for variant in variants:
         other, reference = variant.compared_with or area.shipped, variant.reference or area.reference
         facts = {

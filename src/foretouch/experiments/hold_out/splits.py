@@ -21,7 +21,8 @@ from foretouch.experiments.shared.simulated_data import (
     SimulatedGrasps,
     SimulatedSettings,
 )
-from foretouch.learning.data import Dataset, Fold, labels_of, make_folds, random_folds
+from foretouch.learning.data import Dataset, labels_of, make_folds
+from foretouch.learning.data.folds import Fold, random_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.types import Float64, GraspSample
 

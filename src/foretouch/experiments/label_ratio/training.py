@@ -34,7 +34,9 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch.learning.data import Dataset, DataSplit, TrainingSet, labels_of, predict_set
+from foretouch.learning.data import Dataset, labels_of
+from foretouch.learning.data.dataset import DataSplit
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.trainer import shuffled_batches

@@ -38,8 +38,6 @@ from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.calibration import rest_level
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "PrequentialSettings"]
-
 _SEED: Final = 0
 _FEWEST_OBJECTS: Final = 2  # that vision is fitted to
 
@@ -69,17 +67,10 @@ def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
     samples, runs = _ordered(data)
     objects = sorted({sample.object for sample in samples})
     without = [(name,) for name in objects] + list(combinations(objects, 2))
-    return [
-        cell
-        for predictor in settings.predictors
-        for cell in [
-            *(Cell(f"{predictor}+{'-'.join(out)}", {"predictor": predictor, "without": list(out)}) for out in without),
-            *(
-                Cell(f"{predictor}+before{run}", {"predictor": predictor, "before": run})
-                for run in range(1, 1 + runs[-1])
-            ),
-        ]
-    ]
+    fits: list[tuple[str, Row]] = [("-".join(out), {"without": list(out)}) for out in without]
+    fits += [(f"before{run}", {"before": run}) for run in range(1, 1 + runs[-1])]
+    predictors = settings.predictors
+    return [Cell(f"{one}+{name}", {"predictor": one, **values}) for one in predictors for name, values in fits]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:

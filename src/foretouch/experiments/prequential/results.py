@@ -175,12 +175,9 @@ def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -
     rows: list[Row] = []
     for modality in MODALITIES:
         noticed = [k for k, fingers in enumerate(played.restarted[after]) if _FINGER_OF[modality] in fingers]
-        found = {
-            "coverage": inside[:, columns([modality])].mean(),
-            "noticed_after": noticed[0] + 1 if noticed else None,
-        }
-        place = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
-        rows.append(place | {"grasps": len(inside)} | found)
+        place: Row = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
+        coverage, after_touches = inside[:, columns([modality])].mean(), noticed[0] + 1 if noticed else None
+        rows.append(place | {"grasps": len(inside), "coverage": coverage, "noticed_after": after_touches})
     return rows
 
 
@@ -194,23 +191,18 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     rows: list[Row] = []
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
+        names, readings = recording.objects[chosen], recording.readings[chosen]
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(
-                    recording.objects[chosen],
-                    one.counts[sources][chosen],
-                    recording.readings[chosen],
-                    reference[chosen],
-                )
+                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference[chosen])
                 for one in (scored, constant or scored)
             )
             found = skills(errors, config)
             versus = None if constant is None or constant is scored else compare(errors, without, config)
             place: Row = {"sources": sources, "regime": regime}
             for modality in MODALITIES:
-                row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
-                    "skill", found[modality]
-                )
+                row = {**place, "object": ALL_OBJECTS, "modality": modality}
+                row |= interval_columns("skill", found[modality])
                 if versus:
                     row |= interval_columns("vs_constant", versus[modality])
                     row["vs_constant_verdict"] = versus[modality].verdict

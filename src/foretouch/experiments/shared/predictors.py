@@ -17,7 +17,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet, labels_of, predict_set
+from foretouch.learning.data import labels_of
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
 from foretouch.models.novelty import Fallback

@@ -139,11 +139,8 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
             raise DatasetError("group_folds: folds needs an rng")
         shuffled = [names[i] for i in rng.permutation(len(names))]
         parts = [shuffled[k::folds] for k in range(folds)]
-    return _folds(
-        len(groups),
-        [np.concatenate([members[name] for name in part]) for part in parts],
-        ["+".join(sorted(part)) for part in parts],
-    )
+    tests = [np.concatenate([members[name] for name in part]) for part in parts]
+    return _folds(len(groups), tests, ["+".join(sorted(part)) for part in parts])
 
 
 def object_folds(objects: Sequence[str]) -> list[Fold]:

@@ -105,13 +105,8 @@ def geometry_trees(
     train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
 ) -> Float64:
     """Extremely randomised trees on `geometry_features`."""
-    return _forest(
-        np.array([geometry_features(sample) for sample in train]),
-        labels,
-        np.array([geometry_features(sample) for sample in test]),
-        seed,
-        trees,
-    )
+    known, asked = (np.array([geometry_features(sample) for sample in side]) for side in (train, test))
+    return _forest(known, labels, asked, seed, trees)
 
 
 def clock(
@@ -145,10 +140,7 @@ def _level(one: Float64, other: Float64) -> Float64:
 
 
 BASELINES: Final[dict[str, Baseline]] = {
-    "training_mean": training_mean,
-    "object_mean": object_mean,
-    "object_time_trees": object_time_trees,
-    "geometry_trees": geometry_trees,
+    one.__name__: one for one in (training_mean, object_mean, object_time_trees, geometry_trees)
 }
 
 

@@ -62,16 +62,9 @@ class Recording:
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
         tdc, tare_tdc = (np.array([tdc_of(one.extra, prefix) for one in samples]) for prefix in ("", "tare_"))
-        return cls(
-            stamps,
-            objects,
-            labels,
-            expected,
-            tares=None if np.isnan(tares).all() else tares,
-            known=known,
-            tdc=None if np.isnan(tdc).all() else tdc,
-            tare_tdc=None if np.isnan(tare_tdc).all() else tare_tdc,
-        )
+        read = {"tares": tares, "tdc": tdc, "tare_tdc": tare_tdc}
+        some = {name: None if np.isnan(rows).all() else rows for name, rows in read.items()}
+        return cls(stamps, objects, labels, expected, known=known, **some)
 
     def ordered(self) -> Self:
         """In order of time; grasps of equal stamps keep theirs.
@@ -325,14 +318,11 @@ def evaluate_prequential(
             }
             for key in MODALITIES if method in half else ():
                 own = np.ix_(chosen, columns([key]))
-                inside = np.abs(readings[own] - values[own]) <= half[method][own]
-                scores[method][key] |= {
-                    "coverage90": float(inside.mean()),
-                    "half_width": float(half[method][own].mean()),
-                }
+                width = half[method][own]
+                inside = np.abs(readings[own] - values[own]) <= width
+                scores[method][key] |= {"coverage90": float(inside.mean()), "half_width": float(width.mean())}
         found[name] = {"grasps": int(chosen.sum()), "scores": scores}
-    restarted = {
-        sample.id: list(names) for sample, names in zip(done.samples, done.played.restarted, strict=True) if names
-    }
+    pairs = zip(done.samples, done.played.restarted, strict=True)
+    restarted = {sample.id: list(names) for sample, names in pairs if names}
     count = int(done.scored.sum())
     return {"touches": found, "samples": count, "history": len(done.samples) - count, "restarted": restarted}

@@ -176,12 +176,9 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     actual = _centred(held_out.labels, owners)
     slope = _slopes(differences, actual) * (shrinkage if new else 1.0)
     spread = np.maximum((residuals**2).mean(axis=0), _LEAST_DEVIATION**2)
-    freedom = len(residuals) - len(owners)
-    within = (
-        np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
-        if freedom
-        else spread
-    )
+    within = spread
+    if freedom := len(residuals) - len(owners):
+        within = np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)

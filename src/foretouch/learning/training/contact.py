@@ -10,7 +10,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.learning.data import Fold, Indices, labels_of
+from foretouch.learning.data import labels_of
+from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch.learning.training.generalisation import DECAY, choose_ridge, training_kernel
@@ -24,7 +25,7 @@ from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
 
-_FEWEST_SAMPLES: Final = 5
+FEWEST_SAMPLES: Final = 5
 _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
@@ -93,20 +94,24 @@ def fit_contact(
     Raises:
         DatasetError: If there are fewer than five samples, or a value of the labels is constant.
     """
-    if len(rows) < _FEWEST_SAMPLES:
-        raise DatasetError(f"contact model: {len(rows)} samples are fewer than {_FEWEST_SAMPLES}")
+    if len(rows) < FEWEST_SAMPLES:
+        rule = (
+            f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {FEWEST_SAMPLES - len(rows)} more grasps are needed"
+        )
+        raise DatasetError(f"contact model: {rule}")
     mean, deviation = labels.mean(axis=0), labels.std(axis=0)
     if not (span := np.ptp(labels, axis=0)).all():
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
     ridge, gain = choose_ridge(inputs, scaled, objects)
+    forests, kernel = fit_forests(rows, labels, config, thinned), _kernel(inputs, scaled, objects, ridge)
     return ContactEstimator(
-        forests=fit_forests(rows, labels, config, thinned),
-        kernel=_kernel(inputs, scaled, objects, ridge),
-        novelty=NoveltyDetector.fit(rows, objects),
-        mean=mean,
-        deviation=deviation,
+        forests,
+        kernel,
+        NoveltyDetector.fit(rows, objects),
+        mean,
+        deviation,
         generalisation_gain=gain,
         ranges=config.ranges,
     )

@@ -15,7 +15,10 @@ import numpy as np
 from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, TrainingSet, labels_of, predict_set
+from foretouch.learning.data import Dataset, labels_of
+from foretouch.learning.data.dataset import DataSplit
+from foretouch.learning.data.folds import Fold, Indices
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.calibration import calibrate_on_folds
 from foretouch.learning.training.contact import ContactPredictor, describe_objects
 from foretouch.learning.training.device import DistributedContext

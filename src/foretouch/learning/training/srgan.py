@@ -33,7 +33,8 @@ from torch import Tensor, nn
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError
-from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training import losses as loss_terms
 from foretouch.learning.training.device import SINGLE_PROCESS
 from foretouch.learning.training.trainer import EpochsConfig, Trainer, other_default, shuffled_batches

@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from foretouch.config import setting
-from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.trainer import EpochsConfig, Trainer, shuffled_batches
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig

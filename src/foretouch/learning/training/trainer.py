@@ -14,7 +14,8 @@ from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
 
 from foretouch.config import setting
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, DistributedContext, TrainingDevice
 from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import columns, modality_size

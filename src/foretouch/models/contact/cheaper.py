@@ -28,14 +28,8 @@ def _first_trees(forest: Forest, count: int) -> Forest:
         return forest
     nodes = int(forest.roots[count])
     leaves = int(forest.leaf[:nodes].max()) + 1
-    return Forest(
-        roots=forest.roots[:count],
-        feature=forest.feature[:nodes],
-        threshold=forest.threshold[:nodes],
-        children=forest.children[:nodes],
-        leaf=forest.leaf[:nodes],
-        value=forest.value[:leaves],
-    )
+    cut = {name: getattr(forest, name)[:nodes] for name in ("feature", "threshold", "children", "leaf")}
+    return Forest(roots=forest.roots[:count], value=forest.value[:leaves], **cut)
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,22 +153,18 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-_DEPTH = ("depth",)
-
 EFFECTS = (
     Effect("window", _object_window, "camera", reads=("bodies",), writes=("window",)),
     Effect("render", _render, "camera", reads=("bodies", "window"), writes=("exact_depth", "labels", "hits", "depth")),
     Effect("normals", _normals, lambda *_: "holes or colour", reads=("bodies", "labels", "hits"), writes=("normals",)),
-    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", reads=_DEPTH, writes=_DEPTH),
-    Effect("depth_noise", _noise, "camera.noise", reads=_DEPTH, writes=_DEPTH),
-    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth", "depth"), writes=_DEPTH),
-    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window", "depth"), writes=_DEPTH),
-    Effect("depth_steps", _quantise, "camera.z_step_m", reads=_DEPTH, writes=_DEPTH),
+    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", changes=("depth",)),
+    Effect("depth_noise", _noise, "camera.noise", changes=("depth",)),
+    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth",), changes=("depth",)),
+    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window"), changes=("depth",)),
+    Effect("depth_steps", _quantise, "camera.z_step_m", changes=("depth",)),
     Effect("cloud", _cloud, "camera", reads=("depth", "labels", "window"), writes=("cloud", "pixels")),
-    Effect(
-        "segmentation", _segmented, "camera.segmented", reads=("depth", "cloud", "pixels"), writes=("cloud", "pixels")
-    ),
-    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window", "cloud"), writes=("cloud",)),
+    Effect("segmentation", _segmented, "camera.segmented", reads=("depth",), changes=("cloud", "pixels")),
+    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window"), changes=("cloud",)),
 )
 
 #: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
