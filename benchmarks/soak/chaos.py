@@ -36,7 +36,6 @@ PATIENCE_S = 20.0  # that is waited for a recovery
 WARM_UP_S = 600.0  # of a process, at most a third of the run: the recorder keeps the clouds of the last minute
 STALL_S = 6.0  # longer than `silence_s`, so that diagnostics must name it
 TMPFS_MB = 64
-PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 @dataclass
@@ -67,7 +66,10 @@ class Disturbance:
 
 @dataclass
 class Memory:
-    """Resident memory of one process."""
+    """Memory of one process: resident, without the pages that it shares with others.
+
+    Each reads the 64 MB of shared memory into which another writes its messages, page by page, which is counted as resident.
+    """
 
     node: str
     began_s: float
@@ -129,12 +131,13 @@ class Soak:
         while not self._sampling.wait(period_s):
             for name, process in list(self.processes.items()):
                 try:
-                    pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
-                except (OSError, IndexError):
+                    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+                except OSError:
                     continue
-                if pages:  # a process that has just ended has none
+                sizes = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon:", "RssFile:"))]
+                if sizes:  # a process that has just ended has none
                     last = [one for one in self.memory if one.node == name][-1]
-                    last.sizes.append((time.monotonic(), pages * PAGE / 1e6))
+                    last.sizes.append((time.monotonic(), sum(sizes) * 1024 / 1e6))
 
     def watch(self) -> None:
         """Note processes that ended by themselves, and start them again."""
