@@ -226,6 +226,13 @@ def scenes() -> str:
     return sections([_grouped(SceneConfig), "### `families[]`", settings_table(families)])
 
 
+def sensors() -> str:
+    """Settings of a description of a sensor."""
+    from foretouch.tactile.description import SensorConfig
+
+    return _grouped(SensorConfig)
+
+
 def shapes() -> str:
     """The shapes of simulated objects, each with what it looks like."""
     from foretouch.simulation.objects import shapes as module
@@ -469,6 +476,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "commands": commands,
     "pipeline": pipeline,
     "scenes": scenes,
+    "sensors": sensors,
     "shapes": shapes,
     "recipes": recipes,
     "experiments": experiments,

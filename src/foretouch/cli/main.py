@@ -34,6 +34,7 @@ COMMANDS = {
     "forget": "Let a running graph forget readings of the object or of the hand",
     "view": "Show clouds, grasps and predicted touch in Rerun",
     "models": "List and verify touch models",
+    "sensor": "List, check and draw descriptions of tactile sensors",
     "doctor": "Check dependencies and print the fixes",
 }
 

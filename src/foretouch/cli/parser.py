@@ -52,6 +52,10 @@ EXAMPLES: Final = {
     "forget": "foretouch forget touches",
     "view": "foretouch view session --save session.rrd",
     "models": "foretouch models contact-v2",
+    "sensor": "foretouch sensor list",
+    "sensor list": "foretouch sensor list",
+    "sensor check": "foretouch sensor check my_sensor.yaml",
+    "sensor show": "foretouch sensor show biotac_sp -o taxels.png",
     "doctor": "foretouch doctor --self-test",
 }
 """A command line for the help of each command."""
