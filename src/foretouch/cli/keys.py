@@ -88,9 +88,10 @@ class Keyboard:
             self._is_on = True
             if self._was_suspended:
                 os.write(self._fd, _ENTER_SCREEN)
-        if not select.select([self._fd], [], [], timeout_s)[0]:
-            return ""
-        return _SEQUENCE.sub("", self._decode(os.read(self._fd, 1024)))
+        ready = select.select([self._fd], [], [], timeout_s)[0]
+        with suppress(OSError):  # it was closed
+            return _SEQUENCE.sub("", self._decode(os.read(self._fd, 1024))) if ready else ""
+        return None
 
     def _restore(self) -> None:
         if self._is_on:
