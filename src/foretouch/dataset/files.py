@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
+from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes
 from foretouch.errors import FileError, VersionError, shown
 
 
@@ -86,10 +86,7 @@ def read_manifest(file: Path, kind: str, version: int, seal: str) -> dict[str, A
         FileError: If it is absent, no JSON, of another format or schema version, or changed.
     """
     text = read_bytes(file, TEXT_LIMIT)
-    try:
-        content = parse_json(text.decode("utf-8"))
-    except ValueError as err:
-        raise FileError(file, f"is no JSON: {' '.join(str(err).split())}") from err
+    content: Any = json_in(file, text)
     if not isinstance(content, dict) or content.get("format") != kind:
         raise FileError(file, f"is not {kind}", field="format")
     try:
