@@ -19,6 +19,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from io import BufferedReader
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -199,6 +200,12 @@ def _remove_left_over(path: Path, folder: int) -> None:
         if not stat.S_ISREG(os.stat(part, dir_fd=folder, follow_symlinks=False).st_mode):
             raise FileError(f"{path}.part", "is a link or no regular file, and is in the way of a temporary file")
         os.unlink(part, dir_fd=folder)
+
+
+def free_name(path: Path, addition: str) -> Path:
+    """The path with an addition to its name, and a number where there is a file of that name."""
+    names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
+    return next(path.with_name(name) for name in names if not os.path.lexists(path.with_name(name)))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -7,7 +7,6 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +46,6 @@ def new_folder(path: Path) -> Iterator[Path]:
             (part / path.name).rename(path)
     finally:
         shutil.rmtree(part, ignore_errors=True)
-
-
-def free_name(path: Path, addition: str) -> Path:
-    """The path with an addition to its name, and a number where there is a file of that name."""
-    names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
-    return next(path.with_name(name) for name in names if not os.path.lexists(path.with_name(name)))
 
 
 def sync_folder(path: Path) -> None:
