@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,3 +69,18 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], AbstractContex
 def rng() -> np.random.Generator:
     """Seeded by FORETOUCH_TEST_SEED, 0 by default."""
     return np.random.default_rng(int(os.environ.get("FORETOUCH_TEST_SEED", "0")))
+
+
+@pytest.fixture
+def ray_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A cluster whose head has one core; only what the test kills dies, however busy the machine is."""
+    pytest.importorskip("ray", reason="ray is not installed: pip install 'foretouch[sweep]'")
+    from ray.cluster_utils import Cluster
+
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", path)  # where nodes find modules of the tests
+    monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
+    head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_failure_threshold": 100}}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    yield cluster
+    cluster.shutdown()

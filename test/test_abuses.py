@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 from every_case import every_case
+from process_domain import process_environment
 from recording_builders import write_dataset
 from scene_builders import scene_cloud, write_scenes
 
@@ -126,12 +127,7 @@ def files(tmp_path_factory) -> Path:
 @pytest.fixture
 def start(files) -> Callable[[Abuse, Path], subprocess.Popen[bytes]]:
     """Starts a command as the leader of a session of its own, as a terminal does, in a DDS domain of these tests."""
-    environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(76 + os.getpid() % 25),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "TERM": "xterm",
-    }
+    environment = {**process_environment(), "TERM": "xterm"}
 
     def run(abuse: Abuse, folder: Path) -> subprocess.Popen[bytes]:
         words = [word.replace("@", str(files), 1).replace("%", str(folder), 1) for word in abuse.words.split()]

@@ -11,7 +11,7 @@ from foretouch.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Inner(Settings):
-    range_m: float = setting(2.0, "How far", minimum=0.1, maximum=16.0)
+    range_m: float = setting(2.0, "How far", bounds=(0.1, 16.0))
     mode: str = setting("near", "Which", choices=("near", "far"))
 
 

@@ -172,6 +172,8 @@ def test_the_wheel_predicts_without_ros(unpacked_wheel, tmp_path) -> None:
     done = run_python(code, env={**os.environ, "PYTHONPATH": str(unpacked_wheel)}, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[0])["predictions"][0]["PDC_TH"]["value"] > 0.0
+    sensors = {path.name for path in (unpacked_wheel / "foretouch" / "tactile" / "sensors").iterdir()}
+    assert sensors == {path.name for path in (ROOT / "config" / "sensors").iterdir()}
     (file,) = unpacked_wheel.glob("*.dist-info/METADATA")
     text = file.read_text(encoding="utf-8")
     assert "Requires-Python: >=3.11" in text

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from process_domain import process_environment
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
@@ -94,20 +95,14 @@ def prepare(folder: Path, files: dict[str, str]) -> dict[str, str]:
         (tools / name).write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
         (tools / name).chmod(0o755)
     (clone / ".venv" / "bin" / "foretouch").symlink_to(tools / "foretouch")
-    return {
-        **os.environ,
-        "PATH": f"{tools}:{os.environ['PATH']}",
-        "COLUMNS": "80",
-        "LINES": "24",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+    return {**process_environment(), "PATH": f"{tools}:{os.environ['PATH']}", "COLUMNS": "80", "LINES": "24"}
 
 
 def run(page: Path, folder: Path) -> list[tuple[Step, str]]:
     """Run a page: its steps and the output of each. A tutorial begins in the folder of the repository."""
     steps, files = read_page(page.read_text(encoding="utf-8"))
     steps = [step for step in steps if step.runs]
-    environment = prepare(folder, files) | {"ROS_DOMAIN_ID": str(76 + (os.getpid() + PAGES.index(page)) % 25)}
+    environment = prepare(folder, files)
     begin = [] if any("git clone" in step.commands for step in steps) else ["git clone foretouch && cd foretouch"]
     script = "\n".join(["set -e", *begin, *(f"{step.commands}\necho '{END}'" for step in steps)])
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "timeout": 580}
@@ -165,7 +160,7 @@ def test_a_quoted_line_stands_for_numbers_that_are_near() -> None:
 
 
 def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
-    assert [page.stem for page in PAGES] == ["README", "collector", "operator", "planner", "researcher"]
+    assert [page.stem for page in PAGES] == ["README", "collector", "operator", "own_model", "planner", "researcher"]
     for page in PAGES:
         steps, _ = read_page(page.read_text(encoding="utf-8"))
         assert len([line for step in steps for line in step.quoted]) >= 4, page

@@ -277,9 +277,9 @@ def _onto_surface(t: float, rng: np.random.Generator) -> tuple[float, float]:
     xyz = place + np.column_stack([rng.uniform(-0.003, 0.003, (30, 2)), off + 1e-4 * rng.random(30)])
     points = WeightedPoints(xyz, rng.uniform(0.2, 1.0, 30), np.ones(30), 0)
     squared = ((exact(xyz) - exact(place)) ** 2).sum(axis=1)
-    weight = exact(points.inlier) * exp(-(squared - squared.min()) / (2 * exact(0.001) ** 2))
-    kappa = 1.0 + float(squared.max()) / 1e-6 + np.abs(xyz).max() / 1e-3
-    return float(kappa), gap(surface_mean(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
+    weight = exact(points.inlier) * exp(-(squared - squared.min()) / (2 * exact(0.002) ** 2))
+    kappa = 1.0 + float(squared.max()) / 4e-6 + np.abs(xyz).max() / 2e-3
+    return float(kappa), gap(surface_mean(points, place), weight @ exact(xyz) / weight.sum()) / 0.002
 
 
 @kernel("rotation of the hand")

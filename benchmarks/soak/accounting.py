@@ -10,6 +10,9 @@ import numpy as np
 STAGES = (("segmentation", ("object_cloud", "table")), ("grasp", ("grasps",)), ("touch_predictor", ("touch",)))
 """Node and the topics of its answer, in the order of the chain."""
 
+_SOURCES = {"segmentation": ("camera",), "grasp": ("segmentation",), "touch_predictor": ("segmentation", "grasp")}
+"""Nodes whose messages another one requires."""
+
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before
 MATCHED_S = 1.0  # an active node is found by its publishers within this time
 COUNTED_S = (
@@ -50,8 +53,8 @@ def account(
     Args:
         clouds: Time at which each cloud was seen [s], by stamp [ns].
         outputs: Stamps [ns] of the messages of each topic in `STAGES`.
-        outages: What was done to the nodes.
-        drops: What the nodes have counted.
+        outages: What was done to the nodes. One of a node also explains what the next one did not get from it.
+        drops: What the nodes have counted, and what the observer has missed itself.
 
     Returns:
         Number of clouds by fate: `answered`, `dropped by NODE: REASON`, or `unexplained at NODE`; and the unexplained
@@ -68,10 +71,13 @@ def account(
         node = next(node for node, topics in STAGES if any(stamp not in seen[topic] for topic in topics))
         counted = next((one for one in left if one and _explains(one[0], node, time_s)), None)
         outage = next((one for one in outages if one.node == node and one.covers(time_s)), None)
+        source = next((one for one in outages if one.node in _SOURCES[node] and one.covers(time_s)), None)
         if counted:
             fates[f"dropped by {node}: {counted.pop().reason}"] += 1  # each explains one cloud
         elif outage:
             fates[f"dropped by {node}: {outage.reason}"] += 1
+        elif source:  # what it sent last is lost with it, and what it sends first before the other has found it
+            fates[f"dropped by {node}: {source.node} {source.reason}"] += 1
         else:
             fates[f"unexplained at {node}"] += 1
             unexplained.append((stamp, node))

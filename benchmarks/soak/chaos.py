@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the graph in separate processes, breaks one thing after the other, and accounts for every cloud (see README.md)."""
+"""Runs the graph in separate processes, breaks one thing after the other, and accounts for every cloud (see README.md).
+
+With `--quiet` nothing is broken: for hours, memory and latency must stay flat.
+"""
 
 import argparse
 import os
@@ -30,10 +33,9 @@ NODES = (*PERCEPTION, "hand", "recorder", "camera")
 START_S = 90.0  # that a process may take until it is active, on a busy computer
 RECOVERY_S = 2.0  # the limit
 PATIENCE_S = 20.0  # that is waited for a recovery
-WARM_UP_S = 90.0  # of a process: the recorder keeps the clouds of the last minute
+WARM_UP_S = 600.0  # of a process, at most a third of the run: the recorder keeps the clouds of the last minute
 STALL_S = 6.0  # longer than `silence_s`, so that diagnostics must name it
 TMPFS_MB = 64
-PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 @dataclass
@@ -64,15 +66,18 @@ class Disturbance:
 
 @dataclass
 class Memory:
-    """Resident memory of one process."""
+    """Memory of one process: resident, without the pages that it shares with others.
+
+    Each reads the 64 MB of shared memory into which another writes its messages, page by page, which is counted as resident.
+    """
 
     node: str
     began_s: float
     sizes: list[tuple[float, float]] = field(default_factory=list)  # time [s], [MB]
 
-    def row(self) -> dict[str, Any] | None:
+    def row(self, warm_up_s: float) -> dict[str, Any] | None:
         """A row of `memory.csv`, if it lived long enough."""
-        kept = [one for one in self.sizes if one[0] >= self.began_s + WARM_UP_S]
+        kept = [one for one in self.sizes if one[0] >= self.began_s + warm_up_s]
         if len(kept) < 60:
             return None
         times, values = zip(*kept, strict=True)
@@ -126,12 +131,13 @@ class Soak:
         while not self._sampling.wait(period_s):
             for name, process in list(self.processes.items()):
                 try:
-                    pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
-                except (OSError, IndexError):
+                    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+                except OSError:
                     continue
-                if pages:  # a process that has just ended has none
+                sizes = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon:", "RssFile:"))]
+                if sizes:  # a process that has just ended has none
                     last = [one for one in self.memory if one.node == name][-1]
-                    last.sizes.append((time.monotonic(), pages * PAGE / 1e6))
+                    last.sizes.append((time.monotonic(), sum(sizes) * 1024 / 1e6))
 
     def watch(self) -> None:
         """Note processes that ended by themselves, and start them again."""
@@ -319,8 +325,8 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
     return [kills[2], cycles[0], disk[0], stalls[0], second[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
 
 
-def run(soak: Soak, minutes: float) -> tuple[list[Disturbance], float]:
-    """Start the graph, disturb it at equal intervals, and end with some quiet seconds; gives the time of the start."""
+def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], float]:
+    """Start the graph, disturb it at equal intervals unless `quiet`, and end with some quiet seconds; gives the time of the start."""
     began = time.monotonic()
     for name in NODES:
         if not soak.start(name):
@@ -330,9 +336,9 @@ def run(soak: Soak, minutes: float) -> tuple[list[Disturbance], float]:
     soak.outages += [Outage(name, "not yet connected", began, time.monotonic()) for name in PERCEPTION]
     threading.Thread(target=soak.sample, daemon=True).start()
     origin = time.monotonic()
-    plan = disturbances(soak, every=minutes >= 10)
+    plan = [] if quiet else disturbances(soak, every=minutes >= 10)
     quiet_s = min(60.0, minutes * 6.0)
-    interval_s = (minutes * 60.0 - 2 * quiet_s) / len(plan)
+    interval_s = (minutes * 60.0 - 2 * quiet_s) / max(len(plan), 1)
     done = []
     time.sleep(quiet_s)
     for number, (name, action) in enumerate(plan):
@@ -343,8 +349,9 @@ def run(soak: Soak, minutes: float) -> tuple[list[Disturbance], float]:
         done.append(soak.disturb(name, action))
         print("  ".join(map(str, done[-1].row(origin, soak.seen.answers).values())), flush=True)
         time.sleep(max(0.0, origin + quiet_s + (number + 1) * interval_s - time.monotonic()))
-    time.sleep(max(0.0, origin + minutes * 60.0 - time.monotonic()))
-    soak.watch()
+    while (left := origin + minutes * 60.0 - time.monotonic()) > 0.0:
+        time.sleep(min(left, 10.0))
+        soak.watch()
     soak.cycle("camera", "deactivate")
     time.sleep(4.0)  # what is in work is answered, and counted once more
     return done, origin
@@ -376,6 +383,19 @@ def timeline(soak: Soak, origin: float, minutes: float) -> list[dict[str, Any]]:
     ]
 
 
+def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str, Any]]:
+    """Latency of the answers in each tenth of the time."""
+    found: dict[int, list[float]] = {}
+    for stamp, at in seen.answered_at.items():
+        if stamp in seen.clouds:
+            found.setdefault(int((at - origin) / (6.0 * minutes)), []).append(1e3 * (at - seen.clouds[stamp]))
+    return [
+        {"from_min": round(tenth * minutes / 10.0, 1), "answers": len(values)}
+        | {f"p{q}_ms": round(float(np.percentile(values, q)), 1) for q in (50, 95, 99)}
+        for tenth, values in sorted(found.items())
+    ]
+
+
 def undisturbed(seen: Observer, done: Sequence[Disturbance]) -> dict[str, float]:
     """What the computer manages without a disturbance, since it may be shared: gaps between answers, and latency."""
     busy = [(one.start_s - 1.0, (one.recovered_s or one.end_s) + 3.0) for one in done]
@@ -400,7 +420,7 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
     errors = [
         f"{name}: {key}" for (name, _), one in seen.reports.items() for key in one.values if "internal_errors." in key
     ]
-    recoveries = [one.recovered_s - one.end_s for one in done if one.recovered_s is not None] or [float("nan")]
+    recoveries = [one.recovered_s - one.end_s for one in done if one.recovered_s is not None]
     late = [one.name for one in done if one.is_late]
     broken = [
         *(f"unexplained at {node}: {seen.clouds[stamp] - origin:.1f} s after the start" for stamp, node in unexplained),
@@ -428,8 +448,8 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         **{f"dataset {name}, repaired": text for name, text in datasets.items()},
         **undisturbed(seen, done),
         "load of the computer, processes per core": round(os.getloadavg()[2] / (os.cpu_count() or 1), 1),
-        "longest recovery [s]": round(max(recoveries), 2),
-        "median recovery [s]": round(float(np.median(recoveries)), 2),
+        "longest recovery [s]": round(max(recoveries, default=0.0), 2),
+        "median recovery [s]": round(float(np.median(recoveries or [0.0])), 2),
     }
 
 
@@ -437,6 +457,7 @@ def main() -> int:
     """Soak; the exit status is 1 if a limit was not kept."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=2.0, help="30 is the long form (default: 2)")
+    parser.add_argument("--quiet", action="store_true", help="disturb nothing")
     parser.add_argument("--rate", type=int, default=5, help="clouds per second (default: 5)")
     parser.add_argument("--out", type=Path, default=Path("soak"), help="folder of the results (default: soak)")
     options = parser.parse_args()
@@ -450,23 +471,25 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="foretouch-soak-") as name:
         soak = Soak(Path(name), options.rate)
         try:
-            done, origin = run(soak, options.minutes)
+            done, origin = run(soak, options.minutes, quiet=options.quiet)
         finally:
             soak.close()
             for log in Path(name).glob("*.log"):
                 shutil.copy(log, options.out)
         found = {str(p.parent.relative_to(name)): p.parent for p in Path(name).rglob("session-0001.mcap")}
         figures = summary(soak, done, origin, {key: verified(path) for key, path in sorted(found.items())})
-    memory = [row for one in {one.node: one for one in soak.memory}.values() if (row := one.row())]
+    warm_up_s = min(WARM_UP_S, 20.0 * options.minutes)
+    memory = [row for one in {one.node: one for one in soak.memory}.values() if (row := one.row(warm_up_s))]
     tables = {
         "summary": [{"figure": key, "value": value} for key, value in figures.items()],
         "memory": memory,
         "disturbances": [one.row(origin, soak.seen.answers) for one in done],
         "timeline": timeline(soak, origin, options.minutes),
+        "latency": latency_rows(soak.seen, origin, options.minutes),
     }
     for key, rows in tables.items():
         write_csv(options.out / f"{key}.csv", rows or [{"nothing": ""}])
-    for row in (*tables["summary"], *memory):
+    for row in (*tables["summary"], *memory, *tables["latency"]):
         print("  ".join(map(str, row.values())))
     draw(options.out)
     return int(figures["limits broken"] > 0)

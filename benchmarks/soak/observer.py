@@ -10,11 +10,12 @@ from functools import partial
 from typing import Any
 
 from benchmarks.ros import SECOND, Client, Report, stamp_ns
-from benchmarks.soak.accounting import Drop
+from benchmarks.soak.accounting import STAGES, Drop
 
 DOMAIN = 91
 _STAMP = struct.Struct("<4xiI")  # of the header with which a serialised message begins
 _TOPICS = ("points", "object_cloud", "table", "grasps")
+_SENDERS = {topic: node for node, topics in STAGES for topic in topics}
 
 
 class Observer(Client):
@@ -24,6 +25,7 @@ class Observer(Client):
         super().__init__("observer", DOMAIN)
         from sensor_msgs.msg import PointCloud2
 
+        from foretouch.ros.runtime.diagnostics import Losses
         from foretouch.topics import TACTILE_TOPIC
         from foretouch_msgs.msg import BiotacAll, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 
@@ -37,6 +39,8 @@ class Observer(Client):
         self.tactile_s = 0.0  # of the latest tactile message
         self.recorder: Any = None  # latest RecorderStatus
         self.drops: list[Drop] = []
+        self._losses = {topic: Losses(partial(self._missed, topic)) for topic in self.stamps}
+        self._seen_s = dict.fromkeys(self.stamps, time.monotonic())  # when each topic was last heard
         self.warnings: list[tuple[float, str, str]] = []  # time, node, message
         for topic, kind in zip(_TOPICS, (PointCloud2, PointCloud2, TablePlane, GraspArray), strict=True):
             self.node.create_subscription(kind, topic, partial(self._see, topic), self.deep, raw=True)
@@ -71,21 +75,33 @@ class Observer(Client):
             if more > 0:
                 self.drops.append(Drop(node, reason, more, before.time_s if before else now.time_s - 1.0, now.time_s))
 
-    def _see(self, topic: str, data: bytes) -> None:
+    def _missed(self, topic: str, count: int) -> None:
+        """Note messages that were sent but did not arrive here: a computer under load keeps this process waiting, too."""
+        if node := _SENDERS.get(topic):
+            reason = f"answered, not seen by the observer, {topic}"
+            self.drops.append(Drop(node, reason, count, self._seen_s[topic] - 1.0, time.monotonic()))
+
+    def _heard(self, topic: str, info: Any) -> None:
+        self._losses[topic].arrived(info)
+        self._seen_s[topic] = time.monotonic()
+
+    def _see(self, topic: str, data: bytes, info: Any) -> None:
         sec, nanosec = _STAMP.unpack_from(data)
         stamp, now = sec * SECOND + nanosec, time.monotonic()
         with self.lock:
+            self._heard(topic, info)
             if topic == "points":
                 self.repeated += stamp in self.clouds
                 self.clouds.setdefault(stamp, now)
             self.stamps[topic].add(stamp)
 
-    def _see_touch(self, message: Any) -> None:
+    def _see_touch(self, message: Any, info: Any) -> None:
         from foretouch.ros.messages.requests import status_name
 
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
         good = [(one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf) for one in message.predictions if one.status == 0]
         with self.lock:
+            self._heard("touch", info)
             self.stamps["touch"].add(stamp)
             self.answers.append(now)
             self.answered_at.setdefault(stamp, now)

@@ -18,7 +18,8 @@ KINDS = {"kill": "tab:red", "deactivate": "tab:orange", "clean up": "tab:brown",
 
 def draw(folder: Path) -> None:
     """Memory of every process and answers per second over time, with a line for each disturbance."""
-    rows, marks = read_csv(folder / "timeline.csv"), read_csv(folder / "disturbances.csv")
+    rows = read_csv(folder / "timeline.csv")
+    marks = [row for row in read_csv(folder / "disturbances.csv") if "disturbance" in row]  # none without chaos
     minutes = [float(row["t_s"]) / 60.0 for row in rows]
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(10, 6), sharex=True)
     for name in [key for key in rows[0] if key.endswith("_mb")]:

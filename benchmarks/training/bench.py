@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from benchmarks.training.plain import plain_composition
-from foretouch.learning.data import TrainingSet
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer

@@ -226,6 +226,13 @@ def scenes() -> str:
     return sections([_grouped(SceneConfig), "### `families[]`", settings_table(families)])
 
 
+def sensors() -> str:
+    """Settings of a description of a sensor."""
+    from foretouch.tactile.description import SensorConfig
+
+    return _grouped(SensorConfig)
+
+
 def shapes() -> str:
     """The shapes of simulated objects, each with what it looks like."""
     from foretouch.simulation.objects import shapes as module
@@ -301,9 +308,15 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "/diagnostics": "rates, latencies and dropped messages of each node",
     "heartbeat": "name and state of each node, every 0.4 s",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
+    "edit_grasp": 'change the object, the outcome or the note of a recorded grasp of this session, or drop it; `grasp_id` "" is the last',
+    "next_object": "name the object that is on the table from now on; without a name the next of the parameter `objects`",
+    "pause_recording": "record nothing until it is called with `false`",
+    "undo_edit": "undo the latest action of this session that is in force",
     "start_recording": "start a recording",
     "stop_recording": "end the recording",
     "execute_grasp": "execute the best of the newest grasps now",
+    "press_th": "press the thumb of the simulated hand for a second, as a person does for `record --check`",
+    "press_mf": "the same of the middle finger",
     "forget_touches": "forget the readings of the current object",
     "forget_history": "forget all readings of the hand",
 }
@@ -463,6 +476,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "commands": commands,
     "pipeline": pipeline,
     "scenes": scenes,
+    "sensors": sensors,
     "shapes": shapes,
     "recipes": recipes,
     "experiments": experiments,

@@ -17,10 +17,6 @@ class BoundedQueue(Generic[_Item]):
         when_full: `drop_oldest` makes room for the new item, `reject` drops the new item, `wait` blocks its sender.
         size_of: Size of an item, such as its bytes; None counts each item as 1.
         on_drop: Called with each dropped item and the reason. The queue is locked meanwhile: return at once.
-
-    Attributes:
-        capacity: As given; may be changed at any time.
-        dropped: Dropped items by reason: `superseded` by newer ones, `full`, `closed`, or what `close` was given.
     """
 
     def __init__(
@@ -31,8 +27,10 @@ class BoundedQueue(Generic[_Item]):
         size_of: Callable[[_Item], int] | None = None,
         on_drop: Callable[[_Item, str], None] | None = None,
     ) -> None:
-        self.capacity = capacity
-        self.dropped: Counter[str] = Counter()
+        self.capacity = capacity  # may be changed at any time
+        self.dropped: Counter[str] = (
+            Counter()
+        )  # as `superseded` by newer ones, `full`, `closed`, or what `close` was given
         self._when_full = when_full
         self._size_of = size_of or (lambda _: 1)
         self._on_drop = on_drop

@@ -5,13 +5,14 @@ A component declares its settings in its own module::
 
     @dataclass(frozen=True, kw_only=True)
     class CropConfig(Settings):
-        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0)
+        max_range_m: float = setting(2.0, "Points farther than this are ignored", bounds=(0.1, 16.0))
 
 The fields contain the description, unit, bounds and whether a running node may change them. The
 command line, the YAML reader and the ROS parameters are all derived from this declaration.
 """
 
 import dataclasses
+import inspect
 import math
 import re
 import typing
@@ -105,13 +106,15 @@ def setting(
     description: str,
     *,
     unit: str = "",
+    bounds: tuple[float | None, float | None] | None = None,
     minimum: float | None = None,
     maximum: float | None = None,
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
-    limits = {"minimum": minimum, "maximum": maximum, "choices": choices, "read_only": read_only}
+    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); `bounds` are both limits."""
+    low, high = (minimum, maximum) if bounds is None else bounds
+    limits = {"minimum": low, "maximum": high, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
 
 
@@ -119,11 +122,17 @@ def setting(
 class Settings:
     """Base of every component's settings; checks each value on construction.
 
-    Subclasses with rules across fields extend `__post_init__` and call this one first.
+    Subclasses with rules across fields extend `__post_init__` and call this one first. Those with the argument
+    `read_only=True` declare read-only settings alone.
 
     Raises:
         ConfigError: With the field, the value and the rule.
     """
+
+    _all_read_only: ClassVar[bool] = False
+
+    def __init_subclass__(cls, *, read_only: bool = False) -> None:
+        cls._all_read_only = read_only
 
     def __post_init__(self) -> None:
         for info in _own_infos(type(self)):
@@ -274,7 +283,9 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
         quantity, _, ending = f.name.rpartition("_")
+        owner = next(c for c in cls.__mro__ if issubclass(c, Settings) and f.name in inspect.get_annotations(c))
         facts = {**f.metadata, "unit": f.metadata["unit"] or (_UNITS.get(ending, "") if quantity else "")}
+        facts["read_only"] |= owner._all_read_only  # noqa: SLF001  of this module
         infos.append(
             SettingInfo(name=f.name, default=f.default, type=item, is_list=is_list, optional=optional, **facts)
         )

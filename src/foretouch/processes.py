@@ -38,10 +38,7 @@ def process_pool(
 ) -> Iterator[ProcessPoolExecutor]:
     """New processes that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
 
-    Args:
-        workers: How many.
-        initializer: Called first in each of them; a function of a module.
-        initargs: Its arguments.
+    `initializer`, a function of a module, is called first in each of them.
     """
     before = set(active_children())
     pool = _Pool(workers, get_context("spawn"), initializer, initargs)

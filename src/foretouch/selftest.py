@@ -46,11 +46,7 @@ class RowResult:
 
 
 def run_rows(names: Sequence[str]) -> Iterator[RowResult]:
-    """Run rows by name, each in a process; a row whose process dies or hangs has failed.
-
-    Raises:
-        ConfigError: If there is no such row.
-    """
+    """Run rows by name, each in a process; a row whose process dies or hangs has failed, a name that is none is refused."""
     for name in names:
         if name not in ROWS:
             raise ConfigError(f"--self-test: {none_of(name, ROWS)}")

@@ -64,7 +64,6 @@ def time_calls(
     seconds: float,
     progress: Callable[[int, int], None] = lambda *_: None,
     pause_s: float = 0.0,
-    seed: int = 0,
 ) -> dict[tuple[str, int], npt.NDArray[np.float64]]:
     """Time every function with every size of request, all calls in one random order.
 
@@ -74,7 +73,6 @@ def time_calls(
         seconds: Time of all calls and pauses; each function and size gets the same share, and at least 5 calls [s].
         progress: Called with the number of calls done and of all.
         pause_s: Time asleep before each call: a process that waits for its input finds the processor's caches cold [s].
-        seed: Of the order.
 
     Returns:
         For each function and size (calls, 2): wall time and processor time [s].
@@ -82,7 +80,7 @@ def time_calls(
     first = {(name, size): s for name, call in functions.items() for size, s in _first_calls(call, sizes).items()}
     share = seconds / max(len(first), 1)
     counts = [int(np.clip(share / (s + pause_s), 5, 400)) for s in first.values()]
-    order = np.random.default_rng(seed).permutation(np.repeat(np.arange(len(first)), counts))
+    order = np.random.default_rng(0).permutation(np.repeat(np.arange(len(first)), counts))
     keys = list(first)
     times: dict[tuple[str, int], list[tuple[float, float]]] = {key: [] for key in first}
     for done, k in enumerate(order):

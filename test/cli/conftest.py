@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene and one of its objects, as files, and a way to call commands."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_answer import Answer
+from process_domain import process_environment
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
@@ -38,5 +38,5 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def environment() -> dict[str, str]:
-    """A DDS domain beyond those that the tests of the nodes take, and below 102, whose ports Linux hands out."""
-    return {**os.environ, "ROS_DOMAIN_ID": str(76 + os.getpid() % 25), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    """Of a process in a DDS domain of its own."""
+    return process_environment()

@@ -67,8 +67,11 @@ def test_a_new_format_is_read_built_exported_imported_and_listed(tmp_path, call,
         with pytest.raises(SystemExit):
             main(["dataset", action, "--help"])
         text = " ".join(capsys.readouterr().out.split())
-        assert "files of numbers, recorded dataset (MCAP), training store (Arrow) or vision2tactile folders" in text
-        assert ("{numbers,vision2tactile,npz,rosbag2}" in text) == (action == "export"), action
+        assert (
+            "files of numbers, recorded dataset (MCAP), training store (Arrow), vision2tactile folders, LeRobot exports or NumPy archives"
+            in text
+        )
+        assert ("{numbers,vision2tactile,lerobot,npz,rosbag2}" in text) == (action == "export"), action
 
 
 def test_a_path_of_no_format_is_refused_and_every_module_supports_what_its_line_declares(tmp_path) -> None:

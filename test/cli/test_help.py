@@ -11,7 +11,10 @@ from every_case import every_case
 from foretouch.cli.main import COMMANDS, _parser, main
 from foretouch.cli.parser import EXAMPLES
 
-ACTIONS = ("info", "verify", "repair", "edit", "build", "import", "export", "show")
+ACTIONS = {
+    "dataset": ("info", "verify", "repair", "edit", "build", "import", "export", "show"),
+    "sensor": ("list", "check", "show"),
+}
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
@@ -24,7 +27,7 @@ def parser_of(name: str) -> argparse.ArgumentParser:
 
 def test_the_help_of_every_command_has_an_example_defaults_groups_and_exit_statuses(monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    names = ["", *COMMANDS, *(f"dataset {action}" for action in ACTIONS)]
+    names = ["", *COMMANDS, *(f"{name} {action}" for name, actions in ACTIONS.items() for action in actions)]
     assert set(names) == set(EXAMPLES)
 
     def check(name: str) -> None:

@@ -13,11 +13,16 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from std_msgs.msg import Header
 
+from foretouch.cli.keys import RecordingKeys
 from foretouch.cli.live import live_panel
 from foretouch.cli.record import record_panel
 from foretouch.cli.screen import FittedPanel
+from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.nodes.monitor import NodeView, View
+from foretouch.ros.recorder.operator import OperatorState, Reply
+from foretouch.ros.recorder.session import SessionStatus
+from foretouch.ros.recorder.subscriptions import TopicStatistics
 from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import RecorderStatus, Status, TopicAccount, TouchPredictionArray
 
@@ -117,3 +122,59 @@ def test_the_state_of_a_recording_is_whole_with_what_was_dropped_and_which_senso
         assert words in text
     for words in ("pairing error 12 ms, at most 34", "MF frozen: the same 300 times", " grasps "):
         assert words in text
+
+
+def test_a_session_is_whole_at_80x24_with_objects_inputs_the_last_grasp_keys_and_what_is_next() -> None:
+    names = (
+        "/rh/tactile",
+        *(f"/foretouch/{n}" for n in ("object_cloud", "table", "grasps", "touch", "executed_grasp")),
+    )
+    topics = [
+        TopicAccount(topic=name, received=100123, written=97000, rate=99.8) for name in (*names, "/foretouch/points")
+    ]
+    shared: dict[str, Any] = {"sensors": ["TH", "MF", "camera"], "sensor_states": ["alive"] * 3}
+    shared |= {"outcomes": ["no_tare", "recorded"], "outcome_counts": [2, 128], "pairing_error": 0.012}
+    status = RecorderStatus(
+        recording=True, topics=topics, samples=128, last_sample="can/000128", disk_left=6e4, **shared
+    )
+    state = OperatorState(
+        object="can",
+        paused=True,
+        grasps={"cup": {"success": 40, "dropped": 2}, "can": {"success": 70, "failure": 16}, "sponge": {}},
+        suggestions=["repeat the last grasp; leave the object where it is", "few grasps: sponge 0"],
+    )
+    readings: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
+    bounds = {"lower": shifted(-150.0), "upper": shifted(150.0)}
+    session = SessionStatus(operator=state, last=(message(**bounds), readings))
+    inputs = {names[0]: TopicStatistics(age_s=0.01, offset_s=-0.203), names[1]: TopicStatistics(age_s=12.0)}
+    keys = RecordingKeys(lambda action, text: f"{action} {text}")
+    keys.press("s")
+    panel = record_panel(status, "foretouch record (Ctrl-C ends it)", session, inputs, keys.lines(None))
+    words = screen(panel, 80)
+    assert {"success", "[q]uit", "PAUSED", "predicted", "read", "tare", "executed_grasp", "points", "sponge"} <= words
+    assert {"-203", "12.0", "0.0", "2779", "±150", "2800", "repeat", "1000", "MF", "100123"} <= words
+
+
+def test_keys_act_ask_and_quit_only_when_asked_twice() -> None:
+    done = []
+
+    def act(action: str, text: str) -> str:
+        if action == "drop":
+            raise ConfigError("disk full")
+        done.append((action, text))
+        return f"{action} {text}".strip()
+
+    keys = RecordingKeys(act)
+    said = lambda: [str(line) for line in keys.lines(None)]  # noqa: E731
+    assert said()[1] == "[o]bject [s]uccess [f]ailure [d]rop [r]elabel [n]ote [p]ause [u]ndo [q]uit"
+    keys.press("ocuX\x7fp\nsd")
+    assert done == [("object", "cup"), ("success", "")]
+    assert said()[0] == "not done: disk full"
+    assert str(keys.lines(Reply("later", True, 1e18))[0]) == "later"
+    keys.press("rab")
+    assert said()[0] == "object of the last grasp (Enter: the one on the table): ab▏"
+    keys.press("\x1bqzq")
+    assert (keys.quitted, said()[0]) == (False, "press q again to end the recording, or any other key")
+    keys.press("zqq")
+    assert keys.quitted
+    assert done == [("object", "cup"), ("success", "")]

@@ -18,7 +18,8 @@ from run_builders import run_config
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
-from foretouch.learning.data import Dataset, TrainingSet
+from foretouch.learning.data import Dataset
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.evaluation import metrics
 from foretouch.learning.training import losses
 from foretouch.learning.training.calibration import HeldOutPredictions, make_calibration

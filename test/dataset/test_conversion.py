@@ -3,10 +3,10 @@
 
 import shutil
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,13 +15,12 @@ from mcap.reader import make_reader
 from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
 from rosbags.highlevel import AnyReader
 
-from foretouch.cloud.io.files import read_cloud
 from foretouch.dataset.bag import Recording
 from foretouch.dataset.formats import export_formats
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import DISCARDED, SampleRecord
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
@@ -29,7 +28,6 @@ from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import StoreWriter, build_store
 from foretouch.errors import DatasetError, FileError
-from foretouch.types import GraspSample
 
 NS = 1_000_000_000
 
@@ -138,41 +136,60 @@ def test_info_counts_and_discarded_samples_are_left_out(dataset: Path, tmp_path:
     assert result.left_out == {DISCARDED: 1}
 
 
-def test_an_export_gives_back_equal_arrays(tmp_path: Path) -> None:
-    write_dataset(tmp_path / "ds", 3)
+def test_every_export_imported_again_is_equal(dataset: Path, tmp_path: Path) -> None:
+    """All of every record, or of folders of vision2tactile what these can hold."""
 
     def check(kind: str) -> None:
-        result = export_samples(tmp_path / "ds", tmp_path / kind, kind)
-        assert result.written == 3
-        for number, back in enumerate(exported(tmp_path / kind, kind)):
-            made = record(number).sample
+        export_samples(dataset, tmp_path / kind, kind)
+        import_samples(tmp_path / kind, tmp_path / f"{kind} again")
+        again = records(tmp_path / f"{kind} again")
+        if kind != "vision2tactile":
+            assert open_samples(tmp_path / f"{kind} again").identity == IDENTITY
+            same = [encode_sample(one, IDENTITY) for one in records(dataset)]
+            assert [encode_sample(one, IDENTITY) for one in again] == same
+            return
+        for made, back in zip(map(record, range(3)), again, strict=True):
             for part in ("cloud.xyz", "cloud.rgb", "grasp.g1", "grasp.g2"):
-                np.testing.assert_array_equal(attrgetter(part)(back), attrgetter(part)(made))
-            np.testing.assert_array_equal(back.touch.vector(), made.touch.vector())
-            assert back.extra["TDC_TH"] == 2100.5
-            if kind != "vision2tactile":
-                assert_same_sample(back, made)
+                np.testing.assert_array_equal(attrgetter(part)(back.sample), attrgetter(part)(made.sample))
+            np.testing.assert_array_equal(back.sample.touch.vector(), made.sample.touch.vector())
+            assert back.sample.extra["TDC_TH"] == 2100.5
 
     every_case(export_formats(), check)
 
 
-def exported(path: Path, kind: str) -> Iterator[GraspSample]:
-    """The samples of an export, read by whatever reads that format."""
-    if kind == "vision2tactile":
-        yield from read_folder(path)
-    elif kind == "rosbag2":
-        import_samples(path, path.with_name("again"))
-        yield from (one.sample for one in records(path.with_name("again")))
-    else:
-        for number, file in enumerate(sorted(path.glob("ball/*.npz"))):
-            made = record(number).sample
-            with np.load(file) as arrays:
-                names = ("g1", "g2", "rotation")
-                grasp = replace(made.grasp, **{n: arrays[n] for n in names}, score=float(arrays["score"]))
-                readings = {n: type(made.touch).from_vector(arrays[n]) for n in ("touch", "tare")}  # type: ignore[union-attr]
-                extra = dict(zip(map(str, arrays["extra_names"]), map(float, arrays["extra_values"]), strict=True))
-                fields = {**readings, "stamp_ns": int(arrays["sample_stamp_ns"]), "extra": extra}
-                yield GraspSample(str(arrays["id"]), "ball", read_cloud(file), grasp, **fields)
+def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Path, tmp_path: Path) -> None:
+    export_samples(dataset, tmp_path / "good", "npz")
+    with np.load(tmp_path / "good/ball/000001.npz") as archive:
+        good = dict(archive)
+
+    def check(rule: str, changes: dict[str, Any]) -> None:
+        folder = tmp_path / str(abs(hash(rule)))
+        (folder / "ball").mkdir(parents=True)
+        arrays = {name: value for name, value in (good | changes).items() if value is not None}
+        np.savez(folder / "ball" / "000001.npz", **arrays)
+        with pytest.raises(FileError, match=rule):
+            open_samples(folder).record(0)
+
+    assert len(open_samples(tmp_path / "good")) == 4
+    every_case(
+        [
+            ("is not a dataset", {"g1": None}),
+            (r"000001\.npz: rotation: is missing; there are: id, object", {"rotation": None}),
+            ("id: 'cup/000001' is not 'ball', a slash and a name", {"id": "cup/000001"}),
+            ("outcome: 'maybe' is none of unknown, success, failure", {"outcome": "maybe"}),
+            (r"touch: shape \(3,\) is not \(50,\)", {"touch": np.zeros(3)}),
+            (r"series.counts: shape \(6, 3\)", {"series": np.zeros((6, 3))}),
+            (r"rotation: shape \(3,\) is not \(3, 3\)", {"rotation": np.zeros(3)}),
+            ("hand: is no list of named texts", {"hand": "[1]"}),
+            ("is no sample: .*JSON|is no sample: Expecting", {"hand": "{"}),
+            ("is no sample: zip", {"extra_names": np.array(["a"])}),
+        ],
+        check,
+    )
+    with np.load(tmp_path / "good/ball/000002.npz") as archive:
+        np.savez(tmp_path / "good/ball/000002.npz", **{**archive, "hand": '{"name": "other"}'})
+    with pytest.raises(FileError, match=r"000002\.npz: is of another hand or camera than .*000001\.npz"):
+        import_samples(tmp_path / "good", tmp_path / "new")
 
 
 def test_what_vision2tactile_cannot_hold_is_reported_and_a_second_holds_several(dataset: Path, tmp_path: Path) -> None:
@@ -242,9 +259,10 @@ def test_an_exported_bag_is_named_after_its_folder_and_read_by_others(dataset: P
     with Recording(tmp_path / "grasps") as recording:
         topics = {topic.name: (topic.type, topic.count) for topic in recording.topics}
     cloud_type = "sensor_msgs/msg/PointCloud2"
-    assert topics == {"/foretouch/samples": (SAMPLE_TYPE, 4), "/foretouch/object_cloud": (cloud_type, 4)}
+    taxels = {f"/foretouch/taxels/{finger}": (cloud_type, 18) for finger in ("thumb", "middle_finger")}
+    assert topics == {"/foretouch/samples": (SAMPLE_TYPE, 4), "/foretouch/object_cloud": (cloud_type, 4), **taxels}
     with AnyReader([tmp_path / "grasps"]) as bag:
         types = [type(bag.deserialize(data, connection.msgtype)).__name__ for connection, _, data in bag.messages()]
     assert sorted(set(types)) == ["foretouch_msgs__msg__GraspSample", "sensor_msgs__msg__PointCloud2"]
     with (tmp_path / "grasps" / "grasps.mcap").open("rb") as file:
-        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == len(types) == 8
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == len(types) == 44

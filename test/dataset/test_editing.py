@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edits change the samples that are read but never the recordings, and can be undone."""
 
+import resource
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +15,8 @@ from recording_builders import IDENTITY, QUICK, ids, write_dataset
 from foretouch.dataset.editing import drop, merge, relabel, undo
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
+from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
+from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.store_writer import build_store
@@ -94,3 +101,92 @@ def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not
         assert (ids(dataset), describe(dataset).discarded) == (edited, 0)
     assert drop(dataset, ["cup/000001"]) == 2
     assert log.read_bytes() == good
+
+
+def test_edits_of_a_session_set_outcomes_and_notes_and_an_object_that_is_undone_renames_the_grasps_since(
+    dataset: Path,
+) -> None:
+    first, second = ids(dataset)[:2]
+    with RecordingWriter(dataset, IDENTITY, QUICK) as writer:
+        for edit in (
+            Edit(action="outcome", ids=(first,), text="failure"),
+            Edit(action="note", ids=(first,), text="slipped", stamp_ns=7),
+            Edit(action="note", text="the light was moved"),
+            Edit(action="object", object="cup"),
+            Edit(action="pause"),
+            Edit(action="undo", edit=4, ids=(second,), object="bowl"),
+            Edit(action="outcome", ids=(second,), text="success"),
+        ):
+            writer.edit(edit)
+    one, two = (RecordedDataset(dataset)[k].record for k in range(2))
+    assert (one.outcome, one.note) == ("failure", "a note; slipped")
+    assert (two.sample.id, two.sample.object, two.outcome) == ("bowl/000002", "bowl", "success")
+    described = describe(dataset)
+    assert described.outcomes["failure"] == 1
+    assert described.edits == [
+        "1: outcome failure (1 samples)",
+        "2: note slipped (1 samples)",
+        "3: note the light was moved",
+        "4: object cup (undone)",
+        "5: pause",
+        "6: undo 4",
+        "7: outcome success (1 samples)",
+    ]
+    assert undo(dataset) == 7
+    assert undo(dataset) == 2  # what changes no sample is no edit to undo later
+    assert RecordedDataset(dataset)[0].record.note == "a note"
+    append_edit(dataset, Edit(action="outcome", ids=(first,), text="perhaps"))
+    with pytest.raises(FileError, match="text: 'perhaps' is none of unknown, success, failure"):
+        read_edits(dataset)
+
+
+def test_an_edit_that_does_not_fit_on_the_disk_is_not_in_force_and_the_next_one_is(dataset: Path) -> None:
+    drop(dataset, ["ball/000001"])
+    before, log = ids(dataset), dataset / "edits.jsonl"
+    good, limits = log.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    for cut in (1, 2500, 5000):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + cut, limits[1]))
+        try:
+            with pytest.raises(FileError, match=r"(edits\.jsonl|manifest\.json).*: (No space left|File too large)"):
+                append_edit(dataset, Edit(action="note", ids=("ball/000002",), text="x" * 5000))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert (log.read_bytes(), ids(dataset)) == (good, before)
+    assert relabel(dataset, ["ball/000002"], "cup") == 2
+    assert "cup/000002" in ids(dataset)
+
+
+EDITOR = """
+import sys
+from pathlib import Path
+from recording_builders import IDENTITY, QUICK
+from foretouch.dataset.recording.edits import Edit
+from foretouch.dataset.recording.writer import RecordingWriter
+with RecordingWriter(Path(sys.argv[1]), IDENTITY, QUICK) as writer:
+    for number in range(10**6):
+        undo = Edit(action="undo", edit=writer.edit(Edit(action="drop", ids=("ball/000001",), stamp_ns=number + 1)))
+        print("dropped", flush=True)
+        writer.edit(undo)
+        print("undone", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_an_acknowledged_edit_is_kept_after_a_kill_and_another_one_is_kept_or_not_but_never_half(
+    dataset: Path, rng
+) -> None:
+    for _ in range(12):
+        before, command = len(read_edits(dataset).edits), [sys.executable, "-c", EDITOR, str(dataset)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]) as process:
+            assert process.stdout
+            process.stdout.readline()
+            time.sleep(rng.uniform(0.0, 0.3))
+            process.send_signal(signal.SIGKILL)
+            said = ["dropped", *process.stdout.read().split()]
+        edits = read_edits(dataset).edits
+        done = [{"drop": "dropped", "undo": "undone"}[edit.action] for edit in edits[before:]]
+        assert done[: len(said)] == said
+        assert len(done) - len(said) in (0, 1), "all that was acknowledged, and at most one more"
+        assert describe(dataset).discarded == (edits[-1].action == "drop")
+        if edits[-1].action == "drop":
+            undo(dataset)

@@ -198,32 +198,19 @@ def ray():
     return pytest.importorskip("ray", reason="ray is not installed: pip install 'foretouch[sweep]'")
 
 
-@pytest.fixture
-def two_nodes(ray, monkeypatch):
-    """A cluster of two nodes of one core each; only what the test kills dies, however busy the machine is."""
-    from ray.cluster_utils import Cluster
-
-    monkeypatch.setenv("PYTHONPATH", PATH)
-    monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
-    head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_failure_threshold": 100}}
-    cluster = Cluster(initialize_head=True, head_node_args=head)
-    yield cluster, cluster.add_node(num_cpus=1)
-    cluster.shutdown()
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(600)  # starting nodes and processes takes a minute or two on a busy machine
-def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, sweep, trace) -> None:
-    cluster, lost = two_nodes
+def test_ray_gives_the_same_bits_and_outlives_a_node(ray_cluster, tmp_path, sweep, trace) -> None:
+    lost = ray_cluster.add_node(num_cpus=1)
     settings = {"cells": 8, "pause_s": 1.0, "dies_once": (0,), "trace": str(trace)}
     seen = []
 
     def kill(result, done, total) -> None:
         seen.append(result.cell.key)
         if len(seen) == 2:
-            cluster.remove_node(lost, allow_graceful=False)
+            ray_cluster.remove_node(lost, allow_graceful=False)
 
-    result = sweep("ray", settings=settings, address=cluster.address, progress=kill)
+    result = sweep("ray", settings=settings, address=ray_cluster.address, progress=kill)
     assert result.failures == {}
     assert sorted(seen) == [f"cell{k}" for k in range(8)]
     assert sum(starts(trace).values()) <= 8 + 2  # cell 0, and at most the one that the lost node ran
@@ -234,4 +221,4 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, sweep,
 def test_no_cluster_is_told_at_once(ray, sweep) -> None:
     addresses = ("127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no")
     cases = [(f"--address: {one}: no cluster answers", one) for one in addresses]
-    every_refusal(ConfigError, cases, lambda address: sweep(address=address))
+    every_refusal(ConfigError, cases, lambda address: sweep(address=address, resume=True))

@@ -9,7 +9,7 @@ from corpus.clouds import object_cases
 from every_case import every_case
 from kernels.references import points as reference
 
-from foretouch.cloud.geometry import pcl_filters
+from foretouch.cloud.geometry import flying, pcl_filters
 from foretouch.cloud.geometry.pcl_filters import (
     VoxelGrid,
     count_without_normal,
@@ -82,6 +82,29 @@ def test_normals() -> None:
     every_case(HARD, check)
 
 
+def test_flying_points(rng: np.random.Generator) -> None:
+    found = [0, 0]
+
+    def check(xyz: Float32) -> None:
+        before = xyz + np.array([0.0, 0.0, 1.0], np.float32)  # the camera
+        before[rng.random(len(xyz)) < 0.05] *= np.float32(0.97)
+        for points in (xyz, before):
+            marked, radius = np.empty(len(points), np.uint8), np.empty(1)
+            flying._flying(points, len(points), flying._SETTINGS, marked, radius)
+            if radius[0] == 0.0:
+                assert not marked.any()
+            else:
+                some = rng.permutation(len(points))[:100]
+                expected = reference.flying_points(points, some, radius[0], *flying._SETTINGS[1:])
+                np.testing.assert_array_equal(marked[some], expected)
+            found[0] += radius[0] > 0.0
+            found[1] += int(marked.sum())
+
+    every_case({name: xyz for name, xyz in HARD.items() if np.abs(xyz).max() < 1e6}, check)
+    assert found[0] > 20
+    assert found[1] > 500
+
+
 def test_voxels_and_canonical_order(rng: np.random.Generator) -> None:
     def check(xyz: Float32) -> None:
         try:
@@ -126,7 +149,7 @@ def test_plans_of_hard_objects() -> None:
 
     patches = {
         geograsp_module: {
-            "count_without_normal": lambda xyz, radius_m, grid: reference.count_without_normal(xyz, radius_m),
+            "count_without_normal": reference.count_without_normal,
             "mean_neighbour_distance": reference.mean_neighbour_distance,
         },
         pcl_filters: {"mean_neighbour_distance": reference.mean_neighbour_distance},

@@ -54,7 +54,7 @@ def test_touches_move_predictions_as_conditioning_does(rng) -> None:
         for reading, expected in zip(readings, touched, strict=True):
             tracker.add_touch(5, reading, expected)
         mean = touched.mean(axis=0) if touches else asked
-        found, _ = tracker.predict(5, asked)
+        found, _ = tracker.adapt(tracker.level(5), asked)
         moved, variance = conditioned(group, readings - mean) if touches else (0.0, np.diag(between))
         shrunk = mean + (difference_shrinkage if touches else 1.0) * (asked - mean)
         # The residuals that B (B + W/n)^-1 acts on are those of the mean, so shrunk differences cancel in it.
@@ -82,7 +82,7 @@ def test_before_any_reading_intervals_are_conformal_or_those_of_the_fitted_track
         assert_array_equal(plain.unread_half_widths[name], plain.groups[name].half_width)
         tracker = SensorTracker(tracked.tracker)
         tracker.start_object(known=name == "known")
-        assert_array_equal(tracked.unread_half_widths[name], tracker.predict(7, REST[None])[1][0])
+        assert_array_equal(tracked.unread_half_widths[name], tracker.adapt(tracker.level(7), REST[None])[1][0])
 
 
 def test_tensors_give_it_back_to_the_bit() -> None:

@@ -152,7 +152,7 @@ def test_touches_shift_and_narrow_as_the_tracker_predicts_and_a_reduced_model_is
         history = touched(calibrated, touches)
         found = calibrated.predict(sample.cloud, [sample.grasp], history=history)
         expected = calibrated.estimator.estimate(sample.cloud, [sample.grasp]).counts
-        counts, half = history.tracker.predict(history.stamp_ns, expected)
+        counts, half = history.tracker.adapt(history.tracker.level(history.stamp_ns), expected)
         assert_array_equal(vectors(found), counts)
         assert_array_equal(bounds(found), [counts - half, counts + half])
         assert (found[0].reference, found[0].evidence.touches) == ("touches", touches)

@@ -160,7 +160,7 @@ def test_intervals_return_to_their_coverage_after_a_change(rng) -> None:
     inside = []
     for k in range(600):
         residual = rng.normal(0.0, 20.0 if k < 200 else 50.0, SIZE)
-        counts, half = tracker.predict(START + k * 60 * S, REST[None])
+        counts, half = tracker.adapt(tracker.level(START + k * 60 * S), REST[None])
         inside.append(np.abs(REST + residual - counts[0]) <= half[0])
         touch(tracker, 60.0 * k, residual)
     inside = np.array(inside)
@@ -202,7 +202,8 @@ def test_a_restart_in_the_middle_is_bit_equal_to_none(events: list[tuple[str, in
         assert_array_equal(array, other.to_tensors()[name], err_msg=name)
     for same in (True, False):
         for left, right in zip(
-            *(one_.predict(START + second * S, REST[None], same_object=same) for one_ in (one, other)), strict=True
+            *(one_.adapt(one_.level(START + second * S, same_object=same), REST[None]) for one_ in (one, other)),
+            strict=True,
         ):
             assert_array_equal(left, right)
 
@@ -319,7 +320,7 @@ def test_a_reading_and_a_prediction_are_fast() -> None:
         began = time.perf_counter()
         touch(tracker, k, np.zeros(SIZE))
         between = time.perf_counter()
-        tracker.predict(START + k * S, grasps)
+        tracker.adapt(tracker.level(START + k * S), grasps)
         readings.append(between - began)
         predictions.append(time.perf_counter() - between)
     assert min(readings) < 0.4e-3  # 0.2 ms where nothing else runs

@@ -52,12 +52,12 @@ def test_fluctuation_has_its_deviation_and_memory_and_slip_moves_in_jumps_at_its
     x = ou_noise(20000, 4, 3.0, 0.05, RATE_HZ, rng)
     assert x.std() == pytest.approx(3.0, rel=0.1)
     assert np.mean(x[5:] * x[:-5]) / x.var() == pytest.approx(np.exp(-1.0), abs=0.05)
-    path = slip_path(200_000, RATE_HZ, rng, speed_m_s=0.01, length_m=0.002)
+    path = slip_path(200_000, RATE_HZ, rng)
     steps = np.diff(path)
     assert path[0] == 0.0
     assert steps.min() >= 0.0
-    assert path[-1] / (200_000 / RATE_HZ) == pytest.approx(0.01, rel=0.05)
-    assert np.mean(steps > 0) == pytest.approx(1 - np.exp(-0.05), rel=0.05)
+    assert path[-1] / (200_000 / RATE_HZ) == pytest.approx(0.005, rel=0.05)
+    assert np.mean(steps > 0) == pytest.approx(1 - np.exp(-0.1), rel=0.05)
     assert len(slip_path(0, RATE_HZ, rng)) == 0
 
 

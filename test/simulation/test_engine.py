@@ -109,7 +109,8 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
     common: dict[str, Any] = {"camera": EVERY_CAMERA_FAULT | {"width": 320, "height": 240}, "grasps": {"error": {}}}
     full = scene(*loaded, **common, clutter={}, gravity={}, fingers=EVERY_FINGER_EFFECT | {"sessions": {}})
     campaign = {"tares": "object", "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}], "days": [0, 1]}
-    configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}}), scene(fidelity="hertz")]
+    configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}})]
+    configs.append(scene(fidelity="hertz", camera={"segmented": {}}))
     configs.append(scene(campaign={"warm_up": {"tdc": {}}, "fluid_loss": {}}))
     ran = set()
     for config in configs:

@@ -12,7 +12,7 @@ class DecimationConfig(Settings):
     """Reduce the resolution: the median or mean of each block of pixels."""
 
     enabled: bool = setting(False, "Whether blocks of pixels are merged")
-    magnitude: int = setting(2, "Side of a block", unit="px", minimum=1, maximum=8)
+    magnitude: int = setting(2, "Side of a block", unit="px", bounds=(1, 8))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,9 +20,9 @@ class SpatialConfig(Settings):
     """Smoothing along rows and columns that preserves edges."""
 
     enabled: bool = setting(False, "Whether each frame is smoothed")
-    magnitude: int = setting(2, "Number of passes", minimum=1, maximum=5)
-    smooth_alpha: float = setting(0.5, "Weight of the pixel itself; 1 does not smooth", minimum=0.25, maximum=1.0)
-    smooth_delta: int = setting(20, "Larger steps are edges and are preserved", minimum=1, maximum=50)
+    magnitude: int = setting(2, "Number of passes", bounds=(1, 5))
+    smooth_alpha: float = setting(0.5, "Weight of the pixel itself; 1 does not smooth", bounds=(0.25, 1.0))
+    smooth_delta: int = setting(20, "Larger steps are edges and are preserved", bounds=(1, 50))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +30,8 @@ class TemporalConfig(Settings):
     """Smoothing over frames."""
 
     enabled: bool = setting(False, "Whether frames are averaged over time")
-    smooth_alpha: float = setting(0.4, "Weight of the new frame; 1 does not smooth", minimum=0.0, maximum=1.0)
-    smooth_delta: int = setting(20, "Larger steps are motion and are preserved", minimum=1, maximum=100)
+    smooth_alpha: float = setting(0.4, "Weight of the new frame; 1 does not smooth", bounds=(0.0, 1.0))
+    smooth_delta: int = setting(20, "Larger steps are motion and are preserved", bounds=(1, 100))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class HoleFillingConfig(Settings):
     """Depth for pixels without one, from their neighbours."""
 
     enabled: bool = setting(False, "Whether holes are filled")
-    mode: int = setting(1, "From 0 the left, 1 the farthest, 2 the nearest neighbour", minimum=0, maximum=2)
+    mode: int = setting(1, "From 0 the left, 1 the farthest, 2 the nearest neighbour", bounds=(0, 2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +59,9 @@ class FilterConfig(Settings):
 class TimeoutConfig(Settings):
     """When a camera without frames counts as stalled, and when it is opened again."""
 
-    start_s: float = setting(5.0, "Longest time from opening to the first frame", minimum=0.1, maximum=60.0)
-    stall_s: float = setting(
-        1.0, "A streaming camera without a frame for longer is stalled", minimum=0.05, maximum=60.0
-    )
-    reopen_s: float = setting(3.0, "A camera without a frame for longer is opened again", minimum=0.05, maximum=600.0)
+    start_s: float = setting(5.0, "Longest time from opening to the first frame", bounds=(0.1, 60.0))
+    stall_s: float = setting(1.0, "A streaming camera without a frame for longer is stalled", bounds=(0.05, 60.0))
+    reopen_s: float = setting(3.0, "A camera without a frame for longer is opened again", bounds=(0.05, 600.0))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,33 +70,29 @@ class TimeoutConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealSenseConfig(Settings):
+class RealSenseConfig(Settings, read_only=True):
     """A RealSense depth camera, live or recorded, and the processing of its frames."""
 
-    serial: str = setting("", "Serial number of the live device; empty for the first one found", read_only=True)
-    file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device", read_only=True)
-    record_to: str = setting("", "File (.db3) that all frames are recorded to as they arrive", read_only=True)
-    width: int = setting(848, "Columns of a live image", unit="px", minimum=64, maximum=3840, read_only=True)
-    height: int = setting(480, "Rows of a live image", unit="px", minimum=64, maximum=2160, read_only=True)
-    fps: int = setting(30, "Frames per second of a live device", unit="Hz", minimum=1, maximum=300, read_only=True)
+    serial: str = setting("", "Serial number of the live device; empty for the first one found")
+    file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device")
+    record_to: str = setting("", "File (.db3) that all frames are recorded to as they arrive")
+    width: int = setting(848, "Columns of a live image", unit="px", bounds=(64, 3840))
+    height: int = setting(480, "Rows of a live image", unit="px", bounds=(64, 2160))
+    fps: int = setting(30, "Frames per second of a live device", unit="Hz", bounds=(1, 300))
     align: str = setting(
         "none",
         "Colour: `none`, aligned to the depth image, or the depth aligned to the colour image",
         choices=("none", "colour_to_depth", "depth_to_colour"),
-        read_only=True,
     )
     filters: FilterConfig = FilterConfig()
     timeouts: TimeoutConfig = TimeoutConfig()
-    real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost", read_only=True)
-    repeat: bool = setting(False, "Whether a recording starts again at its end", read_only=True)
-    frame_id: str = setting(
-        "", "Frame of the clouds; empty for the optical frame of the image they come from", read_only=True
-    )
+    real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost")
+    repeat: bool = setting(False, "Whether a recording starts again at its end")
+    frame_id: str = setting("", "Frame of the clouds; empty for the optical frame of the image they come from")
     stamp: str = setting(
         "auto",
         "Stamp of a cloud: of the frame, of its arrival, or (`auto`) of the frame if that is wall-clock time",
         choices=("auto", "frame", "arrival"),
-        read_only=True,
     )
 
     def __post_init__(self) -> None:

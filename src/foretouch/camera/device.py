@@ -32,13 +32,9 @@ def realsense() -> Any:
 
 
 class DeviceSource:
-    """Provides a device each time that one is opened.
+    """Provides a device each time that one is opened."""
 
-    Attributes:
-        reopens: Whether opening a silent device again may help; a recording ends, and would only restart.
-    """
-
-    reopens = True
+    reopens = True  # whether opening a silent device again may help; a recording ends, and would only restart
 
     def find(self) -> Any:
         """The `pyrealsense2.device`; a `CameraError` if it is not available now."""

@@ -45,6 +45,9 @@ class CameraStatus:
     failures: int = 0  # consecutive attempts without a frame
     since_frame_s: float | None = None  # age of the last frame [s]; None before the first
 
+    def __str__(self) -> str:
+        return f"camera: {self.state}{self.reason and f': {self.reason}'}"
+
     @property
     def is_ok(self) -> bool:
         """Whether frames arrive, or none are expected yet or any more."""
@@ -133,11 +136,8 @@ class RealSenseCamera:
     def read(self, timeout_s: float) -> Cloud | None:
         """Return the next cloud; None if there was none in time, for the reason that `status` gives.
 
-        Opening a device may take longer than `timeout_s` [s].
-
-        Raises:
-            CameraError: If the camera does not offer what the settings ask for.
-            FileError: If the file is not a recording.
+        Opening a device may take longer than `timeout_s` [s]. A `CameraError` if the camera does not offer what the settings
+        ask for, or a `FileError` if the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
         while self._status.state not in {"ended", "closed"}:
@@ -270,9 +270,4 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    logging.getLogger(__name__).log(
-        logging.INFO if status.is_ok else logging.WARNING,
-        "camera: %s%s",
-        status.state,
-        f": {status.reason}" if status.reason else "",
-    )
+    logging.getLogger(__name__).log(logging.INFO if status.is_ok else logging.WARNING, "%s", status)

@@ -28,23 +28,15 @@ _Frame = TypeVar("_Frame")
 class FrameStream:
     """The depth stream of a device, and its colour stream where the settings require colour.
 
-    Args:
-        device: A `pyrealsense2.device` that is not streaming.
-        config: Image size, alignment and filters.
-
-    Attributes:
-        filters: Applied to each frame; may be replaced between frames.
-
-    Raises:
-        CameraError: If it has no such stream.
-        RuntimeError: From the library, if it cannot be opened.
+    The `pyrealsense2.device` is not streaming yet. A `CameraError` if it has no such stream, or a `RuntimeError` of the
+    library if it cannot be opened.
     """
 
     def __init__(self, device: Any, config: RealSenseConfig) -> None:
         rs = realsense()
         self._config = config
         self._device = rs.recorder(config.record_to, device) if config.record_to else device
-        self.filters = FilterChain(config.filters)
+        self.filters = FilterChain(config.filters)  # may be replaced between frames
         self._align = _aligner(config)
         self._join = _FramesetMaker()
         self._lens: tuple[str, Deprojector] | None = None

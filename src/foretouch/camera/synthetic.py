@@ -44,10 +44,6 @@ class SyntheticCamera(DeviceSource):
         serial: Its serial number.
         stamp_ns: Returns the stamp of the n-th frame [ns since 1970], called after the frame is made, or None if the
             frame is lost; by default the time of feeding. The library stores milliseconds in double precision.
-
-    Attributes:
-        colour: Whether the colour sensor sends.
-        plugged: Whether the device is present.
     """
 
     def __init__(
@@ -65,9 +61,9 @@ class SyntheticCamera(DeviceSource):
         first = self._frame(0)
         self._shape = first.depth_mm.shape
         self._device, self._sensors, self._profiles = _software_device(first, fps, serial)
-        self.colour = True
+        self.colour = True  # whether the colour sensor sends
         self._number = 0
-        self.plugged = True
+        self.plugged = True  # whether the device is present
         self._feeding = threading.Event()
         self._stopping = threading.Event()
         self._lock = threading.Lock()

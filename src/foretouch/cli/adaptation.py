@@ -90,9 +90,7 @@ class Adaptation:
     ) -> Sequence[TouchPrediction]:
         """Predict K grasps on one object, by a reduced form of the model if one is given.
 
-        Raises:
-            DatasetError: If a sample lacks the requested tare, or is of another object than the touches.
-            ModelError: If the model cannot use tare or touches.
+        A `DatasetError` if a sample lacks the requested tare, or is of another object than the touches.
         """
         label = next((one.object for one in self.touched if one.object != _UNKNOWN), "")
         if sample is not None and label and sample.object not in (label, _UNKNOWN):
@@ -146,14 +144,7 @@ class Adaptation:
 
 
 def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
-    """Read the files of --tare, --touched and --history.
-
-    Raises:
-        ConfigError: If `sample` and files are both given, or more than one file of a hand.
-        FileError: If a file cannot be read or is no tare, or there are no samples.
-        DatasetError: If no sample is labelled, touches are of several objects, or a sample of the history has no stamp.
-        ModelError: If the model cannot adapt to readings.
-    """
+    """Read the files of --tare, --touched and --history; a `ForetouchError` names what cannot be combined or used."""
     from foretouch.models.hand_history import read_history
 
     own = _OWN in arguments.tare
@@ -175,10 +166,7 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
 
 
 def _read_tare(paths: Sequence[str], calibration: Calibration | None = None) -> tuple[Touch, Float64]:
-    """The median of all readings in some files with its TDC; errors name the field and the rule that it breaks.
-
-    Prints a warning for each file whose readings are like those in contact.
-    """
+    """The median of all readings in some files with its TDC; warns of each file whose readings are like those in contact."""
     from foretouch.dataset.vision2tactile import read_touch
 
     readings: list[tuple[Touch, Float64]] = []

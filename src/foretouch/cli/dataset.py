@@ -3,6 +3,8 @@
 
 import argparse
 import json
+import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +13,9 @@ from typing import Any
 from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing
+from foretouch.dataset.chunks import ReadOnRay, chunks_folder
 from foretouch.dataset.formats import export_formats, readable_formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
@@ -23,9 +27,10 @@ from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.store_writer import build_store
+from foretouch.dataset.store_writer import build_store, read_samples
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
+from foretouch.ray_cluster import ADDRESS_HELP
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
@@ -64,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build.add_argument("sources", metavar="IN", nargs="+", help=dataset)
     _add_out(build, "STORE", "training store to create; must not exist")
     build.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
+    build.add_argument("--address", help=f"{ADDRESS_HELP}; IN and STORE must be on a disk that all nodes share")
 
     _add_import(_action(actions, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
 
@@ -81,9 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _action(actions: Any, name: str, act: Callable[..., int], summary: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = actions.add_parser(name, help=summary, description=f"{summary}.")
+    parser: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
     parser.set_defaults(act=act)
-    parser.add_argument("--json", action="store_true", help="print JSON on stdout, and nothing else there")
+    parser.add_json()
     return parser
 
 
@@ -166,6 +172,7 @@ def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
     yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
     yield from (("edit", text) for text in found.edits)
+    yield "last check", found.check
 
 
 def _message_counts(counts: Mapping[str, Any]) -> str:
@@ -306,13 +313,17 @@ def _edit(arguments: argparse.Namespace) -> int:
 
 
 def _build(arguments: argparse.Namespace) -> int:
+    chunks = chunks_folder(arguments.out.absolute())
+    on_ray = ReadOnRay(chunks, arguments.address, len(os.sched_getaffinity(0)))
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
             arguments.out,
             attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
             progress=advance,
+            read=read_samples if arguments.address is None else on_ray,
         )
+    shutil.rmtree(chunks, ignore_errors=True)
     splits = json.loads(make_splits(result.samples, arguments.seed))
     record = {
         "out": str(arguments.out),

@@ -42,7 +42,6 @@ class _Finding:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object per check")
     parser.add_argument("--all", action="store_true", help="also show the checks that passed")
     parser.add_argument(
         "--self-test",

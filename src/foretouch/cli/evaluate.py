@@ -51,7 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="score samples that the model was trained on, too; otherwise they are left out and counted",
     )
     parser.add_argument("--seed", type=seed_number, default=0, help="seed of the baselines")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
 from foretouch.experiments.framework.sweep import SweepResult
+from foretouch.ray_cluster import ADDRESS_HELP
 
 ENVIRONMENT = "FORETOUCH_DATA"
 
@@ -32,13 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: str) -> None:
-    """Arguments on the settings, data and output of a sweep.
-
-    Args:
-        parser: Gets the arguments.
-        preset: Default preset.
-        presets: Help text on the presets.
-    """
+    """Arguments on the settings, data and output of a sweep, with the default preset and the help on presets."""
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
     parser.add_argument(
         "-o",
@@ -64,11 +59,8 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
         metavar="N",
         help="number of processes (default: one per core); does not change the results",
     )
-    parser.add_argument(
-        "--address", help="run on Ray: auto, ray://host:port, or local for a node on this machine (default: not on Ray)"
-    )
+    parser.add_argument("--address", help=ADDRESS_HELP)
     parser.add_argument("--redraw", action="store_true", help="only rewrite tables and figures from the table in DIR")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per cell, and a summary last")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -94,10 +86,7 @@ def run_experiment(
 ) -> int:
     """Run, resume or redraw an experiment; the exit status is 1 if a cell failed.
 
-    Args:
-        experiment: To run.
-        arguments: As of `add_sweep_arguments`.
-        measure: Called in place of the sweep, with settings, output folder, path of the data and progress; returns rows.
+    `measure` is called in place of the sweep, with settings, output folder, path of the data and progress; returns rows.
     """
     if arguments.out is None:
         raise ConfigError(f"{arguments.command}: -o DIR is required")

@@ -14,7 +14,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("what", metavar="touches|history", choices=["touches", "history"], help=text)
     add_options(parser, "--namespace")
     parser.add_argument("--wait", type=positive_value, default=5.0, metavar="S", help="longest wait for the graph [s]")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:

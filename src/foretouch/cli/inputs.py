@@ -35,7 +35,7 @@ def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """IN…, --topic, --config, --set and --json."""
+    """IN…, --topic, --config and --set."""
     parser.add_argument(
         "inputs",
         metavar="IN",
@@ -43,7 +43,6 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
         help="cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
     )
     add_options(parser, "--topic", "--config", "--set")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
 
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,12 +103,9 @@ def positive_value(text: str, *, or_zero: bool = False) -> float:
 def pipeline_config(
     arguments: argparse.Namespace, changes: dict[str, Any] | None = None, defaults: dict[str, Any] | None = None
 ) -> PipelineConfig:
-    """Pipeline settings from the defaults, --config, --set and the command's own options, in this order.
+    """Pipeline settings from the command's `defaults`, --config, --set and its own options, in this order.
 
-    Args:
-        arguments: Arguments with `config`, `set` and possibly `target` and `model`.
-        changes: Dotted settings from the command's own options; None changes nothing.
-        defaults: Dotted settings that the command starts with.
+    Settings have dotted names; of the options, and of the `changes` that a command makes of others, None changes nothing.
     """
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
@@ -120,13 +116,10 @@ def pipeline_config(
 
 
 def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
-    """The objects to grasp in one input: the cloud itself, or the targets of its scene.
+    """The objects to grasp in one input: the cloud itself, or the targets of its scene; a `CloudError` if it has none.
 
     An organised cloud, or any with --scene, is a scene; otherwise the cloud is one object
     on --plane or on an assumed table, seen from straight above.
-
-    Raises:
-        CloudError: If a scene has no target.
     """
     if holds_one_object(item.cloud, arguments):
         return [only_object(item.cloud, arguments)]
@@ -159,10 +152,7 @@ def process_inputs(
 ) -> int:
     """Print the results of all inputs in order; returns exit status 1 if one was refused or failed.
 
-    Args:
-        arguments: Arguments with `inputs`, `topic` and `json`.
-        process: Yields the records of one cloud; a record with `failed` set counts as a failure.
-        show: Prints a record without --json.
+    `process` yields the records of one cloud, of which those with `failed` set are failures; `show` is used without --json.
     """
     failed = False
     for name, result in chain.from_iterable(_results(path, arguments.topic, process) for path in arguments.inputs):

@@ -24,12 +24,9 @@ _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
 
 
 def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
-    """Draw the state of each node, its problems, the answers so far, the last executed grasp and prediction.
+    """Draw what the graph has reported: nodes, their problems, answers, the last executed grasp and prediction.
 
-    Args:
-        view: What the graph has reported.
-        title: Of the panel.
-        waiting: What the first answer waits for.
+    `waiting` says what the first answer waits for.
     """
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or waiting or "none yet"
     parts: list[RenderableType] = [Text(f"clouds answered: {answered}"), _nodes(view.nodes)]
@@ -39,7 +36,7 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
         if one.level
     ]
     if view.executed is not None:
-        parts.append(_executed(*view.executed))
+        parts.append(executed_table(*view.executed))
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions))
     for name, node in view.nodes.items():
@@ -99,13 +96,16 @@ def _modalities(prediction: TouchPrediction) -> list[str]:
     return [modality_text(*zip(*((one.value, one.lower, one.upper) for one in part), strict=True)) for part in parts]
 
 
-def _executed(prediction: TouchPrediction, readings: TouchCut) -> FittedTable:
-    rows: list[list[str | Text]] = [] if prediction.status else [["predicted", *_modalities(prediction)]]
+def executed_table(prediction: TouchPrediction | None, readings: TouchCut) -> FittedTable:
+    """The counts of an executed grasp: as predicted, if they were, as read, and at rest before."""
+    rows: list[list[str | Text]] = []
+    if prediction is not None and not prediction.status:
+        rows.append(["predicted", *_modalities(prediction)])
     rows += [
         [name, *(modality_text(getattr(touch, one.lower()), None, None) for one in MODALITIES)]
         for name, touch in (("read", readings.touch), ("tare", readings.tare))
     ]
-    return _table("", *MODALITIES, rows=rows, title="last grasp executed (counts)")
+    return _table("last grasp", *MODALITIES, rows=rows)
 
 
 def _rounded(number: str) -> str:

@@ -34,6 +34,7 @@ COMMANDS = {
     "forget": "Let a running graph forget readings of the object or of the hand",
     "view": "Show clouds, grasps and predicted touch in Rerun",
     "models": "List and verify touch models",
+    "sensor": "List, check and draw descriptions of tactile sensors",
     "doctor": "Check dependencies and print the fixes",
 }
 
@@ -108,6 +109,8 @@ def _parser(chosen: str | None) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=summary, description=f"{summary}.")
         if name == chosen:
             importlib.import_module(f"foretouch.cli.{name}").add_arguments(command)
+            if name not in {"dataset", "view"}:  # whose actions have it, and which prints nothing
+                command.add_json()
     return parser
 
 

@@ -22,9 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         help="names, or paths of cards, weights or model folders (default: the models of the package)",
     )
-    parser.add_argument(
-        "--json", action="store_true", help="one JSON object for each model: files, skill, calibration and its card"
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:

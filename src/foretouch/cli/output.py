@@ -48,16 +48,10 @@ def announce(wait: str) -> None:
 def progress_bar(
     description: str, total: int | None = None, *, hidden: bool = False, transient: bool = False
 ) -> Iterator[Callable[..., None]]:
-    """Show a progress bar with elapsed and remaining time on stderr while the block runs.
+    """Show a progress bar with elapsed and remaining time on stderr while the block runs, unless it is `hidden`.
 
-    Nothing is shown if stderr is not a terminal. The bar is erased after a known error, which then is the only output,
-    and if no progress was reported.
-
-    Args:
-        description: Text beside the bar.
-        total: Number of steps; None if unknown.
-        hidden: Show nothing.
-        transient: Erase the bar at the end.
+    Nothing is shown if stderr is not a terminal. The bar is erased at the end if it is `transient`, after a known error,
+    which then is the only output, and if no progress was reported. `total` is the number of steps, if it is known.
 
     Yields:
         `update(completed=None, total=None, description=None)`, which advances by one step without `completed`.

@@ -11,7 +11,7 @@ from foretouch.errors import nearest, none_of
 _MANY: Final = 10  # options that need no groups
 _GROUPS: Final = {
     "what is read": "topic target plane scene grasp data source serial dwell rate loop restamp finished resume "
-    "tactile_topic tactile_type thumb middle points assume_grasps object note hand camera",
+    "tactile_topic tactile_type thumb middle check points assume_grasps object objects note hand camera",
     "model and adaptation": "model tare touched history prequential budget_ms tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain replay times wait_for "
     "wait_limit no_wait",
@@ -52,6 +52,10 @@ EXAMPLES: Final = {
     "forget": "foretouch forget touches",
     "view": "foretouch view session --save session.rrd",
     "models": "foretouch models contact-v2",
+    "sensor": "foretouch sensor list",
+    "sensor list": "foretouch sensor list",
+    "sensor check": "foretouch sensor check my_sensor.yaml",
+    "sensor show": "foretouch sensor show biotac_sp -o taxels.png",
     "doctor": "foretouch doctor --self-test",
 }
 """A command line for the help of each command."""
@@ -62,6 +66,11 @@ class CommandParser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **{"formatter_class": _Formatter, **options})
+
+    def add_json(self) -> None:
+        """Add the option that nearly all commands have."""
+        help_text = "print JSON on stdout, an object a line, and nothing else there"
+        self.add_argument("--json", action="store_true", help=help_text)
 
     def format_help(self) -> str:
         """Usage, description, arguments in groups, an example and the exit statuses."""

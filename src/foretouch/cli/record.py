@@ -6,8 +6,8 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from functools import partial
 from os.path import commonpath
 from pathlib import Path
@@ -17,6 +17,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from foretouch.cli.inputs import add_options, positive_number, positive_value
+from foretouch.cli.live import executed_table
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
@@ -27,15 +28,35 @@ from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, stamp
 from foretouch.topics import TACTILE_TOPIC
 
 if TYPE_CHECKING:
+    from foretouch.cli.keys import RecordingKeys
     from foretouch.ros.nodes.recorder import RecorderNode
+    from foretouch.ros.recorder.operator import OperatorState
+    from foretouch.ros.recorder.session import SessionStatus
+    from foretouch.ros.recorder.subscriptions import TopicStatistics
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
+_SERVICES = "edit_grasp, next_object, pause_recording, undo_edit and stop_recording"
+_OFFSET_S = 0.1  # clocks that differ by more are shown in red: `guard_s` of the pairing
 
-def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
-    """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance."""
-    parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status)]
-    parts += [Text(status.reason, "red")] * bool(status.reason)
-    parts.append(_topics(status.topics))
+
+def record_panel(
+    status: RecorderStatus,
+    title: str,
+    session: SessionStatus | None = None,
+    inputs: Mapping[str, TopicStatistics] | None = None,
+    keys: Sequence[Text] = (),
+) -> FittedPanel:
+    """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance.
+
+    With `session`, also objects with their outcomes, the last grasp and what is worth doing next; with `inputs`, the age and the
+    clock offset of each topic. `keys` are the answer to the last key and the list of keys.
+    """
+    parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
+    if session is not None:
+        parts += [_objects(session.operator), Text("next: " + "; ".join(session.operator.suggestions), "cyan")]
+    if session is not None and session.last is not None:
+        parts.append(executed_table(*session.last))
+    parts += [_grasps(status), _sensors(status), _topics(status.topics, inputs)]
     for one in status.topics:
         found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
         parts += [Text(f"{one.topic} dropped {found}")] * bool(found)
@@ -77,7 +98,18 @@ def _sensors(status: RecorderStatus) -> Text:
     )
 
 
-def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
+def _objects(state: OperatorState) -> Text:
+    """Grasps by object and outcome, that on the table first."""
+    text = Text("PAUSED  ", "bold yellow") if state.paused else Text()
+    grasps = state.grasps or {}
+    for name in sorted({state.object, *grasps}, key=lambda name: name != state.object):
+        text.append(name, "bold" if name == state.object else "")
+        outcomes = ", ".join(f"{count} {outcome}" for outcome, count in grasps.get(name, {}).items())
+        text.append(f" {outcomes or 0}  ")
+    return text
+
+
+def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics] | None) -> FittedTable:
     common = commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"  # the first is the hand's
     rows: list[list[str | Text]] = []
     for topic in topics:
@@ -85,13 +117,24 @@ def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
         rows.append([
             Text(topic.topic.removeprefix(common), "" if topic.reliable else "yellow"),
             f"{topic.rate:.1f}",
+            *([] if inputs is None else _times(inputs.get(topic.topic))),
             str(topic.received),
             str(topic.written),
             str(topic.waiting),
             Text(str(topic.lost), "red" if topic.lost else ""),
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
-    return FittedTable(("topic", "Hz", "received", "written", "queue", "lost", "dropped"), rows, live=True)
+    times = () if inputs is None else ("age s", "clock ms")
+    return FittedTable(("topic", "Hz", *times, "received", "written", "queue", "lost", "dropped"), rows, live=True)
+
+
+def _times(one: TopicStatistics | None) -> list[str | Text]:
+    """Age of the last message [s], and by how much its clock, or its way, is behind this computer's [ms]."""
+    if one is None or not math.isfinite(one.age_s):
+        return ["–", "–"]
+    if not math.isfinite(one.offset_s):
+        return [f"{one.age_s:.1f}", "–"]
+    return [f"{one.age_s:.1f}", Text(f"{1e3 * one.offset_s:+.0f}", "red" if abs(one.offset_s) > _OFFSET_S else "")]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,6 +142,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="dataset; an existing one is extended")
     parser.add_argument(
         "--object", default="", metavar="NAME", help="name of the object on the table (default: unknown)"
+    )
+    parser.add_argument(
+        "--objects",
+        nargs="+",
+        metavar="NAME",
+        help="names of the objects to record, in order: the key `o` takes the next",
     )
     parser.add_argument("--note", default="", help="note for every sample")
     parser.add_argument(
@@ -116,6 +165,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--middle", metavar="NAME", help="name of the middle finger (default: MF or 1)")
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
     parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="check hand, camera and table before a session, press each finger in turn, store the report with the"
+        " dataset, and record nothing",
+    )
     parser.add_argument("--points", action="store_true", help="record the camera's whole clouds too")
     parser.add_argument(
         "--assume-grasps",
@@ -132,19 +187,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="end after this number of samples with readings (default: at Ctrl-C)",
     )
     add_options(parser, "--params", "--namespace")
-    parser.add_argument("--json", action="store_true", help="one JSON object a second, the last with the final counts")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Record; exit status 1 if the recording did not start, or ended by itself."""
+    """Record; exit status 1 if the recording did not start or ended by itself, or the check found a fault."""
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     announce("starting the recorder")
     with graph:
         node = cast("RecorderNode", graph.nodes["recorder"])
         if node.state_name != "active":
             raise ForetouchError("the recorder did not start; see its log")
+        if arguments.check:
+            from foretouch.cli.check import run_check
+
+            return run_check(node, arguments)
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
+        state = node.session_status()
         announce("writing what is left; waiting until other graphs would be seen")
         with uninterrupted():
             node.end()
@@ -153,7 +212,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print_json(_status_record(status))
         else:
-            terminal().print(record_panel(status, f"foretouch record: {status.path}"))
+            terminal().print(record_panel(status, f"foretouch record: {status.path}", state))
         if status.reason:
             warn(status.reason)
         return int(bool(status.reason))
@@ -165,7 +224,8 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
         "tactile.type": arguments.tactile_type,
         "tactile.thumb": arguments.thumb,
         "tactile.middle": arguments.middle,
-        "points": arguments.points or None,
+        "points": arguments.points or arguments.check or None,
+        "objects": arguments.objects,
         "assume_grasps": arguments.assume_grasps or None,
         **_identity("hand", arguments.hand),
         **_identity("camera", arguments.camera),
@@ -179,21 +239,39 @@ def _identity(what: str, given: str | None) -> dict[str, str | None]:
 
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
-    """Show the state until enough is recorded, the recording has ended by itself, or Ctrl-C."""
+    """Show the state until enough is recorded, the recording has ended by itself, Ctrl-C, or the key `q`."""
+    from foretouch.cli.keys import Keyboard, RecordingKeys, has_keyboard
+
     end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
     samples = math.inf if arguments.samples is None else arguments.samples
-    draw = None if arguments.json else partial(_panel, node)
-    with suppress(KeyboardInterrupt):
-        _print_status(node, arguments)
-        watch(partial(_ended, node, samples, end), draw, partial(_print_status, node, arguments), every_s=1.0)
+    keys, ended = RecordingKeys(node.act), partial(_ended, node, samples, end)
+    report = partial(_print_status, node, arguments)
+    has_keys = has_keyboard() and not terminal().is_dumb_terminal and not arguments.json
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        if not has_keys:
+            warn(f"keys are off without a terminal; the services {_SERVICES} of the recorder do the same")
+        report()
+        if not has_keys:
+            watch(ended, None if arguments.json else partial(_panel, node, None), report, every_s=1.0)
+            return
+        keyboard = stack.enter_context(Keyboard())
+
+        def wait(timeout_s: float) -> bool:
+            typed = keyboard.read(timeout_s)
+            keys.press(typed or "")
+            return typed is not None
+
+        watch(lambda: keys.quitted or ended(), partial(_panel, node, keys), report, every_s=1.0, wait=wait)
 
 
 def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
     return not node.recording or time.monotonic() >= end_s or node.session_status().samples >= samples
 
 
-def _panel(node: RecorderNode) -> FittedPanel:
-    return record_panel(node.status(), "foretouch record (Ctrl-C ends it)")
+def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:
+    session = node.session_status()
+    lines = [] if keys is None else keys.lines(next(reversed(session.operator.replies), None))
+    return record_panel(node.status(), "foretouch record (Ctrl-C ends it)", session, node.inputs(), lines)
 
 
 def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:

@@ -16,7 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--restamp", action="store_true", help="stamp each message with the time it is published")
     parser.add_argument("--no-wait", action="store_true", help="play even without subscribers")
-    parser.add_argument("--json", action="store_true", help="print the counts as a JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:

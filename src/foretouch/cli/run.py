@@ -78,9 +78,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ORIGIN",
         help="let web pages of this origin read what is served, such as https://app.foxglove.dev (repeatable)",
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
-    )
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:

@@ -38,20 +38,32 @@ class _Terminal(Console):
         raise  # noqa: PLE0704  rich calls this from the handler
 
 
+def _wait(timeout_s: float) -> bool:
+    time.sleep(timeout_s)
+    return True
+
+
 def watch(
-    ended: Callable[[], bool], draw: Callable[[], RenderableType] | None, report: Callable[[], None], every_s: float
+    ended: Callable[[], bool],
+    draw: Callable[[], RenderableType] | None,
+    report: Callable[[], None],
+    every_s: float,
+    wait: Callable[[float], bool] = _wait,
 ) -> None:
     """Redraw until something has ended; if nothing is or can be drawn, report every so often instead.
 
     The drawing is on the alternate screen of the terminal, and leaves nothing behind. What libraries write to stderr
-    meanwhile would tear it; it is printed afterwards.
+    meanwhile would tear it; it is printed afterwards. `wait` waits for so long [s], or until there is something to draw;
+    it is False while there is no screen to draw on.
     """
     console = terminal()
     if draw is not None and console.is_terminal and not console.is_dumb_terminal:
         with _kept_messages(), Live(console=console, screen=True, auto_refresh=False) as live:
+            visible = True
             while not ended():
-                live.update(draw(), refresh=True)
-                time.sleep(_REFRESH_S)
+                if visible:
+                    live.update(draw(), refresh=True)
+                visible = wait(_REFRESH_S)
     reported = time.monotonic()
     while not ended():
         time.sleep(_REFRESH_S)

@@ -3,7 +3,9 @@
 
 import argparse
 import os
+import shutil
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,10 @@ from foretouch import __version__
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
+from foretouch.dataset.chunks import chunks_folder
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, FileError, SimulationError
+from foretouch.ray_cluster import ADDRESS_HELP
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation, explain_scene, replay
 from foretouch.simulation.world import SampleKey
@@ -41,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive_number,
         help="number of processes (default: one a core); the samples do not depend on it",
     )
+    parser.add_argument("--address", help=f"{ADDRESS_HELP}; DIR must be on a disk that all nodes share")
     parser.add_argument(
         "--set",
         metavar="KEY=VALUE",
@@ -57,7 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay", metavar="SLOT[.ATTEMPT]", help="repeat one attempt and print its sample or why it failed"
     )
     parser.add_argument("--no-sheet", action="store_true", help=f"do not draw {SHEET}")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and nothing else there")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -85,14 +89,11 @@ def _scene(arguments: argparse.Namespace) -> SceneConfig:
 def _explain(scene: SceneConfig, as_json: bool) -> int:
     plans, everyone = explain_scene(scene), len(scene.objects)
     if as_json:
-        print_json({
-            "effects": [
-                {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
-                for p in plans
-            ],
-            "samples": 0,
-            "scene_sha256": scene.sha256(),
-        })  # fmt: skip
+        effects = [
+            {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
+            for p in plans
+        ]
+        print_json({"effects": effects, "samples": 0, "scene_sha256": scene.sha256()})
     else:
         rows = [
             [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]
@@ -142,22 +143,43 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         StoreWriter(arguments.out, about) as writer,
         progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
     ):
-        for sample in simulation.samples(arguments.count, arguments.workers or len(os.sched_getaffinity(0))):
+        for sample in _samples(simulation, arguments, advance):
             writer.write(sample)
             if len(shown) < _SHEET_SAMPLES:
                 shown.append(sample)
-            advance()
         writer.about["failures"] = [
             {"slot": f.key.slot, "attempt": f.key.attempt, "reason": f.reason, "message": f.message}
             for f in simulation.failures
         ]
     seconds = time.perf_counter() - start
+    shutil.rmtree(chunks_folder(arguments.out), ignore_errors=True)
     if not arguments.no_sheet:
         from foretouch.report.touch_figure import save_contact_sheet
 
         save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}")
     _report(simulation, writer.sha256, arguments, seconds)
     return 0
+
+
+def _samples(
+    simulation: Simulation, arguments: argparse.Namespace, advance: Callable[..., None]
+) -> Iterator[GraspSample]:
+    """The samples in order, from processes or a cluster; reports progress when they are made."""
+    workers = arguments.workers or len(os.sched_getaffinity(0))
+    if arguments.address is None:
+        for sample in simulation.samples(arguments.count, workers):
+            advance()
+            yield sample
+        return
+    made = 0
+
+    def report(count: int) -> None:
+        nonlocal made
+        made += count
+        advance(made)
+
+    folder = chunks_folder(arguments.out.absolute())
+    yield from simulation.samples_on_ray(arguments.count, folder, arguments.address, workers, report)
 
 
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:

@@ -49,7 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=positive_number, default=1, metavar="N", help="processes for cross-validation and intervals"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object per epoch, and the result")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -25,14 +25,9 @@ _TABLES: Final = ("messages", "topics", "schema", "metadata", "message_definitio
 
 
 def check_files(path: Path, files: list[Path]) -> None:
-    """Check the files of a recording before rosbags opens them.
+    """Check the files of a recording before rosbags opens them: those of its `metadata.yaml`, or else `files`.
 
-    Args:
-        path: The folder with a `metadata.yaml`, or else anything.
-        files: The files, where the path is no such folder.
-
-    Raises:
-        FileError: Names what is no regular file, or no database of plain tables, and metadata that cannot be used.
+    A `FileError` names what is no regular file, or no database of plain tables, and metadata that cannot be used.
     """
     if (path / "metadata.yaml").is_file():
         try:
@@ -118,15 +113,7 @@ def _limited(make: Callable[[], Any]) -> Callable[..., bytes]:
 
 
 def check_chunks(path: Path, reader: Any) -> None:
-    """Refuse chunks of one time that would be in memory together, since messages are read in order of time.
-
-    Args:
-        path: The recording, for the message.
-        reader: An open `rosbags.highlevel.AnyReader`.
-
-    Raises:
-        FileError: If they unpack to more than a limit.
-    """
+    """Refuse chunks of one time that unpack to more than a limit: messages are read in order of time, so all at once."""
     found = [getattr(one, "storage", None) for one in reader.readers]
     storages = [storage for one in found for storage in getattr(one, "storages", [one])]
     edges = []

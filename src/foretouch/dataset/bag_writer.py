@@ -20,6 +20,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
+from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 
@@ -27,21 +28,14 @@ _CLOUD_TOPIC: Final = "/foretouch/points"
 
 
 class BagWriter:
-    """Writes a recording; a context manager. If the block ends with an exception, the recording is removed.
+    """Writes a recording, a new directory; a context manager. If the block ends with an exception, it is removed.
 
-    Args:
-        path: Directory to create.
-
-    Attributes:
-        definitions: The message types; register those that are not installed.
-
-    Raises:
-        FileError: If the path exists, or cannot be created.
+    A `FileError` if the path exists, or cannot be created.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.definitions = Definitions()
+        self.definitions = Definitions()  # register the message types that are not installed
         self._connections: dict[str, Connection] = {}
         try:
             self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
@@ -125,6 +119,8 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
             stamp_ns = record.sample.stamp_ns
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, encode_sample(record, samples.identity))
             writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
+            for topic, taxels_ns, data in taxel_clouds(record):
+                writer.write(topic, POINT_CLOUD_TYPE, taxels_ns, data)
             result.written += 1
 
 

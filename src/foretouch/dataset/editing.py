@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from foretouch.dataset.record import check_name
+from foretouch.dataset.record import check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.folder import is_dataset, lock
 from foretouch.dataset.recording.reader import RecordedDataset
@@ -17,10 +17,7 @@ from foretouch.errors import DatasetError, FileError
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
-    """Assign samples to another object, which also changes their ids.
-
-    Returns:
-        The number of the edit.
+    """Assign samples to another object, which also changes their ids; gives the number of the edit.
 
     Raises:
         DatasetError: If the label is no plain name, a sample does not exist, or two would have the same id.
@@ -50,7 +47,8 @@ def drop(path: str | Path, ids: Sequence[str]) -> int:
 def undo(path: str | Path) -> int:
     """Undo the latest edit that is in force, and return its number; a `DatasetError` if there is none."""
     with _locked(Path(path)):
-        undone = max(read_edits(Path(path)).in_force(), default=0)
+        in_force = read_edits(Path(path)).in_force()
+        undone = max((number for number, edit in in_force.items() if edit.ids), default=0)
         if not undone:
             raise DatasetError(f"{path}: holds no edit to undo")
         append_edit(Path(path), Edit(action="undo", edit=undone))
@@ -78,7 +76,7 @@ def _renamed(now: dict[str, str], ids: Sequence[str], label: str) -> tuple[str, 
     recorded = _recorded(now, ids)
     taken = now.keys() - set(ids)
     for name in ids:
-        wanted = f"{label}/{name.partition('/')[2]}"
+        wanted = renamed_id(name, label)
         if wanted in taken:
             raise DatasetError(f"{name}: id {wanted} is taken")
         taken.add(wanted)

@@ -29,11 +29,7 @@ def disk_errors(path: Path, rule: str = "") -> Iterator[None]:
 def new_folder(path: Path) -> Iterator[Path]:
     """Write a folder beside its final path, and move it there at the end; an error leaves nothing behind.
 
-    Yields:
-        Where to create the folder, under its final name: formats name their files after it.
-
-    Raises:
-        FileError: If `path` exists, or the disk fails.
+    Gives where to create it, under its final name, after which formats name files; a `FileError` if `path` exists.
     """
     if path.exists():
         raise FileError(path, "exists already and is not overwritten")

@@ -36,7 +36,8 @@ FORMATS: tuple[FormatEntry, ...] = (  # the first that recognises a path reads i
     FormatEntry("recording", "recorded dataset (MCAP)", "foretouch.dataset.recording.reader", (".mcap",), ("manifest.json",)),
     FormatEntry("store", "training store (Arrow)", "foretouch.dataset.store", (), ("manifest.json",)),
     FormatEntry("vision2tactile", "vision2tactile folders", "foretouch.dataset.vision2tactile", (), ("*",), exported=True),
-    FormatEntry("npz", "NumPy archives", "foretouch.dataset.npz", exported=True),
+    FormatEntry("lerobot", "LeRobot exports", "foretouch.dataset.lerobot", (), ("meta/info.json",), exported=True),
+    FormatEntry("npz", "NumPy archives", "foretouch.dataset.npz", (), ("*/*.npz",), exported=True),
     FormatEntry("rosbag2", "ROS 2 bag", "foretouch.dataset.bag_writer", exported=True),
 )  # fmt: skip
 

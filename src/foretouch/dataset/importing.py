@@ -67,14 +67,10 @@ def import_samples(
     topics: BagTopics | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> ImportResult:
-    """Import the samples at a path.
+    """Import the samples at a path: vision2tactile folders, a store, a recorded dataset, or a bag.
 
-    Args:
-        source: Vision2tactile folders, a store, a recorded dataset, or a bag.
-        out: The dataset: created, or extended where it is of the same hand and camera.
-        identity: Hand and camera, instead of those that the source holds.
-        topics: Topics of a bag without samples of foretouch.
-        progress: Called after each sample.
+    The dataset `out` is created, or extended where it is of the same hand and camera, which `identity` may give instead of
+    the source; `topics` are for a bag without samples of foretouch.
 
     Raises:
         FileError: If the source is damaged or holds nothing of the kind, or the dataset is of another kind.

@@ -11,6 +11,7 @@ import numpy as np
 
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.samples import open_samples
+from foretouch.dataset.session_check import last_check
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64
 
@@ -42,6 +43,7 @@ class SampleSetInfo:
     unfinished: list[str] = field(default_factory=list)  # recordings that were cut off and not repaired
     accounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # message counts by topic
     edits: list[str] = field(default_factory=list)  # descriptions of later changes
+    check: str = ""  # what the last `record --check` has found
 
 
 def describe(path: str | Path) -> SampleSetInfo:
@@ -62,6 +64,7 @@ def describe(path: str | Path) -> SampleSetInfo:
         unfinished=[file.name for file in samples.unfinished],
         accounts=samples.message_counts(),
         edits=list(samples.edits),
+        check=last_check(Path(path)),
     )
     for record in samples.records(discarded=True):
         sample = record.sample

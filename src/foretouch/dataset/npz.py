@@ -1,29 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Export to NumPy archives: `<object>/<name>.npz`, one a sample; `foretouch.cloud.io.files` reads their clouds."""
+"""Samples as NumPy archives: `<object>/<name>.npz`, one a sample; `foretouch.cloud.io.files` reads their clouds too."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.record import SampleRecord, check_id
+from foretouch.checked_files import parse_json
+from foretouch.cloud.io.files import CLOUD_ARRAYS, archived_cloud, read_arrays
+from foretouch.dataset.record import Identity, SampleRecord, TouchSeries, check_id
+from foretouch.dataset.recording.sample_codec import OUTCOMES
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
+from foretouch.errors import DatasetError, FileError, ForetouchError
+from foretouch.types import AnyArray, Grasp, GraspSample, Touch
+
+_REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
+_GRASP: Final = ("g1", "g2", "rotation", "score")
+_TEXTS: Final = ("outcome", "note", "detector")
+_NUMBERS: Final = ("contact_ns", "pairing_error_ns")
+_SERIES: Final = ("series_stamps_ns", "series", "series_phases")
+_OPTIONAL: Final = (
+    *(
+        *CLOUD_ARRAYS,
+        "touch",
+        "tare",
+        "grasp_id",
+        "object_id",
+        "extra_names",
+        "extra_values",
+        "flags",
+        "hand",
+        "camera",
+    ),
+    *(*_TEXTS, *_NUMBERS, *_SERIES, "series_names", "series_others"),
+    *(f"candidates_{name}" for name in (*_GRASP, "grasp_id", "object_id")),
+)
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     out.mkdir(parents=True)
+    facts = {name: json.dumps(dict(getattr(samples.identity, name))) for name in ("hand", "camera")}
     for record in samples.records():
         progress()
         check_id(record.sample.id, record.sample.object)
         file = out / f"{record.sample.id}.npz"
         file.parent.mkdir(exist_ok=True)
-        np.savez(file, **_arrays(record))
+        np.savez(file, allow_pickle=False, **_arrays(record), **facts)
         result.written += 1
 
 
 def _arrays(record: SampleRecord) -> dict[str, Any]:
-    sample = record.sample
+    sample, series = record.sample, record.series
     extra = dict(sorted(sample.extra.items()))
     arrays: dict[str, Any] = {
         "id": sample.id,
@@ -32,22 +61,133 @@ def _arrays(record: SampleRecord) -> dict[str, Any]:
         "frame_id": sample.cloud.frame_id,
         "stamp_ns": np.int64(sample.cloud.stamp_ns),
         "sample_stamp_ns": np.int64(sample.stamp_ns),
-        "g1": sample.grasp.g1,
-        "g2": sample.grasp.g2,
-        "rotation": sample.grasp.rotation,
-        "score": np.float64(sample.grasp.score),
+        **{name: values[0] for name, values in _grasps([sample.grasp]).items()},
+        **{f"candidates_{name}": values for name, values in _grasps(record.candidates).items()},
         "extra_names": np.array(list(extra), dtype=np.str_),
         "extra_values": np.array(list(extra.values()), np.float64),
+        "flags": np.array(record.flags, dtype=np.str_),
+        **{name: getattr(record, name) for name in _TEXTS},
     }
+    arrays |= {name: np.int64(value) for name in _NUMBERS if (value := getattr(record, name)) is not None}
     if sample.cloud.rgb is not None:
         arrays["rgb"] = sample.cloud.rgb
     for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
         if touch is not None:
             arrays[name] = touch.vector()
-    if record.series is not None:
-        arrays |= {"series_stamps_ns": record.series.stamps_ns, "series": record.series.counts}
-        arrays["series_phases"] = record.series.phases
+    if series is not None:
+        arrays |= dict(zip(_SERIES, (series.stamps_ns, series.counts, series.phases), strict=True))
+        arrays["series_names"] = np.array(list(series.others), dtype=np.str_)
+        arrays["series_others"] = np.array(list(series.others.values()), np.float32).reshape(-1, len(series.stamps_ns))
     return arrays
 
 
-DATASET_FORMAT = DatasetFormat(export=_export)
+def _grasps(grasps: Any) -> dict[str, AnyArray]:
+    """K grasps by field."""
+    shapes = {"g1": (3,), "g2": (3,), "rotation": (3, 3), "score": ()}
+    numbers = {
+        name: np.array([getattr(one, name) for one in grasps], np.float64).reshape(len(grasps), *shape)
+        for name, shape in shapes.items()
+    }
+    ids = {"grasp_id": [one.id for one in grasps], "object_id": [one.object_id for one in grasps]}
+    return {**numbers, **{name: np.array(texts, dtype=np.str_) for name, texts in ids.items()}}
+
+
+def _read(path: Path) -> tuple[SampleRecord, Identity]:
+    """The sample in an archive, and hand and camera; a `FileError` if it is none."""
+    arrays = read_arrays(path, _REQUIRED, _OPTIONAL)
+    try:
+        facts = [_facts(arrays, name) for name in ("hand", "camera")]
+        return _record(path, arrays), Identity(hand=facts[0], camera=facts[1])
+    except FileError:
+        raise
+    except (ForetouchError, ValueError, TypeError, IndexError, OverflowError) as err:
+        raise FileError(path, f"is no sample: {' '.join(str(err).split())}") from err
+
+
+def _record(path: Path, arrays: Mapping[str, AnyArray]) -> SampleRecord:
+    def text(name: str) -> str:
+        return str(arrays[name][()]) if name in arrays else ""
+
+    def texts(name: str) -> list[str]:
+        return [str(one) for one in arrays.get(name, np.array([], np.str_)).ravel()]
+
+    def touch(name: str) -> Touch | None:
+        return Touch.from_vector(arrays[name]) if name in arrays else None
+
+    check_id(text("id"), text("object"))
+    outcome = next((one for one in OUTCOMES if one == (text("outcome") or "unknown")), None)
+    if outcome is None:
+        raise DatasetError(f"outcome: {text('outcome')[:80]!r} is none of {', '.join(OUTCOMES)}")
+    sample = GraspSample(
+        id=text("id"),
+        object=text("object"),
+        cloud=archived_cloud(path, arrays),
+        grasp=_grasp({name: arrays.get(name, np.array("")) for name in (*_GRASP, "grasp_id", "object_id")}),
+        touch=touch("touch"),
+        tare=touch("tare"),
+        stamp_ns=int(arrays["sample_stamp_ns"]),
+        extra=dict(zip(texts("extra_names"), arrays.get("extra_values", np.empty(0)).tolist(), strict=True)),
+    )
+    contact_ns, error_ns = (int(arrays[name]) if name in arrays else None for name in _NUMBERS)
+    candidates = {name.partition("_")[2]: values for name, values in arrays.items() if name.startswith("candidates_")}
+    count = len(candidates.get("score", ()))
+    return SampleRecord(
+        sample=sample,
+        candidates=tuple(_grasp({name: values[k] for name, values in candidates.items()}) for k in range(count)),
+        outcome=outcome,
+        series=_series(arrays, texts("series_names")) if "series" in arrays else None,
+        note=text("note"),
+        detector=text("detector"),
+        flags=tuple(texts("flags")),
+        contact_ns=contact_ns,
+        pairing_error_ns=error_ns,
+    )
+
+
+def _grasp(fields: Mapping[str, Any]) -> Grasp:
+    g1, g2, rotation = (np.asarray(fields[name], np.float64) for name in ("g1", "g2", "rotation"))
+    return Grasp(g1, g2, rotation, float(fields["score"]), str(fields["grasp_id"]), str(fields["object_id"]))
+
+
+def _series(arrays: Mapping[str, AnyArray], names: list[str]) -> TouchSeries:
+    stamps_ns, counts, phases = (arrays[name] for name in _SERIES)
+    others = dict(zip(names, arrays.get("series_others", np.empty((0, 0), np.float32)), strict=True))
+    return TouchSeries(stamps_ns.astype(np.int64), counts.astype(np.float32), phases.astype(np.uint8), others)
+
+
+def _facts(arrays: Mapping[str, AnyArray], name: str) -> dict[str, str]:
+    facts = parse_json(str(arrays[name][()])) if name in arrays else {}
+    if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
+        raise DatasetError(f"{name}: is no list of named texts")
+    return facts
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(path.glob("*/*.npz"))
+
+
+def _recognise(path: Path) -> bool:
+    """Whether the first archive, whose name says where it is, names a sample; others may be clouds alone."""
+    first = next(iter(_files(path)), None)
+    try:
+        return first is not None and bool(read_arrays(first, ["id", "g1"], []))
+    except FileError:
+        return False
+
+
+def _open(path: Path, _: bool) -> SampleSet:
+    files = _files(path)
+    identity = _read(files[0])[1]
+
+    def record(k: int) -> SampleRecord:
+        found, own = _read(files[k])
+        if own != identity:
+            raise FileError(files[k], f"is of another hand or camera than {files[0]}")
+        return found
+
+    return SampleSet(
+        path=path, kind="npz", size=len(files), record=record, name=lambda k: str(files[k]), identity=identity
+    )
+
+
+DATASET_FORMAT = DatasetFormat(recognise=_recognise, open=_open, export=_export)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+import numpy as np
+
 from foretouch.errors import DatasetError
 from foretouch.types import TOUCH_SIZE, AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
@@ -61,6 +63,16 @@ class SampleRecord:
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
 
 
+def readings(record: SampleRecord) -> TouchSeries | None:
+    """The readings around a grasp; of a sample without a series its touch as the only one, or None without a touch."""
+    sample = record.sample
+    if record.series is not None or sample.touch is None:
+        return record.series
+    others = {name: np.array([value], np.float32) for name, value in sample.extra.items()}
+    counts = sample.touch.vector()[None].astype(np.float32)
+    return TouchSeries(np.array([sample.stamp_ns]), counts, np.array([HOLD], np.uint8), others)
+
+
 def check_name(name: str, what: str) -> str:
     """Check a label that becomes part of an id and the name of a folder, and return it.
 
@@ -77,6 +89,11 @@ def check_name(name: str, what: str) -> str:
 def numbered_id(label: str, number: int) -> str:
     """The id of a sample that was given none: `<object>/<number>`."""
     return f"{label}/{number:06d}"
+
+
+def renamed_id(sample_id: str, label: str) -> str:
+    """The id of a sample that is assigned to another object."""
+    return f"{label}/{sample_id.partition('/')[2]}"
 
 
 def id_number(sample_id: str) -> int:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from foretouch import __version__
 from foretouch.checked_files import file_sha256
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.record import DISCARDED, id_number, numbered_id
-from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.samples import SampleSet, only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest
 from foretouch.errors import DatasetError
 from foretouch.types import GraspSample
@@ -33,9 +33,7 @@ _SHARD_ROWS = 1024
 class StoreWriter:
     """Collects samples; the store appears at the path when the `with` block ends without an error.
 
-    Args:
-        path: The store; must not exist.
-        about: Facts for the manifest: what made the samples, from which sources, with which seed.
+    `about` are facts for the manifest: what made the samples, from which sources, with which seed.
 
     Raises:
         FileError: If the path exists or its folder cannot be written.
@@ -149,45 +147,50 @@ class BuildResult:
     renumbered: int = 0  # samples whose id a source before had; both ids are in the manifest
 
 
+#: Reads the samples of a source, given its number among the sources: with finite points only, None for a discarded one.
+ReadSamples = Callable[[int, SampleSet], Iterable[GraspSample | None]]
+
+
+def read_samples(_number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
+    """A `ReadSamples` for this process."""
+    for record in samples.records(discarded=True):
+        yield None if DISCARDED in record.flags else only_finite(record.sample)
+
+
 def build_store(
     sources: Sequence[str | Path],
     out: str | Path,
     *,
     attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] = lambda _: {},
     progress: Callable[[], None] = lambda: None,
+    read: ReadSamples = read_samples,
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
     A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
-    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones.
-
-    Args:
-        sources: Datasets in any readable format.
-        out: The store; must not exist.
-        attach: Makes text files to add to the store, such as splits, by name, from the samples.
-        progress: Called once a sample.
+    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
+    files to add to the store, such as splits, by name, from the samples; `read` reads those of a source, given its number.
 
     Raises:
         FileError: If `out` exists, or a source is no dataset or damaged.
-        DatasetError: If two sources hold the same sample, two samples of one source have the same id, or a number is
-            not finite.
+        DatasetError: If two sources hold the same sample, two of one source the same id, or a number is not finite.
     """
     result = BuildResult()
     origins: list[dict[str, Any]] = []
     about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
     ids = _UniqueIds()
     with StoreWriter(out, about) as writer:
-        for source in sources:
+        for number, source in enumerate(sources):
             renumbered = ids.begin(str(source))
             samples = open_samples(source)
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-            for record in samples.records(discarded=True):
+            for found in read(number, samples):
                 progress()
-                if DISCARDED in record.flags:
+                if found is None:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(only_finite(record.sample))
+                sample = ids.with_own_id(found)
                 writer.write(sample)
                 result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
             if renumbered:

@@ -70,8 +70,8 @@ _TAIL: Final = 0.025
 class NoiseCeilingSettings(SimulatedSettings):
     """Settings of `noise_ceiling`."""
 
-    grasps: int = setting(200, "Number of test grasps to repeat", minimum=2, maximum=100_000)
-    repeats: int = setting(20, "Number of repeats of each grasp", minimum=2, maximum=10_000)
+    grasps: int = setting(200, "Number of test grasps to repeat", bounds=(2, 100_000))
+    repeats: int = setting(20, "Number of repeats of each grasp", bounds=(2, 10_000))
     single_cause_grasps: int = setting(
         60, "Number of these grasps that are also repeated with one cause at a time", minimum=0
     )
@@ -86,11 +86,9 @@ class NoiseCeilingSettings(SimulatedSettings):
         choices=tuple(PREDICTORS),
     )
     training_fraction: float = setting(
-        1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
-    draws: int = setting(
-        2000, "Number of bootstrap samples of the grasps for the intervals", minimum=100, maximum=1_000_000
-    )
+    draws: int = setting(2000, "Number of bootstrap samples of the grasps for the intervals", bounds=(100, 1_000_000))
 
     def __post_init__(self) -> None:
         super().__post_init__()

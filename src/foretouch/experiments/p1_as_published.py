@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,7 +29,9 @@ from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Ta
 from foretouch.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch.experiments.shared.scores import labelled, load
 from foretouch.experiments.shared.tables import findings, grouped, pivot, select, span, unique
-from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
+from foretouch.learning.data import Dataset
+from foretouch.learning.data.folds import Fold, Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
 from foretouch.types import Float64, GraspSample
@@ -91,9 +94,7 @@ class P1Settings(Settings):
     """Settings of `p1_as_published`."""
 
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
-    epochs: int | None = setting(
-        None, "Number of epochs; by default those of the recipe, 50", minimum=1, maximum=100_000
-    )
+    epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
     types: ObjectTypes = ObjectTypes()
 
 
@@ -116,14 +117,11 @@ def _tables(settings: P1Settings, samples: Sequence[GraspSample]) -> dict[str, l
 
 
 def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
+    names = ("table", "part", "modality")
     return [
-        Cell(
-            f"{table}+{fold.name}+{modality}".replace(" ", "_"),
-            {"table": table, "part": fold.name, "modality": modality},
-        )
+        Cell("+".join(one).replace(" ", "_"), dict(zip(names, one, strict=True)))
         for table, folds in _tables(settings, labelled(data)).items()
-        for fold in folds
-        for modality in settings.modalities
+        for one in product([table], [fold.name for fold in folds], settings.modalities)
     ]
 
 
@@ -148,16 +146,9 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
             predicted - inputs.labels[np.ix_(batch, columns([modality]))]
             for batch, predicted in _tested(net, inputs, test, how.batch_size, way, mean)
         ]
-        every = np.concatenate(errors)
-        rows.append(
-            {
-                "predictor": way,
-                "batch_rmse": float(np.mean([_rmse(one, modality, how.root_epsilon) for one in errors])),
-                "squared": float((every**2).sum()),
-                "values": every.size,
-                "samples": len(test),
-            }
-        )
+        every, score = np.concatenate(errors), np.mean([_rmse(one, modality, how.root_epsilon) for one in errors])
+        sums = {"squared": float((every**2).sum()), "values": every.size, "samples": len(test)}
+        rows.append({"predictor": way, "batch_rmse": float(score), **sums})
     return rows
 
 
@@ -196,17 +187,10 @@ def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
         head: Row = {"table": table, "modality": modality, "parts": len(unique(own, "part"))}
         for way, mine in grouped(own, "predictor"):
             batch = [row["batch_rmse"] for row in mine]
+            mean, sd = float(np.mean(batch)), float(np.std(batch))
+            scores = {"as_published": mean, "as_published_sd": sd, "as_published_counts": mean * scale}
             pooled = np.sqrt(sum(row["squared"] for row in mine) / sum(row["values"] for row in mine))
-            found.append(
-                {
-                    **head,
-                    "predictor": _WAYS[way],
-                    "as_published": float(np.mean(batch)),
-                    "as_published_sd": float(np.std(batch)),
-                    "as_published_counts": float(np.mean(batch)) * scale,
-                    "rmse_counts": float(pooled),
-                }
-            )
+            found.append({**head, "predictor": _WAYS[way], **scores, "rmse_counts": float(pooled)})
         counts, scaled = PUBLISHED[table][modality]
         published = {"as_published": scaled, "as_published_sd": None, "as_published_counts": counts}
         found.append({**head, "predictor": P1, **published, "rmse_counts": None})

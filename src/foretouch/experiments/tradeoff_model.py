@@ -15,7 +15,6 @@ from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError
@@ -23,7 +22,8 @@ from foretouch.experiments.framework.experiment import Cell, Row, Table
 from foretouch.experiments.framework.frontier import Panel, best_state, interval, time_column
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
-from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
+from foretouch.learning.data import Dataset, labels_of, make_folds
+from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
@@ -47,7 +47,7 @@ from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.processes import one_thread_each
 from foretouch.tactile import MODALITIES
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Cloud, Float64, Grasp, GraspSample
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -173,7 +173,7 @@ class _OnePart(ContactEstimator):
 
     forests_alone: bool = True
 
-    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         inputs = rows[:, len(CONDITIONS) :]
         scaled = self._trees(inputs) if self.forests_alone else self.kernel.predict(inputs)
         return scaled * self.deviation + self.mean, np.ones(len(rows), np.bool_)
@@ -513,11 +513,8 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         for name in (*_SHOWN, *served)
         if (row := found.get((name, requests[0]))) is not None
     ]
-    head = [
-        "",
-        *(f"skill, {_SPLITS[one]}" for one in skills),
-        *(f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests),
-    ]
+    grasps = (f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests)
+    head = ["", *(f"skill, {_SPLITS[one]}" for one in skills), *grasps]
     kinds = "p50, p95, p99 of the wall time" if wall else "medians of the processor time"
     note = f"Times: {kinds}; in brackets the processor time in a loop without the pause before each call."
     return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.io.files import read_cloud
 from foretouch.config import setting
@@ -24,12 +23,15 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row
 from foretouch.experiments.framework.frontier import Panel
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch.experiments.shared.scores import interval_columns
+from foretouch.experiments.shared.tables import grouped
 from foretouch.grasp.original_score import OriginalScore, original_score
+from foretouch.learning.evaluation.metrics import Estimate
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
 from foretouch.simulation.solids import Primitive
 from foretouch.simulation.view import CameraView
-from foretouch.types import ASSUMED_TABLE, Cloud, Float64
+from foretouch.types import ASSUMED_TABLE, Bool, Cloud, Float64, Int32
 
 SEGMENTATION: Final = "segmentation"
 GRASP: Final = "GeoGrasp"
@@ -88,8 +90,8 @@ _PAIRS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
 class PerceptionSettings(TradeoffSettings):
     """Settings of the area."""
 
-    scenes: int = setting(40, "Number of generated scenes of three objects", minimum=2, maximum=1000)
-    real: int = setting(60, "Number of real objects, if recordings are given", minimum=0, maximum=1000)
+    scenes: int = setting(40, "Number of generated scenes of three objects", bounds=(2, 1000))
+    real: int = setting(60, "Number of real objects, if recordings are given", bounds=(0, 1000))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ class LabelledScene:
     """A cloud and the truth about it."""
 
     cloud: Cloud  # (H, W, 3)
-    labels: npt.NDArray[np.int32]  # (H, W), 2 and on are the objects
+    labels: Int32  # (H, W), 2 and on are the objects
     solids: tuple[Primitive, ...] = ()  # the objects in the world, in order of their labels; none if unknown
     view: CameraView | None = None  # the camera in the world
 
@@ -193,13 +195,13 @@ class GraspedObject:
     error_mm: float | None = None  # mean distance of both contacts from the true surface
 
 
-def overlaps(labels: npt.NDArray[np.int32], truth: npt.NDArray[np.int32], objects: Sequence[int]) -> list[float]:
+def overlaps(labels: Int32, truth: Int32, objects: Sequence[int]) -> list[float]:
     """Intersection over union of each true object with the found one that covers it most."""
     pairs = [(truth == label, labels == _covering(labels, truth == label)) for label in objects]
     return [float((true & found).sum() / (true | found).sum()) for true, found in pairs]
 
 
-def _covering(labels: npt.NDArray[np.int32], true: npt.NDArray[np.bool_]) -> int:
+def _covering(labels: Int32, true: Bool) -> int:
     return 1 + int(np.bincount(labels[true], minlength=2)[1:].argmax())
 
 
@@ -311,8 +313,7 @@ def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
 def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant: masks of a segmentation, scores of a GeoGrasp, and what both do to grasps and touch."""
     result = []
-    for name in dict.fromkeys(row["variant"] for row in rows):
-        own = [row for row in rows if row["variant"] == name]
+    for name, own in grouped(rows, "variant"):
         masks = own[0]["step"] == SEGMENTATION
         row: Row = {"variant": name, **_interval("iou", own if masks else [])}
         row |= {
@@ -354,13 +355,13 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     """Mean over objects, and its 95 % interval by drawing scenes."""
     known = [row for row in rows if row[key] is not None]
     if not known:
-        return {key: None, f"{key}_low": None, f"{key}_high": None}
+        return interval_columns(key, None)
     numbers, scene = np.unique([row["scene"] for row in known], return_inverse=True)
     sums = np.bincount(scene, [row[key] for row in known])
     counts = np.bincount(scene)
     drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
     low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))
-    return {key: float(sums.sum() / counts.sum()), f"{key}_low": float(low), f"{key}_high": float(high)}
+    return interval_columns(key, Estimate(float(sums.sum() / counts.sum()), float(low), float(high)))
 
 
 def _timed(variant: Variant, _settings: PerceptionSettings, data: PerceptionData) -> Timed:

@@ -75,12 +75,12 @@ _ALWAYS: Final = {RIGID: {}, SOFT: {}, EVERYTHING: {"fingers.dead": None}}
 class SimulationSettings(TradeoffSettings):
     """Settings of the area."""
 
-    compared: int = setting(60, "Grasps whose readings are compared", minimum=2, maximum=10_000)
+    compared: int = setting(60, "Grasps whose readings are compared", bounds=(2, 10_000))
     train: int = setting(
-        160, "Grasps that a model is trained on, and as many that it is tested on", minimum=10, maximum=10_000
+        160, "Grasps that a model is trained on, and as many that it is tested on", bounds=(10, 10_000)
     )
-    trees: int = setting(30, "Trees of each of its forests", minimum=1, maximum=1000)
-    finest_cells: int = setting(64, "Cells a side of the finest layer", minimum=16, maximum=256)
+    trees: int = setting(30, "Trees of each of its forests", bounds=(1, 1000))
+    finest_cells: int = setting(64, "Cells a side of the finest layer", bounds=(16, 256))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area `training`: grasps, objects, trees, epochs, points and precision against the time of a training and of the robot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +18,7 @@ from foretouch.experiments.shared.folds import by_object, some_grasps, some_obje
 from foretouch.experiments.shared.predictors import network
 from foretouch.experiments.shared.scores import error_rows, labelled, load, skill_columns
 from foretouch.experiments.shared.simulated_data import beside, simulate_store
+from foretouch.experiments.shared.tables import grouped, select
 from foretouch.experiments.tradeoff_model import describe
 from foretouch.learning.data import Dataset, labels_of, make_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
@@ -67,9 +66,9 @@ _COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (_ONE_BLOCK, NETWORK)
 class TrainingSettings(TradeoffSettings):
     """Settings of the area."""
 
-    trees: int = setting(60, "Trees of each forest of the contact model", minimum=1, maximum=1000)
+    trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))
     splits: tuple[str, ...] = setting(tuple(_SPLITS), "Skills of contact models to measure", choices=tuple(_SPLITS))
-    samples: int = setting(200, "Grasps to simulate where no recordings are given", minimum=100, maximum=100_000)
+    samples: int = setting(200, "Grasps to simulate where no recordings are given", bounds=(100, 100_000))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -100,13 +99,13 @@ def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
     """A cell for each variant and split; networks are trained once, for the first block of time."""
     made = []
     for number, one in enumerate(_variants(settings)):
-        wanted = ("new",) if "objects" in one.values else settings.splits  # fewer objects: a question about new ones
-        columns = (
-            [_ONE_BLOCK] if one.values["kind"] == "network" else [name for name in wanted if name in settings.splits]
-        )
-        made += [
-            Cell(f"{number:03}_{column}", {"variant": one.name, **one.values, "column": column}) for column in columns
-        ]
+        columns = [
+            name for name in settings.splits if name == "new" or "objects" not in one.values
+        ]  # fewer objects: new ones
+        if one.values["kind"] == "network":
+            columns = [_ONE_BLOCK]
+        values = {"variant": one.name, **one.values}
+        made += [Cell(f"{number:03}_{column}", {**values, "column": column}) for column in columns]
     return made
 
 
@@ -166,9 +165,8 @@ def _robot_seconds(samples: Sequence[GraspSample]) -> float:
 def _tabulate(settings: TrainingSettings, rows: Sequence[Row]) -> list[Row]:
     """A row for each variant: skills, and for each the training grasps and the hours that a robot needs for them."""
     result = []
-    for name in dict.fromkeys(row["variant"] for row in rows):
-        own = [row for row in rows if row["variant"] == name]
-        parts = {column: [one for one in own if one["column"] == column] for column in (*_SPLITS, _ONE_BLOCK)}
+    for name, own in grouped(rows, "variant"):
+        parts = {column: select(own, column=column) for column in (*_SPLITS, _ONE_BLOCK)}
         blocks = [one for one in [*parts["known"], *parts[_ONE_BLOCK]] if one["part"] == _FIRST]
         row: Row = {"variant": name}
         for column, part in {**parts, _ONE_BLOCK: blocks}.items():
@@ -200,7 +198,7 @@ def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
 
 
 def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
-    from foretouch.learning.data import TrainingSet
+    from foretouch.learning.data.training_set import TrainingSet
     from foretouch.learning.training.run_config import load_run_config
     from foretouch.learning.training.supervised import SupervisedTrainer
 

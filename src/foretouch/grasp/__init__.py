@@ -2,7 +2,7 @@
 """GeoGrasp: contacts for two fingers on the cloud of an unknown object, and the pose of the hand."""
 
 from foretouch.grasp.axis import object_axis
-from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig
+from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig, SceneGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
 from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw
@@ -14,6 +14,7 @@ __all__ = [
     "HeldGrasp",
     "LiveGeoGraspConfig",
     "PlanStatus",
+    "SceneGeoGraspConfig",
     "check_closing",
     "hand_rotation",
     "object_axis",

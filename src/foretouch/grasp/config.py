@@ -10,34 +10,34 @@ GraspMethod = Literal["original", "stable"]
 SEARCH_VOXELS = 4.0  # radius around an initial point in which contacts are searched: two fingertips
 _METHOD = "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little"
 
+_FLYING = (
+    "Flying points, alone before or behind their neighbours, are dropped if they are at least this share of an object; "
+    "0.012 of a recorded cloud look like that at most; 1 disables it"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class GeoGraspConfig(Settings):
     """Settings of the grasp planner (GeoGrasp: Zapata-Impata et al. 2019)."""
 
-    tip_mm: float = setting(25.0, "Size of the gripper's fingertip", minimum=1.0, maximum=200.0)
-    count: int = setting(1, "Maximum number of grasps, best first", minimum=1, maximum=10_000)
+    tip_mm: float = setting(25.0, "Size of the gripper's fingertip", bounds=(1.0, 200.0))
+    count: int = setting(1, "Maximum number of grasps, best first", bounds=(1, 10_000))
     max_points: int = setting(
         8000,
         "Larger clouds are downsampled to every second, third, ... row and column of the image; 0 disables it",
-        minimum=0,
-        maximum=10_000_000,
+        bounds=(0, 10_000_000),
     )
-    neighbours: int = setting(50, "Nearest neighbours averaged by the outlier filter", minimum=1, maximum=1000)
+    flying_share: float = setting(0.015, _FLYING, bounds=(0.0, 1.0))
+    neighbours: int = setting(50, "Nearest neighbours averaged by the outlier filter", bounds=(1, 1000))
     outlier_deviations: float = setting(
-        1.0, "Standard deviations above the mean that the outlier filter keeps", minimum=0.0, maximum=100.0
+        1.0, "Standard deviations above the mean that the outlier filter keeps", bounds=(0.0, 100.0)
     )
-    normal_radius_m: float = setting(
-        0.03, "Radius of the neighbourhood for normal estimation", minimum=0.001, maximum=1.0
-    )
+    normal_radius_m: float = setting(0.03, "Radius of the neighbourhood for normal estimation", bounds=(0.001, 1.0))
     slab_half_width_m: float = setting(
-        0.007, "Points closer than this to the grasp plane may be contacts", minimum=0.0005, maximum=0.5
+        0.007, "Points closer than this to the grasp plane may be contacts", bounds=(0.0005, 0.5)
     )
     slide_fraction: float = setting(
-        0.8,
-        "Fraction of the object's extent along its axis from which a random slide is drawn",
-        minimum=0.0,
-        maximum=1.0,
+        0.8, "Fraction of the object's extent along its axis from which a random slide is drawn", bounds=(0.0, 1.0)
     )
     method: GraspMethod = setting("original", _METHOD, choices=get_args(GraspMethod))
 
@@ -52,3 +52,10 @@ class LiveGeoGraspConfig(GeoGraspConfig):
     """Settings of the grasp planner in a stream of clouds."""
 
     method: GraspMethod = setting("stable", _METHOD, choices=get_args(GraspMethod))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneGeoGraspConfig(GeoGraspConfig):
+    """Settings of the grasp planner of simulated samples: as that of the recorded ones, it drops no flying points."""
+
+    flying_share: float = setting(1.0, _FLYING, bounds=(0.0, 1.0))

@@ -5,8 +5,9 @@ GeoGrasp is Zapata-Impata et al., "Fast geometry-based computation of grasping p
 clouds", 2019, reimplemented from a description of its public code. Differences: normals are computed only where a
 candidate needs them; where the original's score divides by zero, the reason is reported instead; a pose that the rule
 leaves open follows a documented convention; the grasp plane may be slid along the axis for variety, as in P2
-(Zapata-Impata and Gil 2020); and clouds of more points than any recorded one are downsampled
-(`GeoGraspConfig.max_points`), which limits the planning time on near objects.
+(Zapata-Impata and Gil 2020); clouds of more points than any recorded one are downsampled
+(`GeoGraspConfig.max_points`), which limits the planning time on near objects; and flying points are dropped where there
+are more of them than in any recorded cloud (`GeoGraspConfig.flying_share`).
 """
 
 import math
@@ -128,13 +129,13 @@ def _plan_original(
         downsampled = points.downsampled(config)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
-        xyz = downsampled.without_outliers(config)
+        xyz = downsampled.without_flying(config, counts).without_outliers(config)
         counts["n_filtered"] = len(xyz)
     with timed(plan.ms, "axis"):
         found = find_axis(xyz, plane, config)
         plan.axis, plan.centroid, plan.axis_ratio = found.direction, found.centroid, found.ratio
         counts["n_voxel"] = len(found.grid.counts)
-        counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m, found.grid)
+        counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
         if rng is not None:
             plan.slide_m = _random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
@@ -187,9 +188,10 @@ def _plan_stable(
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
-        downsampled = points.in_canonical_order().downsampled(config)
+        downsampled = points.downsampled(config, sort=True)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
+        downsampled = downsampled.without_flying(config, counts)
         weighted = weigh_points(downsampled.xyz, mean_neighbour_distance(downsampled.xyz, config.neighbours), config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated

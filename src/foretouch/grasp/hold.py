@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import centred_columns
 from foretouch.types import Cloud, Float64, Grasp
 
 _OUTDONE = 3  # clouds in a row on which another grasp must be better
@@ -42,15 +43,16 @@ class GraspHold:
         self._tolerance_m = tolerance_m
         self._last: list[_Object] = []
         self._fresh: list[_Object] = []
+        self._measured: tuple[Cloud, tuple[Float64, Float64]] | None = None  # by the last call
 
     def find(self, cloud: Cloud) -> HeldGrasp | None:
         """The grasp that was planned on this object, if the object is still the same."""
-        found = self._find(_measure(cloud))
+        found = self._find(self._measure(cloud))
         return None if found is None else found.held
 
     def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
         """Keep the best grasp of an object for the next cloud, with the object's axis in the present one."""
-        now = _measure(cloud)
+        now = self._measure(cloud)
         before = self._find(now)
         if before is not None and np.array_equal(_contacts(before.held.grasp), _contacts(best.grasp)):
             self._fresh.append(replace(before, held=replace(before.held, outdone=best.outdone)))
@@ -59,7 +61,13 @@ class GraspHold:
 
     def next_cloud(self) -> None:
         """Forget the objects that the last cloud did not hold."""
-        self._last, self._fresh = self._fresh, []
+        self._last, self._fresh, self._measured = self._fresh, [], None
+
+    def _measure(self, cloud: Cloud) -> tuple[Float64, Float64]:
+        """`_measure` of a cloud, for which it is asked twice."""
+        if self._measured is None or self._measured[0] is not cloud:
+            self._measured = (cloud, _measure(cloud))
+        return self._measured[1]
 
     def _find(self, now: tuple[Float64, Float64]) -> _Object | None:
         changes = (np.concatenate([one.centroid - now[0], one.spread - now[1]]) for one in self._last)
@@ -92,8 +100,9 @@ def _measure(cloud: Cloud) -> tuple[Float64, Float64]:
     change a standard deviation many times more than the mean deviation.
     """
     xyz = cloud.xyz.reshape(-1, 3).astype(np.float64)
-    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    if not np.isfinite(xyz).all():
+        xyz = xyz[np.isfinite(xyz).all(axis=1)]
     if len(xyz) == 0:
         return np.full(3, np.inf), np.full(3, np.inf)
-    centroid = xyz.mean(axis=0)
-    return centroid, np.abs(xyz - centroid).mean(axis=0)
+    centroid, columns = centred_columns(xyz)
+    return centroid, np.abs(columns).mean(axis=1)

@@ -16,24 +16,16 @@ _CONTACT_M = 0.00625  # half a voxel: over which normal and curvature of a conta
 
 
 class OriginalScore:
-    """Scores any two contacts on a cloud; grasps of any method and setting are compared by it.
+    """Scores any two contacts on an object's points [m]; grasps of any method and setting are compared by it.
 
-    Args:
-        cloud: An object's points [m].
-        plane: The table.
-
-    Attributes:
-        has_axis: Whether the object has an axis; on a ball it is arbitrary, and with it the score.
-
-    Raises:
-        CloudError: If the original finds no grasp plane.
+    A `CloudError` if the original finds no grasp plane.
     """
 
     def __init__(self, cloud: Cloud, plane: Plane) -> None:
         config = GeoGraspConfig(max_points=0)
         self._xyz = finite_points(cloud).downsampled(config).without_outliers(config)
         axis = find_axis(self._xyz, plane, config)
-        self.has_axis = axis.ratio < _ROUND
+        self.has_axis = axis.ratio < _ROUND  # on a ball it is arbitrary, and with it the score
         self._plane = find_grasp_plane(self._xyz, axis.centroid, axis.direction, axis.side, config.slab_half_width_m)
         self._sides = [
             _ScaledSide(side.candidates, self._plane, axis.centroid)

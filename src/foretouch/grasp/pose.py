@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from foretouch.errors import GraspError
+from foretouch.tactile.channels import electrode_normals, electrode_positions
 from foretouch.types import SQUARABLE, Bool, Float64, Grasp
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
@@ -132,6 +133,17 @@ def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
     if x @ grasp.midpoint < 0.0:  # the camera is at the origin
         x = -x
     return np.column_stack([x, np.cross(z, x), z])
+
+
+def electrodes_at(grasp: Grasp, contact: Float64, lift_m: float = 0.0) -> Float64:
+    """(24, 3) positions of the electrodes of a fingertip at a contact of a grasp, its g1 or g2 (3,) [m].
+
+    Oriented as `fingertip_rotation`; the lowest electrodes, on the surface of the pad, are at the contact. `lift_m` moves
+    each along its normal.
+    """
+    positions = electrode_positions() + lift_m * electrode_normals()
+    positions -= [positions[:, 0].mean(), 0.0, positions[:, 2].min()]
+    return np.asarray(positions @ fingertip_rotation(grasp, contact).T + contact, np.float64)
 
 
 def _unit(vector: Float64, name: str) -> Float64:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Preprocess an object's cloud for GeoGrasp: drop points that are not finite, downsample, remove outliers."""
+"""Preprocess an object's cloud for GeoGrasp: drop points that are not finite or in the air, downsample, remove outliers."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from foretouch.cloud.geometry.flying import flying_mask
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
@@ -34,12 +35,13 @@ class FinitePoints:
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
-    def downsampled(self, config: GeoGraspConfig) -> "FinitePoints":
+    def downsampled(self, config: GeoGraspConfig, *, sort: bool = False) -> "FinitePoints":
         """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
 
         The computing time grows with the square of the density, and a near object is sampled far more densely than
         the fingertip needs. The pattern starts at the object's own corner, so it does not depend on
-        whether the pixels were given or recovered from the rays.
+        whether the pixels were given or recovered from the rays. With `sort`, the result is in canonical order, and does
+        not depend on the order of the input.
 
         Raises:
             CloudError: If there are fewer than three points, one is a kilometre away, or the given pixels are wrong.
@@ -52,15 +54,25 @@ class FinitePoints:
         if self.pixels is not None and self.image_shape is not None:
             grid = PixelGrid.from_pixels(self.pixels, self.image_shape)
         if config.max_points == 0 or len(self.xyz) <= config.max_points:
-            return self
+            return self.in_canonical_order() if sort else self
         ratio = len(self.xyz) / config.max_points
         if self.pixels is None:
             grid = PixelGrid.from_rays(self.xyz)
         if grid is None:
-            return FinitePoints(self.xyz[:: math.ceil(ratio)], self.n_dropped)
+            ordered = self.in_canonical_order() if sort else self
+            return FinitePoints(ordered.xyz[:: math.ceil(ratio)], self.n_dropped)
         step = math.ceil(math.sqrt(ratio))
         kept = np.flatnonzero((grid.row % step == 0) & (grid.column % step == 0))
-        return FinitePoints(self.xyz[kept], self.n_dropped)
+        thinned = FinitePoints(self.xyz[kept], self.n_dropped)
+        return thinned.in_canonical_order() if sort else thinned
+
+    def without_flying(self, config: GeoGraspConfig, counts: dict[str, int]) -> "FinitePoints":
+        """Without flying points (see `flying_mask`), whose number is added to `counts` if there are any."""
+        flying = flying_mask(self.xyz, config.flying_share)
+        if not flying.any():
+            return self
+        counts["n_flying"] = int(np.count_nonzero(flying))
+        return FinitePoints(self.xyz[~flying], self.n_dropped)
 
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""

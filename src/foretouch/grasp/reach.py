@@ -19,11 +19,9 @@ _CLEARLY = 1.0 - 1e-9  # of a squared limit, so that rounding does not matter
 class ReachConfig(Settings):
     """The hand's reach. The defaults are those of a Shadow Hand, thumb and middle finger."""
 
-    max_width_m: float = setting(
-        0.2, "Grasps whose contacts are farther apart are refused", minimum=0.001, maximum=10.0
-    )
+    max_width_m: float = setting(0.2, "Grasps whose contacts are farther apart are refused", bounds=(0.001, 10.0))
     max_distance_m: float = setting(
-        0.1, "Grasps with a contact farther from the object's nearest point are refused", minimum=0.0, maximum=10.0
+        0.1, "Grasps with a contact farther from the object's nearest point are refused", bounds=(0.0, 10.0)
     )
 
 

@@ -11,7 +11,8 @@ points:
 - the initial points are weighted means of the points near the two extremes of the grasp plane;
 - candidates are the nodes of a grid anchored at the initial points, each the mean of the points around it with tent
   weights, which add up to one for each point;
-- the grasp is the mean of the pairs of candidates, weighted by score, moved back onto the surface.
+- the grasp is the mean of the pairs of candidates, weighted by score; each contact is moved outwards, to the mean of the
+  outermost points around the line through both.
 
 A rigid motion of object and table therefore moves the grasp along. Only where the object is too round or too symmetric
 to have an axis or a sign of its own, one direction of the camera's frame decides.
@@ -44,7 +45,8 @@ _EXTREME_M = 0.001  # depth over which points count as extreme [m]
 _OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 _TEMPERATURE = 0.25  # of the score, in which the weight of a pair falls by a factor of e
 _INSIDE_M = 0.0005  # depth over which a contact inside its initial point loses its weight [m]
-_SURFACE_M = 0.001  # over which the surface is averaged around a contact [m]
+_BESIDE_M = 0.002  # from the line through both contacts, over which points count for a contact [m]
+_OUTSIDE_M = 0.012  # from a contact along that line is the place whose nearest points count: the outermost 0.3 mm [m]
 _INITIAL_WEIGHT = 0.05  # of the pair of initial points, beside the pairs of candidates
 _FULL_CELL = 4.0  # points in a cell, from which on their number does not count
 _EPSILON = 1e-9  # floor of a divisor
@@ -98,7 +100,7 @@ class _StablePairs:
 
     score: Float64  # (A, B) float64
     passes: Bool  # (A, B) bool, both rankings reach their minimum
-    contacts: Float64  # (2, 3) float64 [m], the weighted mean of the pairs, each moved onto the surface near it
+    contacts: Float64  # (2, 3) float64 [m], the weighted mean of the pairs, each moved outwards to the outline
 
 
 def _smoothstep(values: Floating, low: float, high: float) -> Float64:
@@ -283,15 +285,15 @@ class StableRanking:
         for side, other in ((a, b.xyz[0]), (b, a.xyz[0])):
             to_centroid = _norm(side.xyz - self._frame.centroid)
             inside.append(side.mass * _keep(to_centroid[0] - to_centroid) * _keep(width - _norm(side.xyz - other)))
-        support = inside[0][:, None] * inside[1][None] * _keep(width - _norm(b.xyz[None] - a.xyz[:, None]))
+        support = inside[0][:, None] * inside[1][None] * _keep(width - _distances(a.xyz, b.xyz))
         support[0, :] *= _INITIAL_WEIGHT
         support[:, 0] *= _INITIAL_WEIGHT
         support[0, 0] = _INITIAL_WEIGHT
         weight = support * np.exp(np.clip((score - score[0, 0]) / _TEMPERATURE, -200.0, 200.0))
         weight /= weight.sum()
-        contacts = [
-            _onto_surface(self._points, one) for one in (weight.sum(axis=1) @ a.xyz, weight.sum(axis=0) @ b.xyz)
-        ]
+        first, second = weight.sum(axis=1) @ a.xyz, weight.sum(axis=0) @ b.xyz
+        outwards = _OUTSIDE_M * (second - first) / max(float(_norm(second - first)), _EPSILON)
+        contacts = [_onto_surface(self._points, one) for one in (first - outwards, second + outwards)]
         return _StablePairs(score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK), np.stack(contacts))
 
     def score(self, contacts: Float64, axis: Float64 | None = None) -> tuple[float, bool]:
@@ -328,12 +330,13 @@ class StableRanking:
             (self._plane_distance(xyz, axis) / largest[0], curvature / largest[1])
             for xyz, curvature, largest in zip((a, b), curvatures, self._largest, strict=True)
         )
-        apart = b[None] - a[:, None]
-        unit = apart / np.maximum(_norm(apart), _EPSILON)[..., None]
-        c_a = np.abs(np.einsum("abi,ai->ab", unit, normals[0]))
-        c_b = np.abs(np.einsum("abi,bi->ab", unit, normals[1]))
-        r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * (np.abs(unit @ axis) - _FREE_COSINE)
-        return r1, 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
+        per_m = 1.0 / np.maximum(_distances(a, b), _EPSILON)
+        a, b = a - self._frame.centroid, b - self._frame.centroid  # cosines of b - a with the axis and both normals
+        aligned = np.abs((b @ axis)[None] - (a @ axis)[:, None]) * per_m
+        c_a = np.abs(normals[0] @ b.T - _dot(normals[0], a)[:, None]) * per_m
+        c_b = np.abs(_dot(normals[1], b)[None] - a @ normals[1].T) * per_m
+        r1 = (2.0 + _ALIGNMENT_WEIGHT * _FREE_COSINE - pd_a)[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * aligned
+        return r1, (2.0 - k_a)[:, None] - k_b[None] + 2.0 * np.minimum(c_a, c_b)
 
     def _plane_distance(self, xyz: Float64, axis: Float64) -> Float64:
         return np.asarray(np.abs((xyz - (self._frame.centroid + self._slide_m * axis)) @ axis), np.float64)
@@ -354,8 +357,19 @@ def _norm(vectors: Float64) -> Float64:
     return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)
 
 
+def _dot(a: Float64, b: Float64) -> Float64:
+    return np.asarray(np.einsum("ij,ij->i", a, b), np.float64)
+
+
+def _distances(a: Float64, b: Float64) -> Float64:
+    """(A, B) float64 distances of (A, 3) and (B, 3) places."""
+    from scipy.spatial.distance import cdist
+
+    return np.asarray(cdist(a, b), np.float64)
+
+
 def _onto_surface(points: WeightedPoints, place: Float64) -> Float64:
-    """The mean of the points near a place, with weights that fall with the distance beyond that of the nearest."""
+    """The mean of the points nearest to a place, with weights that fall with the distance beyond that of the nearest."""
     mean = np.empty(3)
-    _surface_mean(points.xyz, points.inlier, len(points.xyz), place, _SURFACE_M, mean)
+    _surface_mean(points.xyz, points.inlier, len(points.xyz), place, _BESIDE_M, mean)
     return mean

@@ -218,7 +218,7 @@ void surface_mean(const double *xyz, const double *inlier, int64_t n, const doub
             const double squared = x * x + y * y + z * z + (inlier[i] > 0.0 ? 0.0 : 1.0);
             if (round == 0) {
                 least = squared < least ? squared : least;
-            } else if (inlier[i] > 0.0 && (squared - least) / (2.0 * depth * depth) < 700.0) {
+            } else if (inlier[i] > 0.0 && (squared - least) / (2.0 * depth * depth) < 40.0) {
                 const double weight = inlier[i] * exp(-(squared - least) / (2.0 * depth * depth));
                 sum[0] += weight;
                 sum[1] += weight * xyz[3 * i], sum[2] += weight * xyz[3 * i + 1], sum[3] += weight * xyz[3 * i + 2];

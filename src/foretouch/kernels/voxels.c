@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-#include "moments.h"
+#include "kernels.h"
 
 #define FREE_CELLS 65536 /* of a table in any case, and beyond it eight for each point */
 
@@ -68,18 +68,6 @@ void cell_means(const double *values, int64_t n, int64_t columns, const int64_t 
     for (int64_t i = 0; i < m; i++) {
         for (int64_t j = 0; j < columns; j++) {
             means[i * columns + j] /= (double)counts[i];
-        }
-    }
-}
-
-/* Summed moments (m, 10), as in neighbours.c, of the points of each of m cells. */
-void cell_moments(const float *xyz, int64_t n, const float *origin, const int64_t *cell, int64_t m, double *sums) {
-    memset(sums, 0, (size_t)(m * MOMENTS) * sizeof(double));
-    for (int64_t i = 0; i < n; i++) {
-        double moments[PADDED];
-        moments_of(xyz + 3 * i, origin, moments);
-        for (int j = 0; j < MOMENTS; j++) {
-            sums[cell[i] * MOMENTS + j] += moments[j];
         }
     }
 }

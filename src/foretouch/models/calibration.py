@@ -11,17 +11,16 @@ fitted to recordings in order of time, or else follow from B and W.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64, Touch
+from foretouch.types import TOUCH_SIZE, AnyArray, Float64, Touch
 
 GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""
@@ -137,9 +136,9 @@ class Calibration:
         levels = {name: tracker.level(0, same_object=False, known=name == "known") for name in GROUPS}
         return {name: tracker.adapt(level, np.zeros((1, TOUCH_SIZE)))[1][0] for name, level in levels.items()}
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
-        tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}
+        tensors: dict[str, AnyArray] = {"rest": self.rest}
         for name, group in self.groups.items():
             tensors |= {f"{name}/{field}": array for field, array in group.to_tensors().items()}
         if self.tracker is not None:
@@ -147,7 +146,7 @@ class Calibration:
         return tensors
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def from_tensors(cls, tensors: Mapping[str, AnyArray]) -> Self:
         """From `to_tensors`.
 
         Raises:
@@ -168,7 +167,7 @@ class Calibration:
         return calibration
 
 
-def _check_array(name: str, array: npt.NDArray[Any]) -> None:
+def _check_array(name: str, array: AnyArray) -> None:
     shape = (TOUCH_SIZE, TOUCH_SIZE) if name == "between" else (TOUCH_SIZE,)
     if array.shape != shape:
         raise ModelError(f"{name}: shape {array.shape} is not {shape}")

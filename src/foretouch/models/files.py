@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from foretouch.checked_files import read_bytes
 from foretouch.errors import FileError, ModelError, shown
+from foretouch.types import AnyArray
 
 
 def file_beside(card_path: Path, name: Any, field: str) -> Path:
@@ -28,7 +28,7 @@ def file_beside(card_path: Path, name: Any, field: str) -> Path:
     return card_path.with_name(base)
 
 
-def packed(tensors: Mapping[str, npt.NDArray[Any]]) -> tuple[bytes, str]:
+def packed(tensors: Mapping[str, AnyArray]) -> tuple[bytes, str]:
     """Arrays as the content of a safetensors file, and its SHA-256; the same arrays make the same bytes."""
     content: bytes = save({name: np.asarray(value, order="C") for name, value in tensors.items()})
     return content, hashlib.sha256(content).hexdigest()
@@ -65,12 +65,12 @@ def read_tensors(
 class TensorRecord:
     """Base of a dataclass whose fields are arrays, stored in a file under the names of the fields."""
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def from_tensors(cls, tensors: Mapping[str, AnyArray]) -> Self:
         """From `to_tensors`.
 
         Raises:
@@ -100,7 +100,7 @@ class TensorRecord:
 Record = TypeVar("Record", bound=TensorRecord)
 
 
-def read_part(record: type[Record], tensors: Mapping[str, npt.NDArray[Any]], prefix: str) -> Record:
+def read_part(record: type[Record], tensors: Mapping[str, AnyArray], prefix: str) -> Record:
     """The record whose arrays are stored under names that begin with a prefix, which errors name too."""
     part = {name.removeprefix(prefix): array for name, array in tensors.items() if name.startswith(prefix)}
     try:

@@ -8,8 +8,6 @@ The file of a hand is a safetensors file that is replaced as a whole and holds a
 limit: while nothing is read, the tracker's variance grows back to that of an unknown sensor.
 """
 
-from __future__ import annotations
-
 import copy
 import fcntl
 import hashlib
@@ -18,10 +16,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
@@ -32,7 +29,7 @@ from foretouch.models.files import packed
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import touch_faults
-from foretouch.types import Cloud, Float64, Grasp, Touch
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, Touch, UInt8
 
 VERSION: Final = 2
 """Of the file's format."""
@@ -50,7 +47,7 @@ class ObjectSignature:
     numbers: Float64  # (6,) float64, mean and standard deviation of its points in x, y, z [m]
 
     @classmethod
-    def of(cls, cloud: Cloud) -> ObjectSignature:
+    def of(cls, cloud: Cloud) -> Self:
         """Of the points of a cloud that are finite."""
         points = cloud.xyz.reshape(-1, 3)
         points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
@@ -90,16 +87,8 @@ class HandHistory:
     def add_tare(self, stamp_ns: int, tare: Touch, *, tdc: Float64 | None = None) -> tuple[str, ...]:
         """Add a reading without contact; one within a minute of the last is left out, since their errors are the same.
 
-        Args:
-            stamp_ns: When it was taken [ns].
-            tare: [counts].
-            tdc: (2,) TDC of thumb and middle finger [counts]; NaN or None where it was not read.
-
-        Returns:
-            Fingers that were restarted: a jump or another sensor.
-
-        Raises:
-            TactileError: If it is not a reading of working sensors, or the stamp cannot be used.
+        Arguments, result and errors are as of `SensorTracker.add_tare`, for the reading itself [counts]; one that is not of
+        working sensors is a `TactileError` too.
         """
         if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             return ()
@@ -119,7 +108,7 @@ class HandHistory:
         estimate: Estimate | None = None,
         tdc: Float64 | None = None,
     ) -> tuple[str, ...]:
-        """Add the reading of an executed grasp.
+        """Add the reading of an executed grasp; stamps, temperature and result are as of `SensorTracker.add_tare`.
 
         Args:
             stamp_ns: When it was taken [ns].
@@ -129,10 +118,7 @@ class HandHistory:
             new_object: Whether it is another object than before.
             limits: Range and size of objects.
             estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
-            tdc: As of `add_tare`.
-
-        Returns:
-            As `add_tare`.
+            tdc: (2,) [counts].
 
         Raises:
             TactileError: If the reading is not that of working sensors, or the stamp cannot be used.
@@ -186,16 +172,16 @@ class HandHistory:
         """Changes with every reading, object and `forget`."""
         return self._forgotten, self.tracker.revision
 
-    def copy(self) -> HandHistory:
+    def copy(self) -> Self:
         """An independent history of the same readings."""
         twin = copy.copy(self)
         twin.tracker, twin.restarts = self.tracker.copy(), dict(self.restarts)
         return twin
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def to_tensors(self) -> dict[str, AnyArray]:
         """All of it, for a file."""
         signature = self.signature or ObjectSignature("", np.full(6, np.nan))
-        own: dict[str, npt.NDArray[Any]] = {
+        own: dict[str, AnyArray] = {
             "signature": signature.numbers,
             "frame": _text(signature.frame_id),
             "tare_ns": np.array([self._tare_ns], np.int64),
@@ -203,7 +189,7 @@ class HandHistory:
         return {**own, **{_TRACKER + name: value for name, value in self.tracker.to_tensors().items()}}
 
     @classmethod
-    def from_tensors(cls, model: TouchModel, tensors: Mapping[str, npt.NDArray[Any]]) -> HandHistory:
+    def from_tensors(cls, model: TouchModel, tensors: Mapping[str, AnyArray]) -> Self:
         """From `to_tensors`; goes on to the bit as the history that wrote it.
 
         Raises:
@@ -350,9 +336,9 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hand
         raise FileError(path, str(err)) from err
 
 
-def _text(text: str) -> npt.NDArray[np.uint8]:
+def _text(text: str) -> UInt8:
     return np.frombuffer(text.encode(), np.uint8)
 
 
-def _read_text(tensors: Mapping[str, npt.NDArray[Any]], name: str) -> str:
+def _read_text(tensors: Mapping[str, AnyArray], name: str) -> str:
     return bytes(tensors.get(name, _text(""))).decode("utf-8", "replace")

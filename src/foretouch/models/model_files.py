@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import replace_files
 from foretouch.errors import ModelError
@@ -17,6 +16,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.card import card_text, new_card
 from foretouch.models.files import file_beside, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
+from foretouch.types import AnyArray
 
 CardCalibration: TypeAlias = tuple[Calibration, Mapping[str, Any]]
 """A calibration, and its facts for the card: `level`, `regimes` (objects and coverage by group) and `rest`."""
@@ -33,7 +33,7 @@ _FALLBACK: Final = "fallback/"
 def save_model(
     card_path: Path,
     kind: str,
-    tensors: Mapping[str, npt.NDArray[Any]],
+    tensors: Mapping[str, AnyArray],
     facts: Mapping[str, Any],
     calibration: CardCalibration | None = None,
     fallback: Fallback | None = None,

@@ -16,12 +16,11 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.types import TOUCH_SIZE, Float32, Float64
+from foretouch.types import TOUCH_SIZE, Bool, Float32, Float64
 
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
@@ -62,7 +61,7 @@ class Fallback(TensorRecord):
         low, high = self.span
         return float(np.clip((high - np.partition(apart, _NEAREST - 1)[:_NEAREST].mean()) / (high - low), 0.0, 1.0))
 
-    def fade(self, counts: Float64, sizes: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def fade(self, counts: Float64, sizes: Float64) -> tuple[Float64, Bool]:
         """Predictions, the closer to the mean the less an object resembles the training objects.
 
         Args:

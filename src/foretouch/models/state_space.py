@@ -14,19 +14,16 @@ which all covariances are diagonal, (1) falls apart into 50 independent filters 
 that a reading and a prediction cost the same however many were before.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.types import TOUCH_SIZE, Float64, Index
 
 FINGERS: Final = ("TH", "MF")
 """Thumb and middle finger."""
@@ -46,29 +43,18 @@ _ALARM: Final = (10.0, 7.7)
 """Limits of the innovation test without a fit: of the mean square as on the public recordings, whose noise has heavier
 tails than a Gaussian (2.0), and of the squared mean at their correlation of .84 within a finger (.84 · 9.14)."""
 
-_PER_VALUE: Final = ("slow", "slow_time_s", "fast", "fast_time_s", "tare_noise")
-_SHAPES: Final = {
-    "basis": (TOUCH_SIZE, TOUCH_SIZE),
-    **dict.fromkeys(_PER_VALUE, (TOUCH_SIZE,)),
-    **dict.fromkeys(("object", "noise", "difference_shrinkage"), (2, TOUCH_SIZE)),
-    "factor": (len(MODALITIES),),
-    "alarm": (len(FINGERS), 2),
-    **dict.fromkeys(("slope", "slope_sd"), (TOUCH_SIZE,)),
-}
-_BOUNDS: Final = {  # inclusive
-    "slow": (0.0, 1e6),
-    "fast": (0.0, 1e6),
-    "object": (0.0, 1e6),
-    "noise": (1e-3, 1e3),
-    "tare_noise": (1e-6, 1e3),
-    "slow_time_s": (1.0, 1e10),
-    "fast_time_s": (1.0, 1e10),
-    "difference_shrinkage": (0.0, 1.0),
-    "factor": (0.1, 100.0),
-    "alarm": (1e-3, 1e6),
-    "basis": (-1e6, 1e6),
-    "slope": (-10.0, 10.0),
-    "slope_sd": (0.0, 10.0),
+_RULES: Final[dict[str, tuple[tuple[int, ...], float, float]]] = {  # shape, and bounds, which are inclusive
+    "basis": ((TOUCH_SIZE, TOUCH_SIZE), -1e6, 1e6),
+    **dict.fromkeys(("slow", "fast"), ((TOUCH_SIZE,), 0.0, 1e6)),
+    **dict.fromkeys(("slow_time_s", "fast_time_s"), ((TOUCH_SIZE,), 1.0, 1e10)),
+    "tare_noise": ((TOUCH_SIZE,), 1e-6, 1e3),
+    "object": ((2, TOUCH_SIZE), 0.0, 1e6),
+    "noise": ((2, TOUCH_SIZE), 1e-3, 1e3),
+    "difference_shrinkage": ((2, TOUCH_SIZE), 0.0, 1.0),
+    "factor": ((len(MODALITIES),), 0.1, 100.0),
+    "alarm": ((len(FINGERS), 2), 1e-3, 1e6),
+    "slope": ((TOUCH_SIZE,), -10.0, 10.0),
+    "slope_sd": ((TOUCH_SIZE,), 0.0, 10.0),
 }
 _TOUCHES: Final = (1, 10, 100, 1000)
 _MAX_GAIN: Final = 10.0  # as of the calibration: counts per count of the largest residual
@@ -133,8 +119,8 @@ class TrackerParameters(TensorRecord):
             slow_time_s=np.full(TOUCH_SIZE, SLOW_TIME_S),
             fast=np.zeros(TOUCH_SIZE),
             fast_time_s=np.full(TOUCH_SIZE, FAST_TIME_S),
-            object=np.clip([values, known_object], *_BOUNDS["object"]),
-            noise=np.clip([np.ones(TOUCH_SIZE), known_noise], *_BOUNDS["noise"]),
+            object=np.clip([values, known_object], *_RULES["object"][1:]),
+            noise=np.clip([np.ones(TOUCH_SIZE), known_noise], *_RULES["noise"][1:]),
             tare_noise=np.full(TOUCH_SIZE, TARE_NOISE),
             difference_shrinkage=np.array(difference_shrinkage),
             factor=factor,
@@ -151,7 +137,7 @@ class TrackerParameters(TensorRecord):
         inverse = np.linalg.inv(self.basis)
         return np.array([inverse @ self.slope, inverse**2 @ self.slope_sd**2])
 
-    def finger_of(self) -> npt.NDArray[np.intp]:
+    def finger_of(self) -> Index:
         """(50,) index in `FINGERS` of the values that each coordinate of the basis changes most."""
         return np.asarray(FINGER_OF_VALUE[np.argmax(np.abs(self.basis), axis=0)], np.intp)
 
@@ -161,8 +147,8 @@ class TrackerParameters(TensorRecord):
         return bool((np.abs(self.basis) * other <= 1e-9 * largest).all())
 
     def _check(self) -> None:
-        for name, shape in _SHAPES.items():
-            array, (low, high) = getattr(self, name), _BOUNDS[name]
+        for name, (shape, low, high) in _RULES.items():
+            array = getattr(self, name)
             if array.shape != shape or array.dtype != np.float64:
                 raise ModelError(f"{name}: {array.dtype} {array.shape} is not float64 {shape}")
             if not ((array >= low) & (array <= high)).all():  # NaN fails too
@@ -204,7 +190,7 @@ class StateFilter:
         self.covariance = np.zeros((4, *self.prior.shape))
         self.restart(np.arange(prior.shape[1]))
 
-    def copy(self) -> StateFilter:
+    def copy(self) -> Self:
         """An independent filter in the same state."""
         twin = copy.copy(self)
         twin.prior, twin.mean, twin.covariance = self.prior.copy(), self.mean.copy(), self.covariance.copy()

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import GraspError, ModelError, TactileError
@@ -22,6 +21,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import TactileRanges, touch_faults
 from foretouch.types import (
+    Bool,
     Cloud,
     Evidence,
     Float64,
@@ -46,7 +46,7 @@ class Estimate:
     """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
 
     counts: Float64  # (K, 50) float64 [counts]
-    in_distribution: npt.NDArray[np.bool_]  # (K,) bool: whether cloud and grasp resemble those of training
+    in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble those of training
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ class TouchModel:
     def _predictions(
         self,
         grasps: Sequence[Grasp],
-        in_distribution: npt.NDArray[np.bool_],
+        in_distribution: Bool,
         counts: Float64,
         half: Float64 | None,
         reference: Reference,

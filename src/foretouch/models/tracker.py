@@ -27,8 +27,6 @@ one. TDC that is absent, zero or saturated is left out, finger by finger. A jump
 after a power cycle, moves the reference.
 """
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import math
@@ -37,13 +35,12 @@ from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns, is_tdc
-from foretouch.types import TOUCH_SIZE, Evidence, Float64
+from foretouch.types import TOUCH_SIZE, AnyArray, Bool, Evidence, Float64, Index, UInt8
 
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
@@ -63,7 +60,7 @@ _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 _MOST_COUNTS: Final = 10.0 * FULL_SCALE  # of a prediction, which may leave the range of readings
 
 
-def _mean_rows(groups: Sequence[npt.NDArray[np.intp]]) -> Float64:
+def _mean_rows(groups: Sequence[Index]) -> Float64:
     """(G, 50) matrix that takes the mean of each group of values."""
     rows = np.zeros((len(groups), TOUCH_SIZE))
     for row, values in zip(rows, groups, strict=True):
@@ -129,7 +126,7 @@ class SensorTracker:
         self.revision = self.set_aside = 0
         self._earlier: tuple[dict[str, Any], ...] = ()  # attributes before the latest readings, oldest first
 
-    def copy(self) -> SensorTracker:
+    def copy(self) -> Self:
         """An independent tracker in the same state."""
         twin = copy.copy(self)
         twin._filter = self._filter.copy()  # noqa: SLF001  its own class
@@ -190,19 +187,9 @@ class SensorTracker:
     def add_touch(
         self, stamp_ns: int, reading: Float64, expected: Float64, *, tdc: Float64 | None = None
     ) -> tuple[str, ...]:
-        """Add the reading of a grasp on the current object.
+        """Add the (50,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
 
-        Args:
-            stamp_ns: When it was taken [ns].
-            reading: (50,) [counts].
-            expected: (50,) prediction by vision of the same grasp [counts].
-            tdc: As of `add_tare`.
-
-        Returns:
-            Names from `FINGERS` that the innovation test restarted.
-
-        Raises:
-            TactileError: If the stamp or a value cannot be used; nothing is changed then.
+        The other arguments, the result and the errors are as of `add_tare`.
         """
         _check_counts("reading", reading, 0.0, FULL_SCALE)
         _check_counts("expected", expected)
@@ -210,7 +197,7 @@ class SensorTracker:
         self._filter.advance(self._seconds_to(stamp))
         self._newest_ns = stamp
         x = self._add_tdc(tdc, stamp)
-        counts, half = self.predict(stamp, expected[None])
+        counts, half = self.adapt(self.level(stamp), expected[None])
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted(x=x)
         noise = self.parameters.noise[self._kind]
@@ -302,27 +289,16 @@ class SensorTracker:
             reading_age_s=self._seconds_to(stamp_ns) if self._readings else None,
         )
 
-    def predict(
-        self, stamp_ns: int, expected: Float64, *, same_object: bool = True, known: bool = False
-    ) -> tuple[Float64, Float64]:
-        """Predictions adapted to all readings, and the half widths of their 90 % intervals.
+    def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
+        """(K, 50) predictions adapted to all readings, and (K, 50) half widths of their 90 % intervals [counts].
 
         After touches of the object, differences of the predictions by vision from their mean at the touches are
         multiplied by `difference_shrinkage`.
 
         Args:
-            stamp_ns: Time of the prediction [ns].
+            level: Of this tracker since its last reading.
             expected: (K, 50) predictions by vision [counts].
-            same_object: As of `level`.
-            known: As of `level`.
-
-        Returns:
-            (K, 50) predictions and (K, 50) half widths [counts].
         """
-        return self.adapt(self.level(stamp_ns, same_object=same_object, known=known), expected)
-
-    def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
-        """As `predict`, at a level of this tracker since its last reading."""
         counts = expected + level.offset
         if level.evidence.touches:
             anchor = self._expected / level.evidence.touches
@@ -331,7 +307,7 @@ class SensorTracker:
         half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])
         return counts, np.broadcast_to(half, counts.shape)
 
-    def _adapt_factor(self, outside: npt.NDArray[np.bool_]) -> None:
+    def _adapt_factor(self, outside: Bool) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""
         moved = self._log_factor + _ADAPTATION_RATE * (_MODALITY_MEANS @ outside - MISS_RATE)
         self._log_factor = np.minimum(
@@ -342,12 +318,12 @@ class SensorTracker:
         """(4,) logarithm of the factor for another object."""
         return self._first_log_factor + _KEPT_SHARE * (self._log_factor - self._first_log_factor)
 
-    def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> npt.NDArray[np.bool_]:
+    def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> Bool:
         """(2,) whether each finger fails the test, from (50,) innovations [counts] and variances in coordinates."""
         statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance))
         return np.asarray((statistics > limits).any(axis=1), np.bool_)
 
-    def _coordinates_of(self, fingers: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    def _coordinates_of(self, fingers: Bool) -> Bool:
         """(50,) which coordinates the chosen fingers' values depend on."""
         chosen = np.zeros(TOUCH_SIZE, np.bool_)
         for name, one in zip(FINGERS, fingers, strict=True):
@@ -355,7 +331,7 @@ class SensorTracker:
                 chosen |= self._coordinates[name]
         return chosen
 
-    def _restart(self, fingers: npt.NDArray[np.bool_]) -> None:
+    def _restart(self, fingers: Bool) -> None:
         if fingers.any():
             self._filter.restart(self._coordinates_of(fingers))
             self._suspect = self._suspect & ~fingers
@@ -379,7 +355,7 @@ class SensorTracker:
             self._earlier = (*self._earlier[1 - _KEPT :], state)
         return max(stamp, self._newest_ns)
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def to_tensors(self) -> dict[str, AnyArray]:
         """All that is known, for a file; a tracker made from it continues to the bit as this one."""
         flags = [self.touches, self._readings, self._kind, *self._suspect]
         thermal = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
@@ -393,7 +369,7 @@ class SensorTracker:
             "parameters": _digest(self.parameters),
         }
 
-    def _thermal_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def _thermal_tensors(self) -> dict[str, AnyArray]:
         """What TDC said, which files of histories without it lack."""
         return {
             "slope": np.concatenate([self._filter.mean[3:], self._filter.covariance[3]]),
@@ -402,7 +378,7 @@ class SensorTracker:
         }
 
     @classmethod
-    def from_tensors(cls, parameters: TrackerParameters, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def from_tensors(cls, parameters: TrackerParameters, tensors: Mapping[str, AnyArray]) -> Self:
         """From `to_tensors`.
 
         Raises:
@@ -424,7 +400,7 @@ class SensorTracker:
         tracker._restore(tensors)
         return tracker
 
-    def _restore(self, tensors: Mapping[str, npt.NDArray[Any]]) -> None:
+    def _restore(self, tensors: Mapping[str, AnyArray]) -> None:
         touches, readings, kind, *suspect = (int(value) for value in tensors["counts"])
         newest, last_of_object = (int(value) for value in tensors["stamps_ns"])
         if not 0 <= touches <= readings or kind not in (NEW, KNOWN) or any(one not in (0, 1) for one in suspect):
@@ -472,7 +448,7 @@ def _check_counts(name: str, values: Float64, low: float = -_MOST_COUNTS, high: 
         raise TactileError(f"{name}: value {k}: {values[k]:g} is not within [{low:g}, {high:g}] counts")
 
 
-def _digest(parameters: TrackerParameters) -> npt.NDArray[np.uint8]:
+def _digest(parameters: TrackerParameters) -> UInt8:
     """Of all but the slopes, which a state without TDC does not depend on."""
     tensors = parameters.to_tensors()
     del tensors["slope"], tensors["slope_sd"]

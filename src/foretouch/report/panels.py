@@ -38,13 +38,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
-    """Write a figure in the format of its suffix, usually PNG; its folder is created.
+    """Write a figure in the format of its suffix, usually PNG, and give its path; its folder is created.
 
-    Returns:
-        The path.
-
-    Raises:
-        FileError: If the format is unknown, or the file cannot be written.
+    A `FileError` if the format is unknown, or the file cannot be written.
     """
     content = io.BytesIO()
     try:

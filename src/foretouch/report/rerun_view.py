@@ -59,17 +59,10 @@ class ViewStep:
 
 
 def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
-    """Write a Rerun recording with a layout; returns the number of steps.
+    """Write a Rerun recording (`.rrd`) with a layout, which appears when it is complete; returns the number of steps.
 
-    Args:
-        path: Path of the `.rrd` file; replaced when the recording is complete.
-        steps: In order; each is written before the next one is asked for.
-        title: Name of the recording.
-
-    Raises:
-        FileError: If the file cannot be written.
-        ForetouchError: If there is no step.
-        MissingDependencyError: If Rerun is not installed.
+    Each step is written before the next one is asked for. A `ForetouchError` if there is none, the file cannot be written,
+    or Rerun is not installed.
     """
     try:
         import rerun

@@ -25,10 +25,7 @@ _NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  #
 def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 1000)) -> None:
     """Draw the first step of a Rerun recording to a PNG, without a window.
 
-    Raises:
-        FileError: If the file cannot be written.
-        ForetouchError: If Rerun draws nothing.
-        MissingDependencyError: If Rerun or a graphics driver (Vulkan) is not installed.
+    A `ForetouchError` if the file cannot be written, Rerun draws nothing, or it or a graphics driver (Vulkan) is absent.
     """
     with _viewer_environment() as environment, tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         printed, drawn = Path(folder) / "printed.txt", Path(folder) / "drawn.png"
@@ -72,9 +69,7 @@ def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
 def open_viewer(recording: Path) -> None:
     """Show a Rerun recording in a window, and wait until it is closed.
 
-    Raises:
-        ForetouchError: If the viewer ends with an error, as it does without a display.
-        MissingDependencyError: If Rerun is not installed.
+    A `ForetouchError` if Rerun is not installed, or the viewer ends with an error, as it does without a display.
     """
     with _viewer_environment() as environment:
         done = subprocess.run(  # noqa: S603  Rerun's own viewer

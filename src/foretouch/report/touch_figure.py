@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts, new_figure, save
 from foretouch.tactile import electrode_positions
-from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 _FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _SHEET_COLUMNS = 2  # samples side by side
@@ -44,11 +43,7 @@ class DrawnGrasp:
 def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     """Write one PNG with a row for each grasp: scene, contacts, electrodes predicted and read, and how they agree.
 
-    Electrodes that were read outside of their intervals have a ring.
-
-    Args:
-        path: Path of the file; its folder is created.
-        grasps: One or more.
+    Electrodes that were read outside of their intervals have a ring. The folder of the file is created.
     """
     # Finger, `predicted` or `read`, and touch of each panel of electrodes; those of a finger are side by side.
     panels = [
@@ -85,7 +80,7 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     return save(figure, Path(path), dpi=100)
 
 
-def _outside(one: DrawnGrasp, name: str) -> npt.NDArray[np.bool_] | None:
+def _outside(one: DrawnGrasp, name: str) -> Bool | None:
     """(24,) which electrodes of a finger were read outside of their intervals; None without both."""
     lower, upper = one.prediction.lower, one.prediction.upper
     if one.read is None or lower is None or upper is None:
@@ -117,13 +112,7 @@ def _agreement(one: DrawnGrasp) -> str:
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
-    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers.
-
-    Args:
-        path: Path of the file; its folder is created.
-        samples: In order.
-        title: Of the figure.
-    """
+    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers."""
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
     figure = new_figure(7.6 * _SHEET_COLUMNS, 2.6 * rows + 1.3)  # below title and scale
     figure.suptitle(title)
@@ -171,13 +160,7 @@ class _Scale:
         return electrode_levels(touch, rest if self._tared else None, name)
 
     def draw(
-        self,
-        axes: Axes,
-        touch: Touch,
-        rest: Touch | None,
-        name: str,
-        size: float,
-        outside: npt.NDArray[np.bool_] | None = None,
+        self, axes: Axes, touch: Touch, rest: Touch | None, name: str, size: float, outside: Bool | None = None
     ) -> None:
         """Draw the 24 electrodes of one fingertip, unrolled from the core, and a ring around some of them.
 
@@ -241,18 +224,11 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
     for k, (name, colour) in enumerate(_FINGER_COLOURS.items()):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
-        axes.annotate(
-            FINGER_NAMES[name],
-            (ends[k, 0], ends[k, 1]),
-            (0, 8 if k == upper else -8),
-            textcoords="offset points",
-            ha="center",
-            va="bottom" if k == upper else "top",
-            color=colour,
-            fontsize=9,
-            fontweight="bold",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
-        )
+        offset, va = (8, "bottom") if k == upper else (-8, "top")
+        style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 9, "fontweight": "bold"}
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
+        place = (ends[k, 0], ends[k, 1])
+        axes.annotate(FINGER_NAMES[name], place, (0, offset), va=va, color=colour, bbox=box, **style)
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 

@@ -51,12 +51,8 @@ def __getattr__(name: str) -> Callable[[], int]:
 def run(*names: str, args: Sequence[str] | None = None) -> int:
     """Start nodes by name in this process and serve until Ctrl-C, shutdown, or until each has ended by itself.
 
-    Args:
-        names: Of nodes.
-        args: Command line with ROS arguments; `sys.argv` if None.
-
-    Returns:
-        Exit status: 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
+    Exit status 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed. `args` is the
+    command line with ROS arguments, by default `sys.argv`.
     """
     arguments = list(sys.argv if args is None else args)
     _parser(names).parse_args(arguments[1:])
@@ -100,11 +96,7 @@ def _serve(names: Sequence[str], arguments: list[str]) -> int:
 
 
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line for some nodes and start rclpy.
-
-    Raises:
-        ConfigError: If an argument or a parameter file is malformed, or names an unknown node or parameter.
-    """
+    """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
     prepare_environment()
     check_parameters(arguments, NODES, names, namespace)
     start_rclpy(arguments)
@@ -113,8 +105,7 @@ def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMES
 def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
     """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
 
-    Raises:
-        ConfigError: If a parameter given at the start breaks a rule.
+    A `ConfigError` if a parameter given at the start breaks a rule.
     """
     nodes: list[ForetouchNode[Any]] = []
     try:
@@ -129,11 +120,7 @@ def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
 
 
 def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:
-    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them.
-
-    Returns:
-        Whether one has failed.
-    """
+    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended, and destroy them; has one failed?"""
     from rclpy.executors import ExternalShutdownException
 
     from foretouch.ros.runtime.executor import GraphExecutor

@@ -29,20 +29,10 @@ _SOURCES = ("replay", "camera")
 
 
 class Graph:
-    """Nodes that run while the context is open.
+    """Nodes by name, and a monitor, that run while the context is open.
 
-    Args:
-        nodes: Parameters of each node by name (see `foretouch.ros.executables`).
-        namespace: Of the nodes; None for the default.
-        params_file: ROS parameter file, or None.
-        monitor: Options of `MonitorNode`.
-
-    Attributes:
-        nodes: By name, while the context is open.
-        monitor: While the context is open.
-
-    Raises:
-        ConfigError: On entering, if a parameter breaks a rule.
+    `nodes` are the parameters of each node by name (see `foretouch.ros.executables`), `monitor` the options of `MonitorNode`.
+    On entering, a `ConfigError` if a parameter breaks a rule.
     """
 
     def __init__(
@@ -186,8 +176,7 @@ class Graph:
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
     """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
 
-    Raises:
-        ForetouchError: If there is no such service or no answer within the time.
+    A `ForetouchError` if there is no such service or no answer within the time.
     """
     namespace = _checked(namespace or NAMESPACE)
     start_rclpy([])

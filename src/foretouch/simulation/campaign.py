@@ -165,31 +165,21 @@ class Campaign:
                 old = mounted[-1]
                 new = draw_finger(kind, stream)
                 electrodes = new.electrode_rest - new.electrode_rest.mean() + old.electrode_rest.mean()
-                mounted.append(
-                    replace(
-                        new,
-                        pdc_rest=old.pdc_rest + exchange.pdc_counts,
-                        electrode_rest=np.clip(electrodes + exchange.electrode_counts, 1.0, FULL_SCALE - 1.0),
-                    )
-                )
+                electrodes = np.clip(electrodes + exchange.electrode_counts, 1.0, FULL_SCALE - 1.0)
+                mounted.append(replace(new, pdc_rest=old.pdc_rest + exchange.pdc_counts, electrode_rest=electrodes))
         return thumbs, middles
 
     @cached_property
     def _paths(self) -> list[tuple[Float64, list[list[Float64]]]]:
         """Of each term the path of the hand, and those of each finger's sensors, at unit variance and equal steps."""
-        return [
-            (
-                self._path(term, number, "drift of the hand", 1),
-                [
-                    [
-                        self._path(term, number, f"drift of the {name}", _CHANNELS + 1, sensor)
-                        for sensor in range(1 + len(self._exchanges(finger)))
-                    ]
-                    for finger, name in enumerate(_FINGERS)
-                ],
-            )
-            for number, term in enumerate(self.config.drift)
-        ]
+        paths, mounted = [], [range(1 + len(self._exchanges(finger))) for finger in range(2)]
+        for number, term in enumerate(self.config.drift):
+            sensors = [
+                [self._path(term, number, f"drift of the {name}", _CHANNELS + 1, sensor) for sensor in own]
+                for name, own in zip(_FINGERS, mounted, strict=True)
+            ]
+            paths.append((self._path(term, number, "drift of the hand", 1), sensors))
+        return paths
 
     def _path(self, term: DriftTermConfig, number: int, name: str, channels: int, sensor: int = 0) -> Float64:
         end_s = self.config.days[-1] * DAY_S + self.config.longest_session_s

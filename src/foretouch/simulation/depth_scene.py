@@ -12,7 +12,7 @@ from foretouch.errors import ConfigError
 from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise
 from foretouch.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
 from foretouch.simulation.view import CameraView
-from foretouch.types import Cloud, Float64
+from foretouch.types import Cloud, Float32, Float64, Int32, UInt8
 
 TABLE: Final = 1  # label of the table; 0 is everything else
 FIRST_OBJECT: Final = 2  # label of the first object
@@ -44,8 +44,8 @@ class DepthImage:
     """
 
     depth_mm: npt.NDArray[np.uint16]
-    rgb: npt.NDArray[np.uint8]
-    labels: npt.NDArray[np.int32]
+    rgb: UInt8
+    labels: Int32
     K: Float64
     plane: Float64
 
@@ -87,7 +87,7 @@ class DepthScene:
             depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
         return DepthImage(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
 
-    def cast(self) -> tuple[Float64, npt.NDArray[np.int32]]:
+    def cast(self) -> tuple[Float64, Int32]:
         """Exact depth and labels.
 
         Returns:
@@ -111,14 +111,14 @@ class DepthScene:
         objects[index] = objects[index].moved(offset)
         return replace(self, objects=tuple(objects))
 
-    def _colours(self, depth: Float64, labels: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
+    def _colours(self, depth: Float64, labels: Int32) -> UInt8:
         """A colour per label, darker where the surface turns away, by the slope of the depth."""
         index = np.where(labels < FIRST_OBJECT, labels, FIRST_OBJECT + (labels - FIRST_OBJECT) % (len(_COLOURS) - 2))
         z = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
         slope_v, slope_u = np.gradient(z)
         steep = np.float32(self.view.matrix[0, 0]) * np.hypot(slope_u, slope_v) / np.maximum(z, np.float32(0.1))
         shade = np.float32(1.0) / np.sqrt(np.float32(1.0) + steep * steep)
-        colours: npt.NDArray[np.float32] = _COLOURS[index] * (0.35 + 0.65 * shade)[..., None]
+        colours: Float32 = _COLOURS[index] * (0.35 + 0.65 * shade)[..., None]
         return colours.astype(np.uint8)
 
 

@@ -43,20 +43,16 @@ SLIP_LENGTH_M: Final = 0.0005  # mean length of one slip
 class NoiseConfig(Settings):
     """Noise of the channels."""
 
-    electrode_counts: float = setting(
-        4.2, "Standard deviation of the white noise of an electrode", minimum=0.0, maximum=1e6
-    )
-    pdc_counts: float = setting(0.3, "Standard deviation of the white noise of PDC", minimum=0.0, maximum=1e6)
+    electrode_counts: float = setting(4.2, "Standard deviation of the white noise of an electrode", bounds=(0.0, 1e6))
+    pdc_counts: float = setting(0.3, "Standard deviation of the white noise of PDC", bounds=(0.0, 1e6))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TemperatureConfig(Settings):
     """Warming of the liquid, which moves all counts; it is not compensated in the sensor."""
 
-    body_kelvin: float = setting(
-        3.0, "Rise of the liquid's temperature since power-on, in the end", minimum=-1e3, maximum=1e3
-    )
-    warming_s: float = setting(600.0, "Time constant of the warming", minimum=1e-3, maximum=1e9)
+    body_kelvin: float = setting(3.0, "Rise of the liquid's temperature since power-on, in the end", bounds=(-1e3, 1e3))
+    warming_s: float = setting(600.0, "Time constant of the warming", bounds=(1e-3, 1e9))
 
 
 def ou_noise(
@@ -90,8 +86,8 @@ def scan(series: Float64, rng: np.random.Generator) -> Float64:
 class CreepConfig(Settings):
     """The skin relaxes under load within seconds; with a slow share, a part of the response comes later still."""
 
-    slow_share: float = setting(0.0, "Part of the response that comes later still", minimum=0.0, maximum=0.9)
-    slow_s: float = setting(30.0, "Time constant of that part", minimum=0.1, maximum=1e5)
+    slow_share: float = setting(0.0, "Part of the response that comes later still", bounds=(0.0, 0.9))
+    slow_s: float = setting(30.0, "Time constant of that part", bounds=(0.1, 1e5))
 
 
 def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:
@@ -127,19 +123,11 @@ def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "
     return result
 
 
-def slip_path(
-    rows: int,
-    rate_hz: float,
-    rng: np.random.Generator,
-    *,
-    speed_m_s: float = SLIP_SPEED_M_S,
-    length_m: float = SLIP_LENGTH_M,
-) -> Float64:
+def slip_path(rows: int, rate_hz: float, rng: np.random.Generator) -> Float64:
     """(rows,) float64 [m]: how far the object has slid in the tangent plane, starting at 0, never back.
 
-    It sticks for exponentially distributed times and slips by exponentially distributed lengths, which
-    keep the mean speed; `length_m` is the mean length of one slip.
+    It sticks for exponentially distributed times and slips by exponentially distributed lengths, which keep the mean speed.
     """
-    slips = rng.poisson(speed_m_s / (length_m * rate_hz), rows)
-    path = np.cumsum(rng.standard_gamma(np.maximum(slips, 1)) * length_m * (slips > 0))
+    slips = rng.poisson(SLIP_SPEED_M_S / (SLIP_LENGTH_M * rate_hz), rows)
+    path = np.cumsum(rng.standard_gamma(np.maximum(slips, 1)) * SLIP_LENGTH_M * (slips > 0))
     return np.asarray(path - path[0]) if rows else path

@@ -74,8 +74,9 @@ class Effect:
         run: Computes the effect.
         when: Field of the scene that calls for it, such as `camera.noise` (`objects.` stands for the object of the
             sample), or a function that returns the reason to run it with an object, or None.
-        reads: Keys of the state that must be there.
+        reads: Keys of the state that must be there, those that it changes included.
         writes: Keys that it makes or changes.
+        changes: Keys that it both reads and writes.
         off: Reason why it does not run where nothing calls for it; by default the field that is absent.
         again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
         detail: Describes that field, for the reason.
@@ -86,9 +87,14 @@ class Effect:
     when: str | Callable[[SceneConfig, ObjectConfig], str | None]
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
     off: str = ""
     again: bool = False
     detail: Callable[[Any], str] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("reads", "writes"):
+            object.__setattr__(self, name, tuple(dict.fromkeys((*getattr(self, name), *self.changes))))
 
     def reason(self, scene: SceneConfig, item: ObjectConfig) -> str | None:
         """Why it runs with an object of a scene; None where nothing calls for it."""

@@ -18,7 +18,7 @@ from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.fingertip import quantise
+from foretouch.simulation.fingertip import quantise, read_press
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
 from foretouch.simulation.scene.ranges import draw
@@ -34,13 +34,11 @@ Counts = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspTimingConfig(TimelineConfig):
+class GraspTimingConfig(TimelineConfig, read_only=True):
     """The phases of a live grasp. Whoever wants a tare finds it in the rest."""
 
-    rest_s: float = setting(
-        0.5, "Time before the hand moves, and again after release", minimum=0.02, maximum=600.0, read_only=True
-    )
-    approach_s: float = setting(0.3, "Time from there to first touch", minimum=0.0, maximum=60.0, read_only=True)
+    rest_s: float = setting(0.5, "Time before the hand moves, and again after release", bounds=(0.02, 600.0))
+    approach_s: float = setting(0.3, "Time from there to first touch", bounds=(0.0, 60.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +139,11 @@ class SimulatedHand:
             rotation=rotation,
             forces=(state.contacts[0].force_n, state.contacts[1].force_n),
         )
+
+    def press(self, finger: int) -> Counts:
+        """(25,) int16: what a press by a person adds to the counts of the thumb, 0, or the middle finger, 1."""
+        one = self._resting.world.fingers[finger]
+        return np.asarray(read_press(one) - np.append(one.pdc_rest, one.electrode_rest)).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
         """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""

@@ -64,20 +64,20 @@ class FingerConfig(Settings):
     percentile is near that of real ones, 3600.
     """
 
-    pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", bounds=(1.0, 4094.0))
     electrode_rest: float = setting(
-        3450.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+        3450.0, "Mean of the electrodes without contact", unit="counts", bounds=(500.0, 4000.0)
     )
-    pdc_span: float = setting(PDC_SPAN, "Rise of PDC where it levels off", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_span: float = setting(PDC_SPAN, "Rise of PDC where it levels off", unit="counts", bounds=(1.0, 4094.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThumbConfig(FingerConfig):
     """Rest levels of a thumb, whose electrodes reach 3350: PDC is higher, electrodes are lower than of other fingers."""
 
-    pdc_rest: float = setting(2779.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_rest: float = setting(2779.0, "PDC without contact", unit="counts", bounds=(1.0, 4094.0))
     electrode_rest: float = setting(
-        3150.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+        3150.0, "Mean of the electrodes without contact", unit="counts", bounds=(500.0, 4000.0)
     )
 
 
@@ -117,6 +117,13 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
     approach = _skin_approach(_electrode_weights(pad, window.frame, window.points), skin, volume)
     electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
     return np.append(_pdc_counts(window.frame, volume, finger), electrodes)
+
+
+def read_press(finger: Finger) -> Float64:
+    """(25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
+    approach = 0.5 * THINNING_M * np.maximum(-electrode_normals()[:, 2], 0.0)
+    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
+    return np.append(finger.pdc_rest + 0.5 * finger.pdc_span, electrodes)
 
 
 def _displaced_volume(displacement: Float64, cell_m2: float) -> float:

@@ -18,19 +18,13 @@ _MS_NS = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScheduleConfig(Settings):
+class ScheduleConfig(Settings, read_only=True):
     """A scene whose samples follow each other in time; camera and hand are given the same."""
 
-    path: str = setting("", "Path of the scene file (YAML)", read_only=True)
-    dwell_s: float = setting(
-        3.0, "Time that each sample stays on the table", minimum=0.05, maximum=86400.0, read_only=True
-    )
-    samples: int = setting(
-        1000, "Number of samples that are shown before the first comes again", minimum=1, read_only=True
-    )
-    origin_ns: int = setting(
-        0, "Time when the first sample is laid on the table, since 1970", minimum=0, read_only=True
-    )
+    path: str = setting("", "Path of the scene file (YAML)")
+    dwell_s: float = setting(3.0, "Time that each sample stays on the table", bounds=(0.05, 86400.0))
+    samples: int = setting(1000, "Number of samples that are shown before the first comes again", minimum=1)
+    origin_ns: int = setting(0, "Time when the first sample is laid on the table, since 1970", minimum=0)
 
     def load(self) -> SceneConfig:
         """The scene; a `ConfigError` if there is no path, or the file breaks a rule."""

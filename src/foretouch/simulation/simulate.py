@@ -8,14 +8,18 @@ number of workers.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import asdict, astuple, dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from foretouch import __version__
+from foretouch.dataset.chunks import made_in_chunks
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
 from foretouch.simulation.campaign import object_index
@@ -73,23 +77,58 @@ class Simulation:
             ConfigError: If the scene is a campaign of fewer grasps.
             SimulationError: If a slot fails `scene.max_attempts` times.
         """
-        campaign = self.scene.campaign
-        if campaign is not None and count > campaign.size:
-            raise ConfigError(
-                f"campaign: {count} grasps exceed its {campaign.size} ({len(campaign.days)} sessions of {campaign.objects} "
-                f"objects, {campaign.grasps} grasps each)"
-            )
+        _require_length(self.scene, count)
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
-        made_here = map(partial(_make_block, _engine_of(self.scene)), blocks)
+        made_here = map(partial(_make_block, self.scene), blocks)
         results = made_here if workers == 1 else _spread(self.scene, blocks, workers)
         for samples, timings, failures, given_up in results:
-            for name, timing in timings.items():
-                self.timings[name].calls += timing.calls
-                self.timings[name].seconds += timing.seconds
-            self.failures.extend(failures)
+            self._add(timings, failures)
             yield from samples
             if given_up:
                 raise _given_up(failures[-self.scene.max_attempts :])
+
+    def samples_on_ray(
+        self, count: int, folder: Path, address: str, workers: int, progress: Callable[[int], None] = lambda _: None
+    ) -> Iterator[GraspSample]:
+        """The same samples, made in chunks by the nodes of a cluster (see `made_in_chunks`, which it raises as too)."""
+        _require_length(self.scene, count)
+        plan = {"foretouch": __version__, "scene_sha256": self.scene.sha256(), "samples": count}
+        make = partial(_write_chunk, self.scene)
+        for store in made_in_chunks(folder, plan, count, make, address, workers, progress):
+            about = store.manifest["about"]
+            self._add(
+                {name: EffectTiming(**timing) for name, timing in about["timings"].items()},
+                [Failure(SampleKey(*key), reason, message) for key, reason, message in about["failures"]],
+            )
+            yield from store
+
+    def _add(self, timings: Mapping[str, EffectTiming], failures: Sequence[Failure]) -> None:
+        for name, timing in timings.items():
+            self.timings[name].calls += timing.calls
+            self.timings[name].seconds += timing.seconds
+        self.failures.extend(failures)
+
+
+def _require_length(scene: SceneConfig, count: int) -> None:
+    campaign = scene.campaign
+    if campaign is not None and count > campaign.size:
+        raise ConfigError(
+            f"campaign: {count} grasps exceed its {campaign.size} ({len(campaign.days)} sessions of {campaign.objects} "
+            f"objects, {campaign.grasps} grasps each)"
+        )
+
+
+def _write_chunk(scene: SceneConfig, slots: range, write: Callable[[GraspSample], None]) -> dict[str, Any]:
+    """Write the samples of some slots; gives time by effect and failures in plain types."""
+    samples, timings, failures, given_up = _make_block(scene, slots)
+    if given_up:
+        raise _given_up(failures[-scene.max_attempts :])
+    for sample in samples:
+        write(sample)
+    return {
+        "timings": {name: asdict(timing) for name, timing in timings.items()},
+        "failures": [(astuple(one.key), one.reason, one.message) for one in failures],
+    }
 
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
@@ -102,6 +141,7 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
     return _engine_of(scene).run(key)
 
 
+@lru_cache(maxsize=1)  # a worker process has one scene all its life
 def _engine_of(scene: SceneConfig) -> Engine:
     return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
 
@@ -110,10 +150,10 @@ def _engine_of(scene: SceneConfig) -> Engine:
 _Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
 
 
-def _make_block(engine: Engine, slots: range) -> _Block:
+def _make_block(scene: SceneConfig, slots: range) -> _Block:
     from threadpoolctl import threadpool_limits
 
-    scene = engine.scene
+    engine = _engine_of(scene)
     engine.timings = {effect.name: EffectTiming() for effect in EFFECTS}
     samples: list[GraspSample] = []
     failures: list[Failure] = []
@@ -209,26 +249,13 @@ def _given_up(failures: list[Failure]) -> SimulationError:
     )
 
 
-_engine: Engine | None = None  # of a worker process
-
-
-def _start_worker(scene: SceneConfig) -> None:
-    global _engine  # noqa: PLW0603  # a worker process has one scene all its life
-    _engine = _engine_of(scene)
-
-
-def _work(slots: range) -> _Block:
-    assert _engine is not None  # noqa: S101  # _start_worker made it
-    return _make_block(_engine, slots)
-
-
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
     """Blocks in order from several processes, a few made ahead of the reader."""
-    with one_thread_each(), process_pool(workers, _start_worker, (scene,)) as pool:
+    with one_thread_each(), process_pool(workers) as pool:
         pending: deque[Future[_Block]] = deque()
         try:
             for slots in blocks:
-                pending.append(pool.submit(_work, slots))
+                pending.append(pool.submit(_make_block, scene, slots))
                 if len(pending) >= workers * _AHEAD:
                     yield pending.popleft().result()
             while pending:

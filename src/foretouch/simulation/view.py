@@ -51,21 +51,6 @@ class CameraView:
         rays: Float64 = (x[:, None] * axes[:, 0])[None] + (y[:, None] * axes[:, 1])[:, None] + axes[:, 2]
         return rays
 
-    def project(self, points: Float64) -> tuple[Float64, Float64]:
-        """Pixels of points in the world.
-
-        Args:
-            points: (n, 3) float64 [m].
-
-        Returns:
-            (n, 2) float64 column and row [px], meaningless behind the camera; (n,) float64 depth [m].
-        """
-        local = self.to_camera(points)
-        depth = local[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels = (local @ self.matrix.T)[:, :2] / depth[:, None]
-        return pixels, depth
-
     def to_camera(self, points: Float64) -> Float64:
         """Points (..., 3) of the world in the camera frame [m]."""
         return np.asarray((points - self.eye) @ self.R_world_camera, np.float64)
@@ -75,10 +60,11 @@ class CameraView:
         return np.asarray(points @ self.R_world_camera.T + self.eye, np.float64)
 
     def bounds(self, points: Float64) -> Float64:
-        """(2, 2) float64 smallest and largest (column, row) of points; the whole line of sight if one is behind."""
-        pixels, depth = self.project(points)
-        if (depth <= 0.0).any():
+        """(2, 2) float64 smallest and largest (column, row) of (n, 3) points; the whole line of sight if one is behind."""
+        local = self.to_camera(points)
+        if (local[:, 2] <= 0.0).any():
             return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        pixels = (local @ self.matrix.T)[:, :2] / local[:, 2:]
         return np.stack([pixels.min(axis=0), pixels.max(axis=0)])
 
     def window(self, points: Float64) -> Window:

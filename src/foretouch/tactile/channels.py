@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
-from foretouch.types import ELECTRODES, Float64
+from foretouch.types import ELECTRODES, Bool, Float64, Index
 
 MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)
@@ -29,7 +29,7 @@ _NARROWEST: Final = 1e-6  # [counts]
 _WIDEST: Final = 1e12  # [counts]
 
 
-def columns(modalities: Sequence[str]) -> npt.NDArray[np.intp]:
+def columns(modalities: Sequence[str]) -> Index:
     """(M,) columns of some modalities in `Touch.vector()`, in this order; a `TactileError` names an unknown one."""
     unknown = [name for name in modalities if name not in _COLUMNS]
     if unknown:
@@ -85,7 +85,7 @@ class TactileRanges(Settings):
         """Scale counts (..., 50) to [0, 1]; values outside their range leave [0, 1] and are not clipped."""
         return (np.asarray(counts, np.float64) - self.low) / (self.high - self.low)
 
-    def outside(self, counts: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def outside(self, counts: npt.ArrayLike) -> Bool:
         """Which of (..., 50) counts are outside their range; NaN is outside."""
         values = np.asarray(counts, np.float64)
         return np.asarray(~((values >= self.low) & (values <= self.high)), np.bool_)

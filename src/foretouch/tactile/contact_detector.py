@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.tactile import columns
-from foretouch.types import ELECTRODES, Float64
+from foretouch.types import ELECTRODES, Float64, Int64
 
 #: Columns of PDC and the electrodes of each finger in a vector of 50 counts.
 FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_MF", "E_MF"))}
@@ -43,21 +43,23 @@ class ContactConfig(Settings):
     """Settings of the contact detector."""
 
     electrode_limit: float = setting(
-        3.0, "Root mean square of the electrodes' changes that counts as contact", unit="deviations", minimum=1.2,
-        maximum=100.0,
-    )  # fmt: skip
+        3.0,
+        "Root mean square of the electrodes' changes that counts as contact",
+        unit="deviations",
+        bounds=(1.2, 100.0),
+    )
     pdc_limit: float = setting(
-        12.0, "Change of the static pressure that counts as contact", unit="deviations", minimum=3.0, maximum=1e4
+        12.0, "Change of the static pressure that counts as contact", unit="deviations", bounds=(3.0, 1e4)
     )
     release_level: float = setting(
-        0.7, "Score below which contact ends, relative to the score at which it begins", minimum=0.1, maximum=1.0
+        0.7, "Score below which contact ends, relative to the score at which it begins", bounds=(0.1, 1.0)
     )
-    confirm: int = setting(3, "Consecutive readings that confirm a change", minimum=1, maximum=100)
-    window_s: float = setting(0.5, "Time over which the reference is computed", minimum=0.05, maximum=60.0)
+    confirm: int = setting(3, "Consecutive readings that confirm a change", bounds=(1, 100))
+    window_s: float = setting(0.5, "Time over which the reference is computed", bounds=(0.05, 60.0))
     lag_s: float = setting(
-        0.3, "Time between the reference and now: a slower contact is considered drift", minimum=0.0, maximum=60.0
+        0.3, "Time between the reference and now: a slower contact is considered drift", bounds=(0.0, 60.0)
     )
-    longest_s: float = setting(120.0, "Longer contacts are considered drift", minimum=1.0, maximum=1e6)
+    longest_s: float = setting(120.0, "Longer contacts are considered drift", bounds=(1.0, 1e6))
 
 
 class ContactEvent(NamedTuple):
@@ -180,10 +182,7 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactCo
 
 
 def find_contact(
-    stamps_ns: Sequence[int] | npt.NDArray[np.int64],
-    counts: npt.ArrayLike,
-    rest: npt.ArrayLike,
-    config: ContactConfig | None = None,
+    stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None
 ) -> tuple[int | None, int | None]:
     """First contacts of thumb and middle finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
     settings = config or ContactConfig()

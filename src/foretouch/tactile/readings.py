@@ -8,6 +8,7 @@ The BioTac SP is not temperature-compensated and drifts with temperature, inflat
 only with those of the same finger at rest shortly before: the tare.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import TactileError
-from foretouch.types import Float64, Touch
+from foretouch.types import Bool, Float64, Touch
 
 FULL_SCALE: Final = 4095  # largest count of the 12-bit converter
 
@@ -68,9 +69,15 @@ def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
     return np.where(is_tdc(found), found, np.nan)
 
 
-def is_tdc(values: Float64) -> npt.NDArray[np.bool_]:
+def is_tdc(values: Float64) -> Bool:
     """Which values a working thermistor can have sent: not NaN, not 0 as of drivers without one, and not saturated."""
     return (values > 0.0) & (values < FULL_SCALE)
+
+
+def to_celsius(tdc: float) -> float:
+    """Temperature of a finger [°C] by its TDC [counts], for which `is_tdc` holds, by the product manual."""
+    share = tdc / FULL_SCALE
+    return 4025.0 / math.log((155183.0 - 46555.0 * share) / share) - 273.15
 
 
 def offsets(touch: Touch, tare: Touch) -> Float64:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernels of `neighbours.c`, `voxels.c` and `stable.c` compute, in NumPy."""
+"""What the kernels of `neighbours.c`, `flying.c`, `voxels.c` and `stable.c` compute, in NumPy."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -35,6 +35,19 @@ def normals_and_curvature(xyz, query, radius_m: float = 0.03) -> tuple[Array, Ar
 
 def count_without_normal(xyz, radius_m: float = 0.03) -> int:
     return np.count_nonzero(~_covariance(summed_moments(xyz, xyz, radius_m))[1])
+
+
+def flying_points(xyz, some, radius: float, gap_m: float, slope: float, share: float, support: float) -> Array:
+    z, rays = xyz[:, 2], xyz[:, :2] / xyz[:, 2:]
+    found = np.zeros(len(some), np.bool_)
+    for k, i in enumerate(some):
+        apart = ((rays - rays[i]) ** 2).sum(axis=1)
+        near = (apart <= np.float32(radius) ** 2) & (np.arange(len(xyz)) != i)
+        deeper = (z - z[i])[near]
+        close = deeper**2 <= np.maximum(np.float32(slope**2) * z[i] * z[i] * apart[near], np.float32(gap_m**2))
+        side = max(np.count_nonzero(~close & (deeper > 0.0)), np.count_nonzero(~close & (deeper < 0.0)))
+        found[k] = near.sum() >= 5 and side >= share * near.sum() and close.sum() <= support
+    return found
 
 
 def voxels(xyz, leaf_m: float) -> tuple[Array, Array]:
@@ -86,7 +99,7 @@ def local_planes(points, centres, radius_m: float) -> tuple[Array, Array]:
 
 def onto_surface(points, place) -> Array:
     squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
-    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.001**2))
+    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.002**2))
     return weight @ points.xyz / weight.sum()
 
 

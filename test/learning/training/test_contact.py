@@ -13,7 +13,8 @@ from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data import labels_of, object_folds
+from foretouch.learning.data import labels_of
+from foretouch.learning.data.folds import object_folds
 from foretouch.learning.training import generalisation
 from foretouch.learning.training.calibration import rest_level, resting_labels
 from foretouch.learning.training.contact import describe_samples, fit_contact

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import TrainingDevice
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network

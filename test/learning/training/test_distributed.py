@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
 from foretouch.learning.training.losses import Features, SrganLossConfig, discriminator_loss, labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
@@ -29,16 +29,16 @@ def batch() -> tuple[torch.Tensor, torch.Tensor]:
     return x, torch.randn(6, 3, generator=generator) * torch.arange(1.0, 7.0).unsqueeze(1)
 
 
-def gradients(chosen: slice, context: DistributedContext) -> torch.Tensor:
+def gradients(chosen: slice) -> torch.Tensor:
     """Of a linear map that is features and prediction at once, for each variant of the loss."""
     x, target = (part[chosen] for part in batch())
     rows = []
     for variant in VARIANTS:
         weight = torch.linspace(-1.0, 1.0, 12).view(4, 3).requires_grad_()
-        labeled = labeled_loss(x @ weight, target, [1, 2], context=context)
+        labeled = labeled_loss(x @ weight, target, [1, 2])
         features = Features(x @ weight, (x * 0.5 + 1.0) @ weight, (x * 2.0 - 1.0) @ weight)
         config = SrganLossConfig(loss_variant=variant)
-        discriminator_loss(labeled, features, config, context=context)["total"].backward()
+        discriminator_loss(labeled, features, config)["total"].backward()
         rows.append(weight.grad)
     return torch.stack(rows)
 
@@ -81,7 +81,7 @@ def train_rank(rank: int, folder: str, data: TrainingSet) -> None:
     """One of two processes: half of a batch with the average of both gradients, as training takes it; and training."""
     torch.set_num_threads(1)
     torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
-    own = gradients(slice(3 * rank, 3 * rank + 3), DistributedContext.of_process_group())
+    own = gradients(slice(3 * rank, 3 * rank + 3))
     torch.distributed.all_reduce(own)
     Path(folder, f"losses{rank}").write_bytes((own / 2).numpy().tobytes())
     for method in METHODS:
@@ -101,11 +101,11 @@ def test_two_processes_train_with_the_gradients_of_one(samples, small, tmp_path:
     for worker in workers:
         worker.join(60)
     assert [worker.exitcode for worker in workers] == [0, 0]
-    losses = gradients(slice(0, 6), SINGLE_PROCESS)
+    losses = gradients(slice(0, 6))
     for rank in range(2):
         found = torch.frombuffer(bytearray((tmp_path / f"losses{rank}").read_bytes()), dtype=torch.float32)
         assert float((found - losses.flatten()).norm() / losses.norm()) < 1e-6
-    halves = (gradients(slice(0, 3), SINGLE_PROCESS) + gradients(slice(3, 6), SINGLE_PROCESS)) / 2
+    halves = (gradients(slice(0, 3)) + gradients(slice(3, 6))) / 2
     assert float((halves - losses).norm() / losses.norm()) > 0.001  # the mean of the processes' own roots is wrong
     for method in METHODS:
         whole = trained_gradients(data, method)

@@ -150,7 +150,7 @@ def test_an_evaluation_leaves_out_the_samples_that_the_model_was_trained_on(data
     assert (every["samples"], every["scored"], every["excluded"]) == (len(data.samples), "training_samples", 0)
 
     card = train_run(run_config(), data, tmp_path / "whole", quiet)
-    with pytest.raises(DatasetError, match=r"none is held out; train with split='random/random 0'"):
+    with pytest.raises(DatasetError, match=r"none is held out; train with release=true .* or split='random/random 0'"):
         evaluate_model(card, other, "random", baselines={})
     unlisted = json.loads(card.read_text())
     del unlisted["data"]["sample_hashes"]

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import TrainingSet
-from foretouch.learning.data.training_set import predict_set
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.losses import SrganLossConfig
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import DatasetError
-from foretouch.learning.data import Dataset, TrainingSet, duplicate_labels, labels_of, make_folds
-from foretouch.learning.data.training_set import predict_set
+from foretouch.learning.data import Dataset, labels_of, make_folds
+from foretouch.learning.data.training_set import TrainingSet, duplicate_labels, predict_set
 from foretouch.learning.evaluation.baselines import object_mean, training_mean
 from foretouch.learning.evaluation.evaluate import cross_validate
 from foretouch.learning.training.run import make_learner

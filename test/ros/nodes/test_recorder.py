@@ -122,7 +122,7 @@ def test_a_best_effort_sensor_is_heard_and_its_dead_electrodes_are_named(graph, 
 
 def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path):
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
-    data, tactile = serialize_message(biotac_all_to_msg({}, "rh", 5)), node._input_topics.inputs["/rh/tactile"]
+    data, tactile = serialize_message(biotac_all_to_msg({}, "rh", 5)), node.input_topics.inputs["/rh/tactile"]
     for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
         stamps = {"received_timestamp": 1, "source_timestamp": 1}
         info = {"publication_sequence_number": sequence, "publisher_gid": {"data": publisher}, **stamps}

@@ -17,14 +17,10 @@ _WIDEST = math.tan(math.radians(60.0))  # largest |x/z| and |y/z| that a depth c
 class ObjectLimits(Settings):
     """Where an object can be, and how large. The defaults are those of a D415 and a Shadow Hand."""
 
-    min_range_m: float = setting(
-        0.16, "Objects whose centre is nearer to the camera are refused", minimum=0.0, maximum=10.0
-    )
-    max_range_m: float = setting(
-        10.0, "Objects and tables farther from the camera are refused", minimum=0.1, maximum=100.0
-    )
-    min_extent_m: float = setting(0.005, "Objects whose largest side is shorter are refused", minimum=1e-6, maximum=1.0)
-    max_extent_m: float = setting(0.6, "Objects whose largest side is longer are refused", minimum=0.01, maximum=10.0)
+    min_range_m: float = setting(0.16, "Objects whose centre is nearer to the camera are refused", bounds=(0.0, 10.0))
+    max_range_m: float = setting(10.0, "Objects and tables farther from the camera are refused", bounds=(0.1, 100.0))
+    min_extent_m: float = setting(0.005, "Objects whose largest side is shorter are refused", bounds=(1e-6, 1.0))
+    max_extent_m: float = setting(0.6, "Objects whose largest side is longer are refused", bounds=(0.01, 10.0))
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -17,12 +17,9 @@ _moments_within = Kernel("summed_moments", np.float32, int, np.float32, int, flo
 _fit_planes = Kernel("fit_planes", np.float64, np.float32, int, float, np.float64, np.float64)
 _voxel_cells = Kernel("voxel_cells", np.float32, int, float, np.int64, np.int64, np.int64)
 _cell_means = Kernel("cell_means", np.float64, int, int, np.int64, np.int64, int, np.float64)
-_cell_moments = Kernel("cell_moments", np.float32, int, np.float32, np.int64, int, np.float64)
 
 _CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius
-_SAMPLE_STEP = 8
 _MARGIN = 1.001  # radii: far more than float32 rounding
-_MIN_NEIGHBOURS = 3  # to span a plane
 _LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on a line up to float32 rounding
 
 
@@ -89,37 +86,28 @@ def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) 
     """
     if len(query) == 0:
         return np.zeros((0, 3)), np.zeros(0)
-    return _fit(_summed_moments(xyz[_in_box(xyz, xyz[query], radius_m)], xyz[query], radius_m), xyz[query])
+    points = xyz[query]
+    sums = _summed_moments(xyz[_in_box(xyz, points, radius_m)], points, radius_m)
+    normals, curvature = np.empty((len(sums), 3)), np.empty(len(sums))
+    _fit_planes(sums, points, len(sums), _LINE, normals, curvature)
+    return normals, curvature
 
 
-def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid | None = None) -> int:
-    """Number of points for which `normals_and_curvature` would find no normal.
-
-    Args:
-        xyz: (N, 3) float32 [m], finite. N may be 0.
-        radius_m: Radius of the neighbourhood [m].
-        grid: A voxel grid of the points, if available; it is not used if its edge is too long.
-    """
+def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
+    """Number of points (N, 3), finite, for which `normals_and_curvature` would find no normal; N may be 0."""
     if len(xyz) == 0:
         return 0
     # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
-    if grid is None or grid.leaf_m > radius_m * _CUBE:
-        grid = voxel_grid(xyz, radius_m * _CUBE)
-    undecided = np.flatnonzero(~_spans_plane(_moments_of_cells(xyz, grid))[grid.cell])
-    # A subset of the neighbours that spans a plane is sufficient; all are used for the few remaining points.
-    for step in (_SAMPLE_STEP, 1):
-        if len(undecided) == 0:
-            break
-        near = np.ascontiguousarray(xyz[_in_box(xyz, xyz[undecided], radius_m)][::step])
-        undecided = undecided[~_spans_plane(_summed_moments(near, xyz[undecided], radius_m))]
-    return len(undecided)
-
-
-def _moments_of_cells(xyz: Float32, grid: VoxelGrid) -> Float64:
-    """(M, 10) float64: sums of the moments of the points of each cell."""
-    sums = np.empty((len(grid.counts), 10))
-    _cell_moments(xyz, len(xyz), xyz[0], grid.cell, len(sums), sums)
-    return sums
+    grid = voxel_grid(xyz, radius_m * _CUBE)
+    offset = xyz.astype(np.float64) - xyz[0]
+    mean = grid.mean(np.column_stack([offset, (offset[:, :, None] * offset[:, None]).reshape(-1, 9)]))
+    covariance = mean[:, 3:].reshape(-1, 3, 3) - mean[:, :3, None] * mean[:, None, :3]
+    trace = np.trace(covariance, axis1=1, axis2=2)
+    # Sum of the products of two eigenvalues: zero on a line, where only one eigenvalue is not zero.
+    products = (trace * trace - np.einsum("qij,qij->q", covariance, covariance)) / 2.0
+    spans_plane = (grid.counts >= 3) & (products > _LINE * trace * trace)
+    undecided = np.flatnonzero(~spans_plane[grid.cell])
+    return int(np.count_nonzero(np.isnan(normals_and_curvature(xyz, undecided, radius_m)[1])))
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> Bool:
@@ -139,29 +127,6 @@ def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
     if sums[0, 0] < 0.0:
         raise MemoryError("summed_moments")
     return sums
-
-
-def _covariance(sums: Float64) -> Float64:
-    """(Q, 3, 3) float64 [m²] from summed moments; zero without neighbours."""
-    mean = sums / np.maximum(sums[:, :1], 1.0)
-    square = mean[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
-    return np.asarray(square - mean[:, 1:4, None] * mean[:, None, 1:4], np.float64)
-
-
-def _spans_plane(sums: Float64) -> Bool:
-    """(Q,) bool: whether neighbourhoods contain three points that are not collinear."""
-    c = _covariance(sums)
-    trace = np.trace(c, axis1=1, axis2=2)
-    # Sum of the products of two eigenvalues: zero on a line, where only one eigenvalue is not zero.
-    products = (trace * trace - np.einsum("qij,qij->q", c, c)) / 2.0
-    return np.asarray((sums[:, 0] >= _MIN_NEIGHBOURS) & (products > _LINE * trace * trace))
-
-
-def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
-    """Normals and curvature from the summed moments of each neighbourhood."""
-    normals, curvature = np.empty((len(sums), 3)), np.empty(len(sums))
-    _fit_planes(sums, points, len(sums), _LINE, normals, curvature)
-    return normals, curvature
 
 
 def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> Bool:

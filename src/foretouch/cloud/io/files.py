@@ -11,6 +11,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -23,6 +24,7 @@ from foretouch.cloud.io.records import SIZE_LIMIT, check_unpacked
 from foretouch.errors import CloudError, FileError
 from foretouch.types import AnyArray, Cloud, Float32
 
+CLOUD_ARRAYS: Final = ("rgb", "frame_id", "stamp_ns")
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
 _MAX_AXES: Final = 8
@@ -77,19 +79,30 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
         raise FileError(path, err.strerror or str(err)) from err
 
 
-def _read_npz(path: Path) -> Cloud:
+def read_arrays(path: Path, required: Collection[str], optional: Collection[str]) -> dict[str, AnyArray]:
+    """The arrays of an `.npz` archive by name; a `FileError` if it is damaged or a required one is missing."""
     content = read_bytes(path, SIZE_LIMIT)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
-            wanted = [name for name in ("xyz", "rgb", "frame_id", "stamp_ns") if name in members]
-            arrays = {
-                name: _array(path, _unpacked(path, archive, members[name], len(content)), name) for name in wanted
+            for name in required:
+                if name not in members:
+                    raise FileError(path, f"is missing; there are: {', '.join(members) or 'none'}", field=name)
+            return {
+                name: _array(path, _unpacked(path, archive, member, len(content)), name)
+                for name, member in members.items()
+                if name in required or name in optional
             }
     except _DAMAGE as err:
         raise FileError(path, f"is damaged or no .npz archive: {' '.join(str(err).split())}") from err
-    if "xyz" not in arrays:
-        raise FileError(path, f"is missing; there are: {', '.join(members) or 'none'}", field="xyz")
+
+
+def _read_npz(path: Path) -> Cloud:
+    return archived_cloud(path, read_arrays(path, ["xyz"], CLOUD_ARRAYS))
+
+
+def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:
+    """The cloud in the arrays xyz and `CLOUD_ARRAYS` of an archive; a `FileError` if one is no such array."""
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U":
         raise FileError(path, "is not one text", field="frame_id")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from foretouch.checked_files import read_bytes
+from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.io.records import (
     HEADER_LIMIT,
     SIZE_LIMIT,
@@ -57,20 +58,15 @@ def read_pcd(path: Path) -> Cloud:
 
 def write_pcd(path: Path, cloud: Cloud) -> None:
     """Write a binary PCD file: x, y, z as float32, and rgb packed into a fourth."""
-    height, width = cloud.xyz.shape[:2] if cloud.organised else (1, cloud.size)
-    names = ["x", "y", "z"] if cloud.rgb is None else ["x", "y", "z", "rgb"]
-    columns = np.empty((cloud.size, len(names)), "<f4")
-    columns[:, :3] = cloud.xyz.reshape(-1, 3)
-    if cloud.rgb is not None:
-        r, g, b = cloud.rgb.reshape(-1, 3).astype(np.uint32).T
-        columns.view("<u4")[:, 3] = (r << 16) | (g << 8) | b
-    count = len(names)
+    layout, data = encode(cloud)
+    count = len(layout.fields)
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
-        f"FIELDS {' '.join(names)}\nSIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\n"
-        f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
+        f"FIELDS {' '.join(one.name for one in layout.fields)}\n"
+        f"SIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\nWIDTH {layout.width}\nHEIGHT {layout.height}\n"
+        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
     )
-    path.write_bytes(header.encode("ascii") + columns.tobytes())
+    path.write_bytes(header.encode("ascii") + data.tobytes())
 
 
 def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:

@@ -41,8 +41,8 @@ _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised poin
 class CropConfig(Settings):
     """Depth range along the optical axis."""
 
-    min_range_m: float = setting(0.16, "Points nearer than this are ignored", minimum=0.0, maximum=10.0)
-    max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.01, maximum=16.0)
+    min_range_m: float = setting(0.16, "Points nearer than this are ignored", bounds=(0.0, 10.0))
+    max_range_m: float = setting(2.0, "Points farther than this are ignored", bounds=(0.01, 16.0))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,36 +59,27 @@ def in_range(z: Float32, config: CropConfig) -> Bool:
 class ClusterConfig(Settings):
     """Which points are above the table, and which of them are one object."""
 
-    min_height_m: float = setting(
-        0.004, "Points lower than this above the table belong to it", minimum=0.001, maximum=0.1
-    )
+    min_height_m: float = setting(0.004, "Points lower than this above the table belong to it", bounds=(0.001, 0.1))
     noise_factor: float = setting(
         2.5,
         "Points within so many standard deviations of the depth noise, measured on the table, also belong to it",
-        minimum=0.0,
-        maximum=10.0,
+        bounds=(0.0, 10.0),
     )
-    gap_m: float = setting(
-        0.008, "Neighbouring pixels that differ less in depth are connected", minimum=0.001, maximum=0.1
-    )
+    gap_m: float = setting(0.008, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
     max_slope: float = setting(
         20.0,
         "Depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees",
-        minimum=1.0,
-        maximum=100.0,
+        bounds=(1.0, 100.0),
     )
     flying_slope: float = setting(
         4.0,
         "Depth per lateral distance beyond which a neighbour does not support a pixel; unsupported pixels are flying",
-        minimum=1.0,
-        maximum=100.0,
+        bounds=(1.0, 100.0),
     )
-    min_points: int = setting(150, "Smaller clusters are dropped", minimum=1, maximum=10_000_000)
-    min_top_m: float = setting(
-        0.012, "Clusters that do not rise higher above the table are dropped", minimum=0.0, maximum=0.5
-    )
+    min_points: int = setting(150, "Smaller clusters are dropped", bounds=(1, 10_000_000))
+    min_top_m: float = setting(0.012, "Clusters that do not rise higher above the table are dropped", bounds=(0.0, 0.5))
     max_extent_m: float = setting(
-        0.6, "Clusters larger than this along an axis are dropped: a wall, an arm", minimum=0.01, maximum=10.0
+        0.6, "Clusters larger than this along an axis are dropped: a wall, an arm", bounds=(0.01, 10.0)
     )
 
 

@@ -132,10 +132,10 @@ class TargetConfig(Settings):
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
     tolerance_m: float = setting(
-        0.03, "Maximum distance of the object's nearest point from the point", minimum=0.0, maximum=1.0
+        0.03, "Maximum distance of the object's nearest point from the point", bounds=(0.0, 1.0)
     )
-    margin_m: float = setting(0.005, "Two objects whose distances differ less are ambiguous", minimum=0.0, maximum=1.0)
-    max_objects: int = setting(16, "Most objects of mode all, nearest first", minimum=1, maximum=10_000)
+    margin_m: float = setting(0.005, "Two objects whose distances differ less are ambiguous", bounds=(0.0, 1.0))
+    max_objects: int = setting(16, "Most objects of mode all, nearest first", bounds=(1, 10_000))
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -37,9 +37,9 @@ _SEED = 0  # of the samples: the same points give the same plane
 class PlaneConfig(Settings):
     """Settings of the plane fit, and which planes are not a table."""
 
-    threshold_m: float = setting(0.01, "Points closer than this belong to a plane", minimum=0.001, maximum=0.1)
-    min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", minimum=0.01, maximum=1.0)
-    max_trials: int = setting(1024, "Maximum number of RANSAC samples", minimum=64, maximum=100_000)
+    threshold_m: float = setting(0.01, "Points closer than this belong to a plane", bounds=(0.001, 0.1))
+    min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", bounds=(0.01, 1.0))
+    max_trials: int = setting(1024, "Maximum number of RANSAC samples", bounds=(64, 100_000))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,6 @@ class PlaneFit:
     reason: str = ""  # why there is none; "" otherwise
     rms_m: float = 0.0  # root mean square distance of its points [m]
     noise_per_m: float = 0.0  # s of the stereo noise model sigma = s·z² [1/m], measured along the normal on its points
-    inliers: int = 0  # number of points within the threshold
     scored: int = 0  # number of points used
 
 
@@ -160,7 +159,7 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
     noise = math.sqrt(scaled @ scaled / max(inliers, 1))
     reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, config)
     plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
-    return PlaneFit(plane, reason, rms, noise, inliers, len(points))
+    return PlaneFit(plane, reason, rms, noise, len(points))
 
 
 def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float64:

@@ -32,8 +32,7 @@ class RayConfig(Settings):
     field_of_view_deg: float = setting(
         120.0,
         "Widest angle of view, across and down; a D415 has 65 x 40 degrees, the widest RealSense 90",
-        minimum=10.0,
-        maximum=170.0,
+        bounds=(10.0, 170.0),
     )
 
 
@@ -49,11 +48,6 @@ class RayFilter:
         columns: (n,) their columns.
         config: Limits.
 
-    Attributes:
-        off_sample: (n,) bool, points of the sample that are beside their ray.
-        dropped: Flat indices of dropped points in the image, to be appended to; a point counts once.
-        reason: Why the image as a whole is not usable; "" if it is.
-        numbers: (7,) the largest deviation, and for x/z and y/z: at the first pixel, per column, per row.
     """
 
     def __init__(self, sample: Float32, rows: Index, columns: Index, config: RayConfig) -> None:
@@ -62,10 +56,11 @@ class RayFilter:
         rays = _fit_rays(sample, pixels)
         slopes = rays.T.copy()
         slopes[:, 1:][np.abs(slopes[:, 1:]) <= _NO_SLOPE] = 0.0
+        # (7,) the largest deviation, and for x/z and y/z: at the first pixel, per column, per row
         self.numbers = [float(np.float32(_DEVIATION)), *slopes.ravel().tolist()]
-        self.dropped: list[Index] = []
-        self.off_sample = self.beside(sample, rows, columns)
-        self.reason = ""
+        self.dropped: list[Index] = []  # flat indices in the image, to be appended to; a point counts once
+        self.off_sample = self.beside(sample, rows, columns)  # (n,) bool
+        self.reason = ""  # why the image as a whole is not usable
         share = np.count_nonzero(self.off_sample) / max(len(rows), 1)
         widest = float(np.abs(pixels @ rays).max(initial=0.0))
         if share > MAX_OFF:

@@ -51,8 +51,7 @@ class SegmentationConfig(Settings):
     grid_rows: int = setting(
         120,
         "Rows of the coarse grid on which objects are found: of 480 rows each fourth; fewer are faster, outlines suffer",
-        minimum=30,
-        maximum=10_000,
+        bounds=(30, 10_000),
     )
 
 

@@ -57,29 +57,23 @@ class AssembledSample(NamedTuple):
 
 
 class SampleAssembler:
-    """Assembles samples of one session. Not thread-safe.
-
-    Args:
-        config: Settings.
-        reader: Decodes tactile messages.
-
-    Attributes:
-        results: Executed grasps by result: `recorded`, or why they were rejected.
-        rejected_clouds: Clouds that could not become samples without a touch, as `unlabelled <reason>`.
-        clouds_without_grasps: Number of clouds that left the buffer without a plan.
-    """
+    """Assembles samples of one session; `reader` decodes tactile messages. Not thread-safe."""
 
     def __init__(self, config: AssemblerConfig, reader: TactileReader) -> None:
         self.config = config
-        self.results: Counter[str] = Counter()
-        self.rejected_clouds: Counter[str] = Counter()
-        self.clouds_without_grasps = 0
+        self.results: Counter[str] = Counter()  # executed grasps: `recorded`, or why they were rejected
+        self.rejected_clouds: Counter[str] = Counter()  # no samples without a touch, as `unlabelled <reason>`
+        self.clouds_without_grasps = 0  # that left the buffer without a plan
         self._reader = reader
         self.readings = TouchBuffer(config.pairing.kept_s)
         self._episodes = ContactEpisodes(config.contact)
         self._health = SensorHealth()
         self._last_unlabelled_ns: int | None = None
         self._last_tactile_s = self._last_cloud_s = float("-inf")
+        # Since when no finger is in contact; None while one is, or unless `watch_sensors` is set.
+        self.rest_since_s: float | None = None
+        # Stamps from which on an object is on the table [ns], with its label, in order; may be changed.
+        self.objects = [(0, config.object)]
         self.reset_grasps()
 
     def reset_grasps(self) -> None:
@@ -102,6 +96,10 @@ class SampleAssembler:
     def sensor_states(self, now_s: float) -> dict[str, str]:
         """State by finger, and of the camera: `alive`, `no data`, or the fault."""
         return {**self._health.states, "camera": ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA}
+
+    def expects_grasp(self, now_s: float) -> bool:
+        """Whether a grasp is being executed, as far as the fingers show, or is not complete yet."""
+        return len(self._episodes.touching) > 1 or self.matcher.expects_grasp(now_s)
 
     # Input.
 
@@ -144,6 +142,10 @@ class SampleAssembler:
                 episode = self._episodes.update(one.stamp_ns, one.counts)
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
+            if self._episodes.touching:
+                self.rest_since_s = None
+            elif self.rest_since_s is None:
+                self.rest_since_s = now_s
         return accepted
 
     # Output.
@@ -201,7 +203,7 @@ class SampleAssembler:
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
         sample = GraspSample(
             id="",
-            object=label.object or self.config.object or "unknown",
+            object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
             cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp.object_id),
             grasp=grasp,
             touch=cut.touch,
@@ -225,6 +227,10 @@ class SampleAssembler:
             flags=(*self._reader.flags, *executed.flags, *cut.flags, *([DISCARDED] if label.discard else [])),
         )
 
+    def _object_at(self, stamp_ns: int) -> str:
+        """Label of the object on the table at a time, such as when the hand began to close; by default the first."""
+        return next((one for since, one in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
+
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
         """TAC and TDC in contact and, after `tare_`, before it [counts], such as `tare_TDC_TH`."""
         both = (("", cut.others), ("tare_", cut.tare_others))
@@ -239,7 +245,7 @@ class SampleAssembler:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
         sample = GraspSample(
             id="",
-            object=self.config.object or "unknown",
+            object=self._object_at(cloud.stamp_ns),
             cloud=_object_cloud(cloud, plan.frame_id, grasp.object_id),
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,

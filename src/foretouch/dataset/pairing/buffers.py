@@ -56,21 +56,15 @@ class TouchWindow:
 
 
 class TouchBuffer:
-    """Readings by stamp. Not thread-safe.
+    """Readings by stamp, kept for `kept_s` [s] by their stamps, and at most `max_readings`. Not thread-safe.
 
-    Args:
-        kept_s: How long readings are kept, by their stamps [s].
-        max_readings: Maximum number of readings.
-
-    Attributes:
-        anomalies: Counts by kind: `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap
-            forward that stayed), `wrong_stamp` (a leap that did not; such readings are left out).
-        newest_ns: Latest stamp [ns], None before the first.
+    Anomalies are counted as `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap forward that
+    stayed) and `wrong_stamp` (a leap that did not; such readings are left out).
     """
 
     def __init__(self, kept_s: float = 60.0, max_readings: int = 100_000) -> None:
         self.anomalies: Counter[str] = Counter()
-        self.newest_ns: int | None = None
+        self.newest_ns: int | None = None  # latest stamp [ns], None before the first
         self._kept_ns = round(kept_s * _SECOND_NS)
         self._max_readings = max_readings
         self._suspect: TouchReading | None = None

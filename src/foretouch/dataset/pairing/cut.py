@@ -30,35 +30,26 @@ _MIN_TARE_READINGS = 5
 class PairingConfig(Settings):
     """Settings of the pairing of grasps, tactile readings and clouds."""
 
-    tolerance_s: float = setting(0.1, "Longest time without a reading within an interval", minimum=0.001, maximum=10.0)
+    tolerance_s: float = setting(0.1, "Longest time without a reading within an interval", bounds=(0.001, 10.0))
     guard_s: float = setting(
         0.1,
         "Tolerated error of clocks and stamps: this margin is left out at both ends of an interval",
-        minimum=0.0,
-        maximum=10.0,
+        bounds=(0.0, 10.0),
     )
-    clock_s: float = setting(
-        0.25, "Difference of the clocks above which grasps are rejected", minimum=0.001, maximum=60.0
-    )
-    tare_s: float = setting(0.5, "Longest time over which the tare is taken", minimum=0.01, maximum=60.0)
-    hold_least_s: float = setting(0.05, "Shortest steady contact, without the margins", minimum=0.0, maximum=60.0)
+    clock_s: float = setting(0.25, "Difference of the clocks above which grasps are rejected", bounds=(0.001, 60.0))
+    tare_s: float = setting(0.5, "Longest time over which the tare is taken", bounds=(0.01, 60.0))
+    hold_least_s: float = setting(0.05, "Shortest steady contact, without the margins", bounds=(0.0, 60.0))
     settle_s: float = setting(
-        0.3,
-        "Time from first to steady contact, where the contact detector gives the interval",
-        minimum=0.0,
-        maximum=60.0,
+        0.3, "Time from first to steady contact, where the contact detector gives the interval", bounds=(0.0, 60.0)
     )
     kept_s: float = setting(
-        60.0,
-        "How long clouds, grasps and readings are kept for a grasp that is reported later",
-        minimum=1.0,
-        maximum=3600.0,
+        60.0, "How long clouds, grasps and readings are kept for a grasp that is reported later", bounds=(1.0, 3600.0)
     )
-    kept_mb: float = setting(300.0, "Maximum memory of the cloud buffer", minimum=1.0, maximum=1e5)
+    kept_mb: float = setting(300.0, "Maximum memory of the cloud buffer", bounds=(1.0, 1e5))
     wait_s: float = setting(
-        2.0, "How long a grasp waits for readings, clouds and labels that are still to come", minimum=0.0, maximum=60.0
+        2.0, "How long a grasp waits for readings, clouds and labels that are still to come", bounds=(0.0, 60.0)
     )
-    label_wait_s: float = setting(0.0, "How long a complete grasp waits for its label", minimum=0.0, maximum=600.0)
+    label_wait_s: float = setting(0.0, "How long a complete grasp waits for its label", bounds=(0.0, 600.0))
 
 
 class PairingError(DatasetError):
@@ -71,15 +62,15 @@ class PairingError(DatasetError):
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A grasp in time, by the robot's clock [ns]."""
+    """A grasp in time, by the robot's clock [ns], or a contact by that of the sensor."""
 
     start: int  # when the hand began to close; before it, nothing was touched
     contact: int  # when contact was steady
     release: int  # when the hand began to open
 
-    def overlaps(self, start: int, release: int) -> bool:
-        """Whether another time span [ns] overlaps from start to release."""
-        return self.start < release and start < self.release
+    def overlaps(self, other: "Interval") -> bool:
+        """Whether another one overlaps from start to release."""
+        return self.start < other.release and other.start < self.release
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,11 @@ interval have come, then its touch is cut out by stamps.
 
 from collections import OrderedDict, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
-from foretouch.dataset.pairing.sensors import Episode
 from foretouch.dataset.record import Outcome
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import stamp_ns
@@ -89,14 +88,8 @@ class _Pending:
 class GraspTouchMatcher:
     """Collects plans, executed grasps, labels and contacts until a grasp is complete. Not thread-safe.
 
-    Args:
-        buffer, clouds, config, contact: Readings, clouds, and settings of the pairing and of the contact detector.
-        assume: Whether a contact without a report belongs to the best grasp of the last cloud before it.
-        successes_only: Whether grasps that failed after contact are rejected too.
-
-    Attributes:
-        pending: Executed grasps that are not complete yet.
-        plans: Grasps by the stamp of the cloud that they were planned on [ns], until they are forgotten.
+    If `assume` is set, a contact without a report belongs to the best grasp of the last cloud before it; with
+    `successes_only`, grasps that failed after contact are rejected too.
     """
 
     def __init__(
@@ -115,13 +108,13 @@ class GraspTouchMatcher:
         self._contact = contact
         self._assume = assume
         self._successes_only = successes_only
-        self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()
+        self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()  # by the stamp of their cloud [ns], until forgotten
         self._stamp_of: dict[str, int | None] = {}  # None: the id was planned on two clouds
-        self.pending: list[_Pending] = []
+        self.pending: list[_Pending] = []  # executed grasps that are not complete yet
         self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
         self._finished: deque[ExecutedGrasp] = deque(maxlen=256)  # to reject intervals that overlap with theirs
-        self._unclaimed: list[tuple[Episode, float]] = []
+        self._unclaimed: list[tuple[Interval, float]] = []  # contacts, and when they ended [s]
 
     # Input.
 
@@ -148,14 +141,14 @@ class GraspTouchMatcher:
     def add_executed(self, executed: ExecutedGrasp, now_s: float) -> None:
         """Add a grasp that was executed."""
         label = self._labels.pop(executed.grasp_id, None)
-        self._unclaimed = [pair for pair in self._unclaimed if not _covers(executed.interval, pair[0])]
+        if (interval := executed.interval) is not None:
+            self._unclaimed = [pair for pair in self._unclaimed if not interval.overlaps(pair[0])]
         self.pending.append(_Pending(executed, now_s, label))
 
-    def add_episode(self, episode: Episode, now_s: float) -> None:
+    def add_episode(self, episode: Interval, now_s: float) -> None:
         """Add a contact that has ended; the robot has `wait_s` to report it."""
-        if not any(
-            _covers(one.interval, episode) for one in [*self._finished, *(one.executed for one in self.pending)]
-        ):
+        known = [one.interval for one in (*self._finished, *(one.executed for one in self.pending)) if one.interval]
+        if not any(one.overlaps(episode) for one in known):
             self._unclaimed.append((episode, now_s))
 
     def add_label(self, label: Label, now_s: float) -> tuple[str, str]:
@@ -179,6 +172,10 @@ class GraspTouchMatcher:
         return name, "its touch is being recorded"
 
     # Output.
+
+    def expects_grasp(self, now_s: float) -> bool:
+        """Whether a grasp is not complete yet, or a contact has just ended that the robot may still report."""
+        return bool(self.pending) or any(now_s - since_s <= self.config.wait_s for _, since_s in self._unclaimed)
 
     def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
         """The grasps that are complete by now; at the end, all."""
@@ -204,16 +201,16 @@ class GraspTouchMatcher:
         late = [pair for pair in self._unclaimed if ending or now_s - pair[1] > self.config.wait_s]
         self._unclaimed = [pair for pair in self._unclaimed if pair not in late]
         for episode, since_s in late:
-            labelled = (name for name in self._labels if (self._stamp_of.get(name) or episode.first) < episode.first)
+            labelled = (name for name in self._labels if (self._stamp_of.get(name) or episode.start) < episode.start)
             flags: tuple[str, ...] = ("detected_interval",)
             name = next(labelled, None)
             if name is None and self._assume:
-                before = [plan for stamp, plan in self.plans.items() if stamp < episode.first]
+                before = [plan for stamp, plan in self.plans.items() if stamp < episode.start]
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
                 flags = ("detected_interval", "assumed_grasp")
             if name is not None:
-                contact = min(episode.both + round(self.config.settle_s * _SECOND_NS), episode.release - 1)
-                interval = Interval(start=episode.first, contact=contact, release=episode.release)
+                contact = min(episode.contact + round(self.config.settle_s * _SECOND_NS), episode.release - 1)
+                interval = replace(episode, contact=contact)
                 self.add_executed(ExecutedGrasp(grasp_id=name, interval=interval, flags=flags), now_s)
             elif now_s - since_s < self.config.kept_s:
                 self._unclaimed.append((episode, since_s))  # a label may still come
@@ -265,13 +262,9 @@ class GraspTouchMatcher:
             raise PairingError("bad_interval", "it began before the cloud that it was planned on was taken")
         intervals = [(before.grasp_id, before.interval) for before in self._finished if before.interval is not None]
         for other, before in intervals:
-            if before.overlaps(interval.start, interval.release):
+            if before.overlaps(interval):
                 text = f"grasp {other} was reported for that time already"
                 raise PairingError("told_twice" if other == name else "overlap", text)
         ends = [before.release for _, before in intervals if before.release <= interval.start]
         cut = cut_touch(self._buffer, interval, self.config, self._contact, max(ends, default=None))
         return MatchedGrasp(plan, cloud, cut, executed, one.label)
-
-
-def _covers(interval: Interval | None, episode: Episode) -> bool:
-    return interval is not None and interval.overlaps(episode.first, episode.release)

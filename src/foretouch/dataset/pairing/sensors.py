@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the stream of tactile readings shows by itself: contacts of both fingers, and whether the sensors work."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from foretouch.dataset.pairing.cut import Interval
 from foretouch.tactile import FULL_SCALE, touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
@@ -15,15 +14,6 @@ _CONSTANT_SAMPLES = 3000  # of PDC, 30 s at 100 Hz: that of a working sensor mov
 _FROZEN_SAMPLES = 200  # the same 25 noisy counts over and over: the driver repeats an old message
 
 
-@dataclass(frozen=True, kw_only=True)
-class Episode:
-    """One contact of both fingers, by the sensor's stamps [ns]."""
-
-    first: int  # when the first finger touched
-    both: int  # when the other finger touched
-    release: int  # when the first finger released
-
-
 class ContactEpisodes:
     """Finds episodes in which both fingers are in contact. Not thread-safe."""
 
@@ -32,8 +22,16 @@ class ContactEpisodes:
         self._onset: dict[str, int] = {}
         self._holding = False
 
-    def update(self, stamp_ns: int, counts: Float32) -> Episode | None:
-        """Add a reading of both fingers; gives the episode that ends with it."""
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """The fingers that are in contact."""
+        return tuple(name for name, finger in self._detector.fingers.items() if finger.touching)
+
+    def update(self, stamp_ns: int, counts: Float32) -> Interval | None:
+        """Add a reading of both fingers; gives the episode that ends with it, from the first touch to the first release.
+
+        Its contact is when the other finger touched; stamps are the sensor's.
+        """
         changes = self._detector.update(stamp_ns, counts)
         for change in changes:
             if change.kind == "onset":
@@ -42,7 +40,8 @@ class ContactEpisodes:
         if not before or self._holding:
             return None
         first, both = sorted(self._onset.values())
-        return Episode(first=first, both=both, release=min(one.stamp_ns for one in changes if one.kind == "release"))
+        release = min(one.stamp_ns for one in changes if one.kind == "release")
+        return Interval(start=first, contact=both, release=release)
 
     def reset(self) -> None:
         """Restart detection, after the clock has jumped."""

@@ -1,43 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator's later changes, in a log beside the recordings, which themselves are never rewritten.
+"""The operator's changes, in a log beside the recordings, which themselves are never rewritten.
 
-The manifest lists how many lines there are, and the digest of the last; a crash may leave one line more.
+The recorder writes it too, at keys and services during a session: then it is also the session's journal. The manifest
+lists how many lines there are, and the digest of the last; a crash may leave one line more.
 
 `edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with its format version and the
 SHA-256 over itself and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A
 last line that was cut off was never acknowledged, and is ignored.
 """
 
+import errno
 import hashlib
 import json
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
 from foretouch.checked_files import TEXT_LIMIT, free_name, open_own, parse_json, read_bytes, require_schema
 from foretouch.dataset.files import disk_errors, require_version, sync_folder
-from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
+from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
-_ACTIONS: Final = ("relabel", "drop", "undo")
-_VERSION: Final = 1
+_FIRST: Final = ("relabel", "drop", "undo")  # in version 1
+_ACTIONS: Final = (*_FIRST, "outcome", "note", "object", "pause")
+_VERSION: Final = 2
 _SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": int}
+_ADDED: Final = {"text": "", "stamp_ns": 0}  # left out of a line where they are these
 
 
 @dataclass(frozen=True, kw_only=True)
 class Edit:
-    """One change: assigns samples to another object, discards them, or reverts another edit."""
+    """One change of samples: their object or outcome, a note, that they are discarded; or the undoing of another edit.
 
-    action: Literal["relabel", "drop", "undo"]
+    `object` and `pause` change no sample: from then on another object is on the table, or nothing is recorded. A note
+    without samples is one on the session.
+    """
+
+    action: Literal["relabel", "drop", "undo", "outcome", "note", "object", "pause"]
     ids: tuple[str, ...] = ()  # of the samples, as they were recorded
-    object: str = ""  # for `relabel`, the new one
+    object: str = (
+        ""  # for `relabel` and `object`, the new one; for `undo` of `object`, the one before, of the samples since
+    )
     edit: int = 0  # for `undo`, the number of the reverted edit; the first is 1
+    text: str = ""  # for `outcome` and `note`
+    stamp_ns: int = 0  # when it was made during a session [ns]; 0 for later ones
+
+
+class Changes(NamedTuple):
+    """What the edits make of one sample."""
+
+    object: str | None = None  # None: as recorded, as all below
+    outcome: Outcome | None = None
+    notes: tuple[str, ...] = ()
+    dropped: bool = False
 
 
 class EditLog:
@@ -46,37 +68,49 @@ class EditLog:
     def __init__(self, edits: Sequence[Edit] = ()) -> None:
         self.edits = tuple(edits)
         self._undone = {edit.edit for edit in edits if edit.action == "undo"}
-        self._labels: dict[str, str] = {}
-        self._dropped: set[str] = set()
-        for edit in self.in_force().values():
-            if edit.action == "relabel":
-                self._labels |= dict.fromkeys(edit.ids, edit.object)
-            else:
-                self._dropped.update(edit.ids)
+        self._changes: dict[str, Changes] = {}
+        for number, edit in enumerate(self.edits, 1):
+            for recorded in () if number in self._undone else edit.ids:
+                self._changes[recorded] = _changed(self.changes(recorded), edit)
 
     def in_force(self) -> dict[int, Edit]:
         """The edits that were not undone, by number."""
         return {n: edit for n, edit in enumerate(self.edits, 1) if edit.action != "undo" and n not in self._undone}
 
+    def changes(self, recorded: str) -> Changes:
+        """What the edits make of a sample, by its id as it was recorded."""
+        return self._changes.get(recorded, Changes())
+
     def apply(self, record: SampleRecord) -> SampleRecord:
         """Apply the edits to a record; a new object also changes the id."""
         recorded = record.sample.id
-        label = self._labels.get(recorded)
+        label, outcome, notes, dropped = self.changes(recorded)
         if label is not None:
-            renamed = f"{label}/{recorded.partition('/')[2]}"
+            renamed = renamed_id(recorded, label)
             record = replace(record, sample=replace(record.sample, id=renamed, object=label))
-        if recorded in self._dropped and DISCARDED not in record.flags:
+        if dropped and DISCARDED not in record.flags:
             record = replace(record, flags=(*record.flags, DISCARDED))
-        return record
+        note = "; ".join(filter(None, (record.note, *notes)))
+        return replace(record, outcome=outcome or record.outcome, note=note) if outcome or notes else record
 
     def descriptions(self) -> list[str]:
         """Each edit in words, with its number."""
         lines = []
         for number, edit in enumerate(self.edits, 1):
-            words = [edit.action, edit.object, f"({len(edit.ids)} samples)"]
+            words = [edit.action, edit.object, edit.text, f"({len(edit.ids)} samples)" * bool(edit.ids)]
             text = f"undo {edit.edit}" if edit.action == "undo" else " ".join(filter(None, words))
             lines.append(f"{number}: {text}{' (undone)' if number in self._undone else ''}")
         return lines
+
+
+def _changed(changes: Changes, edit: Edit) -> Changes:
+    if edit.action == "drop":
+        return changes._replace(dropped=True)
+    if edit.action == "note":
+        return changes._replace(notes=(*changes.notes, edit.text))
+    if edit.action == "outcome":
+        return changes._replace(outcome=cast("Outcome", edit.text))
+    return changes._replace(object=edit.object)
 
 
 def read_edits(path: Path) -> EditLog:
@@ -85,23 +119,35 @@ def read_edits(path: Path) -> EditLog:
 
 
 def append_edit(path: Path, edit: Edit) -> int:
-    """Append an edit, which is on the disk when this returns, and return its number; the caller holds the lock."""
+    """Append an edit, which is on the disk when this returns, and return its number; the caller holds the lock.
+
+    After a `FileError`, as of a full disk, it is not in force.
+    """
     file = path / EDITS
     edits, digests, size = _read_listed(path)
     if edits:
         _list(path, digests)  # a line that a crash left is in force
     digest = digests[-1] if digests else ""
-    body = {"schema_version": _VERSION, **asdict(edit)}
+    known = edit.action in _FIRST and not (edit.action == "undo" and edit.ids)
+    body = {"schema_version": 1 if known else _VERSION, **asdict(edit)}
+    for name, nothing in _ADDED.items():
+        if body[name] == nothing:
+            del body[name]
     digest = _digest(digest, body)
-    line = json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n"
+    line = (json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n").encode()
     with disk_errors(file):
-        with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as log:
+        with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab", buffering=0) as log:
             log.truncate(size)  # remove a line that a crash cut off
-            log.write(line.encode())
-            log.flush()
-            os.fsync(log.fileno())
+            try:
+                if log.write(line) < len(line):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(log.fileno())
+            except OSError:
+                log.truncate(size)
+                raise
         sync_folder(path)
-    _list(path, [*digests, digest])
+    with suppress(FileError):  # as after a crash: the line is in force, and the next edit lists it first
+        _list(path, [*digests, digest])
     return len(edits) + 1
 
 
@@ -162,15 +208,20 @@ def _read(file: Path) -> tuple[list[Edit], list[str], int]:
 def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
     """The edit in a line, and the digest up to it."""
     content = require_schema(file, parse_json(line), dict, f"line {known + 1}")
-    require_version(content.get("schema_version"), _VERSION)
+    version = content.get("schema_version")
+    require_version(version, 1 if version == 1 else _VERSION)
     if content.pop("sha256", None) != _digest(before, content):
         raise DatasetError("damaged: this line and those before it do not match their checksum")
     require_schema(file, content, _SCHEMA, f"line {known + 1}")
     if content["action"] not in _ACTIONS:
         raise DatasetError(f"action {content['action']!r} is none of {', '.join(_ACTIONS)}")
-    edit = Edit(action=content["action"], ids=tuple(content["ids"]), object=content["object"], edit=content["edit"])
-    if edit.action == "relabel":
+    added = {**_ADDED, **{name: content[name] for name in _ADDED if name in content}}
+    require_schema(file, added, {"text": str, "stamp_ns": int}, f"line {known + 1}")
+    edit = Edit(**{name: content[name] for name in ("action", "object", "edit")}, ids=tuple(content["ids"]), **added)
+    if edit.action in ("relabel", "object") or (edit.action == "undo" and edit.ids):
         check_name(edit.object, "object")
+    if edit.action == "outcome" and edit.text not in get_args(Outcome):
+        raise DatasetError(f"text: {edit.text!r} is none of {', '.join(get_args(Outcome))}")
     if edit.action == "undo" and not 0 < edit.edit <= known:
         raise DatasetError(f"edit {edit.edit} is none of the {known} before")
     return edit, _digest(before, content)

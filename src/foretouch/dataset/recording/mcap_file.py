@@ -26,21 +26,15 @@ LIBRARY: Final = f"foretouch {__version__}"
 
 
 class McapFile:
-    """A new MCAP file of the profile `ros2`. Not thread-safe.
+    """A new MCAP file of the profile `ros2`; a `FileError` if the path exists or cannot be written. Not thread-safe.
 
-    Attributes:
-        types: Type of the messages, by declared topic.
-        size: Its size so far [bytes].
-
-    Raises:
-        FileError: If the path exists or cannot be written. So do all methods that write; nothing of what they were to
-            write is then in the file.
+    So do all methods that write; nothing of what they were to write is then in the file.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.types: dict[str, str] = {}
-        self.size = 0
+        self.types: dict[str, str] = {}  # of the messages, by declared topic
+        self.size = 0  # so far [bytes]
         with disk_errors(self.path):
             self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         self._parts: list[bytes] = []  # made by the writer, and not in the file yet

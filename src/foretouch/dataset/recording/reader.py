@@ -49,24 +49,17 @@ class _Sample(NamedTuple):
 class RecordedDataset:
     """The samples of a recorded dataset, or of one of its `.mcap` files.
 
-    Attributes:
-        path: As given.
-        files: The MCAP files.
-        unfinished: Files that were cut off; they are read as far as they are intact.
-        edits: Later changes, which are applied to the samples. A single file has none.
-
-    Raises:
-        FileError: If the path is no recorded dataset, or a manifest or recording is damaged; names file and position.
+    A `FileError` names file and position if the path is no recorded dataset, or a manifest or recording is damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.files = recorded_files(self.path)
+        self.files = recorded_files(self.path)  # MCAP files
         if self.path.is_dir():
             require_chain(self.path)
-        self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
+        self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
         self._samples: list[_Sample] = []
-        self.unfinished: list[Path] = []
+        self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
         for file in self.files:
             data = FileBytes(file)
             found = [_Sample(file, data, message) for message in _sample_messages(file, data)]

@@ -44,7 +44,7 @@ SCHEMA_VERSION: Final = 1
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
-_OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
+OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
 _FINITE: Final = (*_TOUCH, *(f"tare_{name}" for name in _TOUCH), "series", "others", "extra_values")
 
@@ -71,7 +71,7 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         schema_version=SCHEMA_VERSION,
         id=sample.id,
         object=sample.object,
-        outcome=_OUTCOMES.index(record.outcome),
+        outcome=OUTCOMES.index(record.outcome),
         note=record.note,
         cloud=cloud_fields(sample.cloud, "cloud.stamp_ns"),
         grasp=grasp_fields(sample.grasp),
@@ -137,7 +137,7 @@ def _stored(message: Any) -> StoredSample:
     record = SampleRecord(
         sample=sample,
         candidates=tuple(_grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
-        outcome=_OUTCOMES[message.outcome],
+        outcome=OUTCOMES[message.outcome],
         note=message.note,
         series=_series_of(message),
         contact_ns=message.contact or None,

@@ -64,14 +64,10 @@ class FileReport:
 
 
 def verify_dataset(path: str | Path) -> list[FileReport]:
-    """Verify the manifest, the log of edits and every recording of a dataset, or a single recording.
+    """Verify the manifest, the log of edits and every recording of a dataset, or a single recording: one report a file.
 
-    Returns:
-        One report a file; an id that two samples share is a fault of the later file, and a file that is missing or not
-        the one that the manifest lists has a fault.
-
-    Raises:
-        FileError: If there is no recorded dataset, or its manifest or log is damaged or of another version.
+    An id that two samples share is a fault of the later file, and a file that is missing or not the one that the manifest
+    lists has a fault. A `FileError` if there is no recorded dataset, or its manifest or log is damaged.
     """
     path = Path(path)
     files = recorded_files(path)

@@ -40,6 +40,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.chain import ID, Session, begin_session, copy_session, end_session
+from foretouch.dataset.recording.edits import Edit, append_edit
 from foretouch.dataset.recording.folder import new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.reader import recorded_ids
@@ -84,17 +85,6 @@ class RecordingWriter:
         config: Settings.
         fallback_folder: Folder of a new dataset for a session whose file is removed meanwhile; None for none.
 
-    Attributes:
-        path: The dataset; that in `fallback_folder` after the session was copied there.
-        file: The path of the session's file.
-        output: The open file; once it is `removed`, nothing more should be recorded.
-        closed: Whether the session has ended, by `close` or because the disk is full or failed.
-        counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
-        samples: Samples appended.
-        labelled: Samples appended with a touch.
-        before_end: Called once before the last counts are written, however the session ends: the owner counts the
-            messages that it still keeps in queues.
-
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera, version or format,
             or cannot be written.
@@ -108,16 +98,17 @@ class RecordingWriter:
         *,
         fallback_folder: str | Path | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.path = Path(path)  # that in `fallback_folder` after the session was copied there
         self.identity = identity
         self.config = config or RecordingConfig()
-        self.counts = MessageCounts()
-        self.samples = 0
-        self.labelled = 0
+        self.counts = MessageCounts()  # by topic; samples are counted under `SAMPLE_TOPIC`
+        self.samples = 0  # appended
+        self.labelled = 0  # appended with a touch
+        # Called once before the last counts, however the session ends: the owner counts what it still keeps in queues.
         self.before_end: Callable[[], None] = lambda: None
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
-        self.closed = False
+        self.closed = False  # whether the session has ended, by `close` or because the disk is full or failed
         self._unsynced_samples = 0
         self._guard = threading.RLock()
         self._pending: list[tuple[str, Message]] = []
@@ -127,7 +118,7 @@ class RecordingWriter:
             self._ids = recorded_ids(self.path)  # each is used once, and numbers continue those before
             self._last_number = max(map(id_number, self._ids), default=0)
             self.file = new_session_path(self.path)
-            self.output = McapFile(self.file)
+            self.output = McapFile(self.file)  # once it is `removed`, nothing more should be recorded
             stack.callback(self.output.abandon)
             session = Session(self.file.name, uuid4().hex)
             self.output.write_metadata(ABOUT, _about(self.file.stem, identity) | {ID: session.id})
@@ -188,14 +179,10 @@ class RecordingWriter:
         publish_time_ns: int | None = None,
         sequence: int | None = None,
     ) -> None:
-        """Collect a serialised message of a declared topic; the next flush writes it to the file.
+        """Collect a serialised message, CDR with its encapsulation header; the next flush writes it to the file.
 
-        Args:
-            topic: Declared by `add_topic`.
-            data: CDR with its encapsulation header.
-            log_time_ns: When it was received [ns]; clocks may jump.
-            publish_time_ns: When it was sent [ns]; by default the same.
-            sequence: Sequence number of the middleware; by default a count.
+        It was received and sent at these times [ns], by default the same; clocks may jump. Its sequence number is that of
+        the middleware, by default a count.
 
         Raises:
             DatasetError: If the topic is unknown or the time negative; the message is not counted.
@@ -213,13 +200,10 @@ class RecordingWriter:
                 self.flush()
 
     def append(self, record: SampleRecord) -> str:
-        """Write a sample in a chunk of its own, after all messages before it.
+        """Write a sample in a chunk of its own, after all messages before it; gives its id.
 
-        Args:
-            record: An empty id becomes `<object>/<number>`, the number one above the dataset's highest.
-
-        Returns:
-            The id. The sample is now as safe as `RecordingConfig` specifies.
+        An empty id becomes `<object>/<number>`, the number one above the dataset's highest. The sample is now as safe as
+        `RecordingConfig` specifies.
 
         Raises:
             DatasetError: If the sample breaks a rule or its id is taken; the session continues.
@@ -243,6 +227,12 @@ class RecordingWriter:
             self.labelled += sample.touch is not None
             self._after_write()
             return sample.id
+
+    def edit(self, edit: Edit) -> int:
+        """Append an edit to the dataset's log and return its number (raises as `append_edit`, or if the session has ended)."""
+        with self._guard:
+            self._require_open()
+            return append_edit(self.path, edit)
 
     def flush(self) -> None:
         """Write the collected messages (raises as `write`)."""

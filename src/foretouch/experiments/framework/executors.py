@@ -5,28 +5,21 @@ A cell takes plain data and returns plain data; an exception becomes a failed re
 one thread, so that sums have a fixed order and cells share the cores.
 """
 
-from __future__ import annotations
-
 import json
-import socket
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Self
 
-from foretouch.errors import ConfigError, DatasetError, ForetouchError, MissingDependencyError
+from foretouch.errors import DatasetError, ForetouchError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
-from foretouch.processes import ONE_THREAD, one_thread_each, process_pool
-
-LOCAL_CLUSTER: Final = "local"  # address that starts a Ray node on this machine for one sweep
-
-_RETRIES: Final = 3
-_DIED: Final = "its process died (killed, or out of memory)"
+from foretouch.processes import one_thread_each, process_pool
+from foretouch.ray_cluster import DIED, ray_results
 
 
 @dataclass(frozen=True)
@@ -39,7 +32,7 @@ class Job:
     sha256: str  # hash of the data
 
     @classmethod
-    def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Job:
+    def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Self:
         """Job of an experiment with resolved settings."""
         return cls(f"{experiment.module}:{experiment.name}", json.dumps(settings, sort_keys=True), str(data), sha256)
 
@@ -78,6 +71,12 @@ def _loaded(job: Job) -> tuple[Experiment[Any, Any], Any, Any]:
     return experiment, settings, data
 
 
+def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
+    """Run cells as Ray tasks (see `ray_results`); the data of the job must have the same path on every node."""
+    for cell, result, error in ray_results(partial(run_cell, job), cells, address, workers):
+        yield result or CellResult(cell, None, error)
+
+
 def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
     """Run cells in processes of this machine and yield each result as it arrives.
 
@@ -90,45 +89,7 @@ def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[Cell
             suspects = yield from _until_broken(job, queue, workers)
             for cell in suspects:
                 again = yield from _until_broken(job, deque([cell]), 1)
-                yield from (CellResult(failed, None, _DIED) for failed in again)
-
-
-def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
-    """Run cells as Ray tasks and yield each result as it arrives; tasks of a lost node run again on another one.
-
-    Args:
-        job: Its data must have the same path on every node, and foretouch must be installed there.
-        cells: Tasks of one core each.
-        address: `auto`, `ray://host:port` or `host:port` of a running cluster; `local` starts a node on this machine.
-        workers: Cores of that node.
-
-    Raises:
-        MissingDependencyError: If ray is not installed.
-        ConfigError: If no cluster answers.
-    """
-    try:
-        import ray
-    except ImportError as err:
-        raise MissingDependencyError("ray is not installed: pip install 'foretouch[sweep]'") from err
-    _require_server(address)
-    try:
-        # Without an address, Ray would use RAY_ADDRESS.
-        own: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == LOCAL_CLUSTER else {}
-        ray.init(address=address, log_to_driver=False, **own)
-    except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
-        raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
-    try:
-        task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": ONE_THREAD})(run_cell)
-        running = {task.remote(job, cell): cell for cell in cells}
-        while running:
-            (done, *_), _ = ray.wait(list(running), num_returns=1)
-            cell = running.pop(done)
-            try:
-                yield ray.get(done)
-            except ray.exceptions.RayError as err:
-                yield CellResult(cell, None, f"{_DIED}: {type(err).__name__}, {_RETRIES + 1} times")
-    finally:
-        ray.shutdown()
+                yield from (CellResult(failed, None, DIED) for failed in again)
 
 
 def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
@@ -146,15 +107,3 @@ def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellR
         except BrokenProcessPool:
             return list(running.values())
     return []
-
-
-def _require_server(address: str) -> None:
-    """Fail at once where Ray would retry for minutes."""
-    host, colon, port = address.removeprefix("ray://").rpartition(":")
-    if not colon:
-        return
-    try:
-        with socket.create_connection((host, int(port)), timeout=10.0):
-            return
-    except (OSError, ValueError, OverflowError) as err:
-        raise ConfigError(f"--address: {address}: no cluster answers: {err}") from err

@@ -85,12 +85,8 @@ def tables(panels: Sequence[Panel], rows: Sequence[Row]) -> list[Table]:
             continue
         paired = line[0].get(f"{skill}_equals") is not None
         columns = {name: text for name, text in _COLUMNS.items() if line[0].get(name) is not None or name == "ratio"}
-        head = [
-            "frontier",
-            "skill",
-            *(["less than the best, 95 % interval", "as skilful, and slower"] if paired else []),
-            *columns.values(),
-        ]
+        compared = ["less than the best, 95 % interval", "as skilful, and slower"] if paired else []
+        head = ["frontier", "skill", *compared, *columns.values()]
         body = []
         for row in line:
             level = _level(row, skill, chosen)

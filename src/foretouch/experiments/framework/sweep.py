@@ -52,7 +52,7 @@ def run_sweep(
         resume: Continue the sweep in `out`, if there is one.
         only_finished: Run no cell, and write the table of those that an interrupted sweep has finished.
         workers: Number of processes, or of cores of a local Ray node.
-        address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
+        address: None for processes, else the address of a Ray cluster (see `ray_results`).
         progress: Called with each result, the number of finished cells and the number of all cells.
         finishing: Called with the number of steps done and of all by `Experiment.finish`, which follows.
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError, none_of
@@ -30,6 +29,7 @@ from foretouch.experiments.framework.experiment import (
 )
 from foretouch.experiments.framework.manifest import read_results, require_experiment, write_results
 from foretouch.timing import MachineLoad, cpu_name, time_calls
+from foretouch.types import Float64, Floating
 
 _PREFIX: Final = "tradeoff_"
 _COMPARED: Final = 10  # size of the requests whose answers are compared, or the next smaller one
@@ -37,16 +37,16 @@ _TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
 _HOT: Final = "hot_cpu_ms"  # median processor time in a loop without pauses, where there are pauses
 _HOT_SHARE: Final = 0.2  # of the time of all timings, for calls without a pause
 
-Answer = npt.NDArray[np.floating]
+Answer = Floating
 
 
 @dataclass(frozen=True, kw_only=True)
 class TradeoffSettings(Settings):
     """Settings of every area."""
 
-    timing_s: float = setting(60.0, "Time of all timings together", minimum=0.1, maximum=3600.0)
+    timing_s: float = setting(60.0, "Time of all timings together", bounds=(0.1, 3600.0))
     pause_s: float = setting(
-        0.0, "Time asleep before each call, as in a graph that waits for clouds", minimum=0.0, maximum=10.0
+        0.0, "Time asleep before each call, as in a graph that waits for clouds", bounds=(0.0, 10.0)
     )
     requests: tuple[int, ...] = setting((1,), "Sizes of the requests that are timed", minimum=1)
     detail: str = setting("all", "few: the main variants; all: all variants and pairs", choices=("few", "all"))
@@ -230,13 +230,9 @@ def _time_variants(
         times = time_calls(calls, requests, share * settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
-    found = {
-        key: {
-            **_quantiles(calls, ready[key[0]].whole),
-            _HOT: 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None,
-        }
-        for key, calls in times.items()
-    }
+    found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}
+    for key, row in found.items():
+        row[_HOT] = 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None
     for variant in variants:
         other, reference = variant.compared_with or area.shipped, variant.reference or area.reference
         facts = {
@@ -259,7 +255,7 @@ def _time_variants(
             yield variant, {**dict.fromkeys(("request", "calls", *_TIMES, _HOT, "ratio")), **facts}
 
 
-def _quantiles(times: npt.NDArray[np.float64], whole: float) -> Row:
+def _quantiles(times: Float64, whole: float) -> Row:
     values = [*np.percentile(times[:, 0], (50, 95, 99)), np.median(times[:, 1])]
     return {name: 1e3 * whole * float(value) for name, value in zip(_TIMES, values, strict=True)}
 

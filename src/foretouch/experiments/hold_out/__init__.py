@@ -33,8 +33,6 @@ from foretouch.experiments.shared.tables import skill_tables
 from foretouch.learning.data import labels_of
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENTS"]
-
 # Settings that no cell depends on; its predictor and seed are among its values.
 RESUMABLE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
 
@@ -172,7 +170,7 @@ EXPERIMENTS: Final = (
         base={
             **_TOUCHED,
             "touches": [0, 1, 3, 5, 10],
-            "predictors": [name for name in _NEW_OBJECT if name not in NETWORKS],
+            "predictors": [one for one in _NEW_OBJECT if one not in NETWORKS],
         },
         columns=("touches",),
         summarise=results.summarise_touches,

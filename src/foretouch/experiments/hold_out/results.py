@@ -45,10 +45,9 @@ def draw_touches(rows: Rows, folder: Path) -> list[Path]:
     together = partial(_by_predictor, x="touches", names=predictors, lowest=-1.0)
     each = partial(draw_series, x="touches", series="object", names=objects, lowest=-1.0)
     own = [row for row in select(rows, predictor=chosen) if row["object"] != ALL_OBJECTS]
+    every, label = select(rows, object=ALL_OBJECTS), "skill, all objects, 95 % interval"
     lines = [
-        Line(
-            3.75, select(rows, object=ALL_OBJECTS), together, "", "", "skill, all objects, 95 % interval", "right upper"
-        ),
+        Line(3.75, every, together, y_label=label, legend="right upper"),
         Line(3.75, own, each, "", "touches of the new object", f"skill, {chosen}, each object", "right lower"),
     ]
     return save_panels(folder / "touches.png", 14.0, lines, sharex=True, sharey="row")
@@ -149,21 +148,14 @@ def summarise_sizes(rows: Sequence[Row]) -> list[Table]:
 
 def draw_sizes(rows: Rows, folder: Path) -> list[Path]:
     """Draw `curve.png`: conditions below each other, modalities side by side."""
-    predictors = unique(rows, "predictor")
+    predictors, label = unique(rows, "predictor"), "skill, 95 % interval"
 
     def _draw(axes: Axes, own: Rows) -> None:
         _by_predictor(axes, own, x="size", names=predictors)
         axes.set_ylim(max(-0.6, axes.get_ylim()[0]), None)
 
     lines = [
-        Line(
-            3.0,
-            own,
-            _draw,
-            name,
-            f"training {'grasps per object' if name == KNOWN else 'objects'}",
-            "skill, 95 % interval",
-        )
+        Line(3.0, own, _draw, name, f"training {'grasps per object' if name == KNOWN else 'objects'}", label)
         for name, own in grouped(select(rows, object=ALL_OBJECTS), "condition")
     ]
     lines[0] = lines[0]._replace(legend="right upper")

@@ -21,7 +21,8 @@ from foretouch.experiments.shared.simulated_data import (
     SimulatedGrasps,
     SimulatedSettings,
 )
-from foretouch.learning.data import Dataset, Fold, labels_of, make_folds, random_folds
+from foretouch.learning.data import Dataset, labels_of, make_folds
+from foretouch.learning.data.folds import Fold, random_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.types import Float64, GraspSample
 
@@ -48,7 +49,7 @@ class HoldOutSettings(Settings):
     )
     network_seeds: int = setting(1, "Number of seeds that the slow networks are trained with", minimum=1)
     training_fraction: float = setting(
-        1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
     references: tuple[str, ...] = setting(
         ("geometry_trees",), "Predictors that the others are compared with", choices=tuple(PREDICTORS)
@@ -74,8 +75,8 @@ class CrossTypeSettings(HoldOutSettings):
 class TouchSettings(HoldOutSettings):
     """Settings of `unseen_object`."""
 
-    touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of the object", minimum=0, maximum=1000)
-    draws: int = setting(20, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
+    touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of the object", bounds=(0, 1000))
+    draws: int = setting(20, "Number of random draws of the touched grasps", bounds=(1, 1000))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,20 +23,10 @@ from foretouch.experiments.shared.predictors import Fit, Fitted, with_offset_cor
 from foretouch.experiments.shared.scores import labelled
 from foretouch.experiments.shared.simulated_data import RealAndSimulated
 from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns, offsets
 from foretouch.types import Float64, GraspSample
 
 Changes = Mapping[str, Float64]  # f by the id of the sample
-
-
-def _simulated_changes(
-    simulated: Sequence[GraspSample], real: Sequence[GraspSample], seed: int, trees: int
-) -> dict[str, Float64]:
-    """Predict f for every real grasp: (50,) by id [counts]; labels of the real grasps are not used."""
-    train = [sample for sample in simulated if sample.touch is not None and sample.tare is not None]
-    changes = np.array([s.touch.vector() - s.tare.vector() for s in train if s.touch and s.tare])
-    predicted = geometry_trees(train, changes, [replace(sample, touch=None) for sample in real], seed, trees=trees)
-    return {sample.id: row for sample, row in zip(real, predicted, strict=True)}
 
 
 def _offset(changes: Changes, _trees: int) -> Baseline:
@@ -104,5 +94,11 @@ def fit_transfer(name: str, data: RealAndSimulated, training_fraction: float) ->
 
 
 @lru_cache(maxsize=1)
-def _changes(data: RealAndSimulated, seed: int, trees: int) -> dict[str, Float64]:
-    return _simulated_changes(labelled(data.simulated), labelled(data.real), seed, trees)
+def _changes(data: RealAndSimulated, seed: int, trees: int) -> Changes:
+    """Predict f for every real grasp: (50,) by id [counts]; labels of the real grasps are not used."""
+    real = labelled(data.real)
+    pairs = [(one, offsets(one.touch, one.tare)) for one in labelled(data.simulated) if one.touch and one.tare]
+    train, changes = zip(*pairs, strict=True)
+    blind = [replace(sample, touch=None) for sample in real]
+    predicted = geometry_trees(train, np.array(changes), blind, seed, trees=trees)
+    return {sample.id: row for sample, row in zip(real, predicted, strict=True)}

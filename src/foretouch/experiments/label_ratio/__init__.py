@@ -79,16 +79,15 @@ class LabelRatioSettings(SimulatedSettings):
     held_out: float = setting(
         0.0,
         "Share of the labelled samples that all trials are tested on; 0 tests the chosen trials on the test samples",
-        minimum=0.0,
-        maximum=0.5,
+        bounds=(0.0, 0.5),
     )
     updates: int | None = setting(
-        None, "Updates of each network at every ratio; by default from training.epochs", minimum=1, maximum=10_000_000
+        None, "Updates of each network at every ratio; by default from training.epochs", bounds=(1, 10_000_000)
     )
     readings: tuple[str, ...] = setting(
         (), "Trials of the SR-GAN that are compared with the PointNet beside the chosen one"
     )
-    draws: int = setting(10_000, "Number of bootstrap samples for the intervals", minimum=100, maximum=1_000_000)
+    draws: int = setting(10_000, "Number of bootstrap samples for the intervals", bounds=(100, 1_000_000))
     model: ModelConfig = ModelConfig(channels="xyz+normals")
     training: SrganConfig = SrganConfig()
     pointnet: ChosenTrials = ChosenTrials.same("batch 0.001").replace(electrodes_few="frozen 0.001")

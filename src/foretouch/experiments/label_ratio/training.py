@@ -28,21 +28,22 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch.learning.data import Dataset, DataSplit, TrainingSet, labels_of, predict_set
+from foretouch.learning.data import Dataset, labels_of
+from foretouch.learning.data.dataset import DataSplit
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import columns, modality_size
-from foretouch.types import Float32, Float64, GraspSample
+from foretouch.types import Float32, Float64, GraspSample, Integer
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
@@ -142,7 +143,7 @@ class PresampledSet(TrainingSet):
 
     cached_points: Float32  # (S, P, C) float32
 
-    def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
+    def points(self, index: Integer, rng: np.random.Generator, n_points: int | None = None) -> Float32:
         """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
 
         Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each;

@@ -13,8 +13,6 @@ The temperature before a grasp is that of its tare. Recordings without tares hol
 stands for it; `last temperature` takes that of the grasp before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -40,8 +38,6 @@ from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.calibration import rest_level
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "PrequentialSettings"]
-
 _SEED: Final = 0
 _FEWEST_OBJECTS: Final = 2  # that vision is fitted to
 
@@ -54,7 +50,7 @@ class PrequentialSettings(Settings):
         (CONSTANT, "contact"), "Predictors by vision; the training mean is none", choices=tuple(PREDICTORS)
     )
     training_fraction: float = setting(
-        1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
     bootstrap: BootstrapConfig = BootstrapConfig()
 
@@ -71,17 +67,10 @@ def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
     samples, runs = _ordered(data)
     objects = sorted({sample.object for sample in samples})
     without = [(name,) for name in objects] + list(combinations(objects, 2))
-    return [
-        cell
-        for predictor in settings.predictors
-        for cell in [
-            *(Cell(f"{predictor}+{'-'.join(out)}", {"predictor": predictor, "without": list(out)}) for out in without),
-            *(
-                Cell(f"{predictor}+before{run}", {"predictor": predictor, "before": run})
-                for run in range(1, 1 + runs[-1])
-            ),
-        ]
-    ]
+    fits: list[tuple[str, Row]] = [("-".join(out), {"without": list(out)}) for out in without]
+    fits += [(f"before{run}", {"before": run}) for run in range(1, 1 + runs[-1])]
+    predictors = settings.predictors
+    return [Cell(f"{one}+{name}", {"predictor": one, **values}) for one in predictors for name, values in fits]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:

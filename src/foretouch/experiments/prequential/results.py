@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores of the sources of knowledge, as rows, tables and a figure."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -10,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
@@ -37,7 +34,7 @@ from foretouch.models.state_space import FINGER_OF_VALUE, FINGERS, TrackerParame
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.types import TOUCH_SIZE, Bool, Float64
 
 CONSTANT: Final = "training_mean"
 """The predictor without vision."""
@@ -80,7 +77,7 @@ class _Scored:
     counts: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50); NaN where nothing is predicted
     half: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50), of those with intervals
 
-    def add(self, sources: str, where: npt.NDArray[np.bool_], counts: Float64, half: Float64 | None = None) -> None:
+    def add(self, sources: str, where: Bool, counts: Float64, half: Float64 | None = None) -> None:
         for kept, values in ((self.counts, counts), (self.half, half)):
             if values is not None:
                 kept.setdefault(sources, np.full(self.recording.readings.shape, np.nan))[where] = values
@@ -121,11 +118,7 @@ def _parameters(name: str, recording: Recording) -> tuple[TrackerParameters, Tra
 
 
 def _score_run(
-    scored: _Scored,
-    shown: Recording,
-    where: npt.NDArray[np.bool_],
-    tracker: TrackerParameters,
-    ending: TrackerParameters,
+    scored: _Scored, shown: Recording, where: Bool, tracker: TrackerParameters, ending: TrackerParameters
 ) -> None:
     """Add the predictions of the last run of a recording from each of the sources."""
     last = shown.runs() == shown.runs()[-1]
@@ -158,7 +151,7 @@ def _score_run(
         scored.add(sources, where, found.counts[last], found.half[last])
 
 
-def _clock(shown: Recording, last: npt.NDArray[np.bool_]) -> Float64:
+def _clock(shown: Recording, last: Bool) -> Float64:
     """Readings of earlier runs with weights that fall by e in a day, and vision as far as it differs from its own."""
     past = shown.take(~last)
     seconds = shown.stamps_ns / 1e9
@@ -182,12 +175,9 @@ def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -
     rows: list[Row] = []
     for modality in MODALITIES:
         noticed = [k for k, fingers in enumerate(played.restarted[after]) if _FINGER_OF[modality] in fingers]
-        found = {
-            "coverage": inside[:, columns([modality])].mean(),
-            "noticed_after": noticed[0] + 1 if noticed else None,
-        }
-        place = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
-        rows.append(place | {"grasps": len(inside)} | found)
+        place: Row = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
+        coverage, after_touches = inside[:, columns([modality])].mean(), noticed[0] + 1 if noticed else None
+        rows.append(place | {"grasps": len(inside), "coverage": coverage, "noticed_after": after_touches})
     return rows
 
 
@@ -201,23 +191,18 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     rows: list[Row] = []
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
+        names, readings = recording.objects[chosen], recording.readings[chosen]
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(
-                    recording.objects[chosen],
-                    one.counts[sources][chosen],
-                    recording.readings[chosen],
-                    reference[chosen],
-                )
+                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference[chosen])
                 for one in (scored, constant or scored)
             )
             found = skills(errors, config)
             versus = None if constant is None or constant is scored else compare(errors, without, config)
             place: Row = {"sources": sources, "regime": regime}
             for modality in MODALITIES:
-                row = {**place, "object": ALL_OBJECTS, "modality": modality} | interval_columns(
-                    "skill", found[modality]
-                )
+                row = {**place, "object": ALL_OBJECTS, "modality": modality}
+                row |= interval_columns("skill", found[modality])
                 if versus:
                     row |= interval_columns("vs_constant", versus[modality])
                     row["vs_constant_verdict"] = versus[modality].verdict
@@ -230,7 +215,7 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     return rows
 
 
-def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: npt.NDArray[np.bool_]) -> Row:
+def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool) -> Row:
     """Number of grasps; coverage, mean half width and mean score of the 90 % intervals [Gneiting and Raftery 2007, eq. 43].
 
     The score is the width of an interval, and 20 times the distance of a reading from it where it is outside: the lower

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data import Fold, Indices
+from foretouch.learning.data.folds import Fold, Indices
 from foretouch.types import GraspSample
 
 

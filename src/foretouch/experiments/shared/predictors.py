@@ -17,9 +17,11 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import TrainingSet, labels_of, predict_set
+from foretouch.learning.data import labels_of
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.evaluation import baselines
-from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
+from foretouch.models.novelty import Fallback
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -56,19 +58,12 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         for outputs in [MODALITIES] if together else [(one,) for one in MODALITIES]:
             part = replace(data, config=model.replace(outputs=outputs))
             predicted[:, columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
-        return _with_fallback(predicted, train, labels, test) if together else predicted
+        if not together:
+            return predicted
+        # Faded to the mean on objects out of the training distribution, as the released network does.
+        return Fallback.fit(describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
 
     return _predict
-
-
-def _with_fallback(
-    predicted: Float64, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample]
-) -> Float64:
-    """Fade predictions to the mean on objects out of the training distribution, as the released network does."""
-    from foretouch.learning.training.contact import describe_objects
-    from foretouch.models.novelty import Fallback
-
-    return Fallback.fit(describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
 
 
 SHRINKAGE: Final = 2.0  # a of the offset correction, in touches
@@ -150,7 +145,7 @@ PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "touchnet_v1": lambda training_fraction: with_offset_correction(network("touchnet_v1", training_fraction)),
 }
 
-NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")  # predictors that take minutes to hours per fold
+NETWORKS: Final = tuple(RECIPES)  # predictors that take minutes to hours per fold
 
 
 def find_predictor(name: str, training_fraction: float = 1.0) -> Fit:

@@ -134,20 +134,13 @@ def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) ->
         rows: Without any, all columns are None.
         bootstrap: Of the interval.
     """
-    ends = ["", "_low", "_high", *(f"_{one}" for one in MODALITIES), *(f"_rmse_{one}" for one in MODALITIES)]
+    own = [f"{name}{kind}_{one}" for kind in ("", "_rmse") for one in MODALITIES]
     if not rows:
-        return {f"{name}{end}": None for end in ends}
+        return interval_columns(name, None) | dict.fromkeys(own)
     errors = ObjectErrors.of_rows(rows)
     found, rmse = skills(errors, bootstrap), errors.rmse()
-    mean = found[MEAN]
-    values = [
-        mean.value,
-        mean.low,
-        mean.high,
-        *(found[one].value for one in MODALITIES),
-        *(rmse[one] for one in MODALITIES),
-    ]
-    return {f"{name}{end}": value for end, value in zip(ends, values, strict=True)}
+    values = [*(found[one].value for one in MODALITIES), *(rmse[one] for one in MODALITIES)]
+    return interval_columns(name, found[MEAN]) | dict(zip(own, values, strict=True))
 
 
 def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: BootstrapConfig) -> dict[str, Row]:

@@ -26,7 +26,7 @@ _REAL: Final = "real"
 class SimulatedSettings(Settings):
     """Settings of experiments on simulated grasps."""
 
-    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", minimum=10, maximum=1_000_000)
+    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", bounds=(10, 1_000_000))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class BothSettings(SimulatedSettings):
         "config/scenes/unseen_objects.yaml",
         "Scene of the simulated grasps; one of this name that comes with the package where there is no such file",
     )
-    samples: int = setting(2400, "Number of grasps to simulate", minimum=10, maximum=1_000_000)
+    samples: int = setting(2400, "Number of grasps to simulate", bounds=(10, 1_000_000))
 
 
 @dataclass(frozen=True, eq=False)

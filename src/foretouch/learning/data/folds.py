@@ -8,8 +8,7 @@ Three splits answer three questions:
 - `time_folds`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
   cut into consecutive blocks.
 - `group_folds`: how well is a new object predicted? In the public recordings this is also another day, since each
-object
-  was recorded on different days.
+  object was recorded on different days.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,11 +17,10 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample, Index
 
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""
@@ -30,7 +28,7 @@ SPLITS: Final = ("random", "time", "object")
 _FOLDS: Final = 5
 _MOST_OBJECT_FOLDS: Final = 10
 
-Indices: TypeAlias = npt.NDArray[np.intp]
+Indices: TypeAlias = Index
 """(S,) indices of samples."""
 
 
@@ -141,11 +139,8 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
             raise DatasetError("group_folds: folds needs an rng")
         shuffled = [names[i] for i in rng.permutation(len(names))]
         parts = [shuffled[k::folds] for k in range(folds)]
-    return _folds(
-        len(groups),
-        [np.concatenate([members[name] for name in part]) for part in parts],
-        ["+".join(sorted(part)) for part in parts],
-    )
+    tests = [np.concatenate([members[name] for name in part]) for part in parts]
+    return _folds(len(groups), tests, ["+".join(sorted(part)) for part in parts])
 
 
 def object_folds(objects: Sequence[str]) -> list[Fold]:

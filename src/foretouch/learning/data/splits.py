@@ -21,11 +21,12 @@ import numpy as np
 from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes, require_schema
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError, shown
-from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
+from foretouch.learning.data.folds import Indices, group_folds, random_folds, time_folds
 
 SPLITS_FILE: Final = "splits.json"
 FOLDS: Final = 5
 RATIOS: Final = (10, 30, 50, 70, 90)
+_KINDS: Final = ("random", "object", "time", "labels")  # in this order, which seeds them
 _TEST_PER_OBJECT: Final = 200  # of P2's 1000
 _TEST_SHARE: Final = 0.2
 _VERSION: Final = 1
@@ -94,9 +95,9 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
     """
     splits: dict[str, list[dict[str, Any]]] = {}
     omitted: dict[str, str] = {}
-    for number, (kind, make) in enumerate(_MAKERS.items()):
+    for number, kind in enumerate(_KINDS):
         try:
-            splits[kind] = [_plain(part) for part in make(samples, np.random.default_rng([seed, number]))]
+            splits[kind] = [_plain(part) for part in _parts(kind, samples, np.random.default_rng([seed, number]))]
         except DatasetError as err:
             omitted[kind] = str(err)
     content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
@@ -129,44 +130,25 @@ def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
         raise FileError(file, str(err)) from err
 
 
-def _random(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
-    labelled = _labelled(samples)
-    return _named(labelled, random_folds(len(labelled), FOLDS, rng))
-
-
-def _object(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
-    labelled = _labelled(samples)
-    groups = [sample.object for sample in labelled]
-    few = len(set(groups)) < FOLDS
-    return _named(labelled, group_folds(groups) if few else group_folds(groups, FOLDS, rng))
-
-
-def _time(samples: Sequence[SampleFacts], _rng: np.random.Generator) -> Iterator[SplitPart]:
-    labelled = _labelled(samples)
-    groups, stamps = [sample.object for sample in labelled], [sample.stamp_ns for sample in labelled]
-    return _named(labelled, time_folds(groups, stamps, FOLDS))
-
-
-def _labels(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
-    labelled = _labelled(samples)
-    never = tuple(sample.id for sample in samples if not sample.labelled)
-    test, parts = _label_ratios([sample.object for sample in labelled], rng)
-    for name, (train, without) in parts.items():
-        yield SplitPart(name, _ids(labelled, train), _ids(labelled, test), _ids(labelled, without) + never)
-
-
-_MAKERS: Final = {"random": _random, "object": _object, "time": _time, "labels": _labels}
-
-
-def _labelled(samples: Sequence[SampleFacts]) -> list[SampleFacts]:
+def _parts(kind: str, samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = [sample for sample in samples if sample.labelled]
     if not labelled:
         raise DatasetError("no sample is labelled")
-    return labelled
-
-
-def _named(samples: Sequence[SampleFacts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
-    return (SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test)) for fold in folds)
+    groups = [sample.object for sample in labelled]
+    if kind == "labels":
+        never = tuple(sample.id for sample in samples if not sample.labelled)
+        test, parts = _label_ratios(groups, rng)
+        for name, (train, without) in parts.items():
+            yield SplitPart(name, _ids(labelled, train), _ids(labelled, test), _ids(labelled, without) + never)
+        return
+    if kind == "random":
+        folds = random_folds(len(labelled), FOLDS, rng)
+    elif kind == "time":
+        folds = time_folds(groups, [sample.stamp_ns for sample in labelled], FOLDS)
+    else:
+        folds = group_folds(groups) if len(set(groups)) < FOLDS else group_folds(groups, FOLDS, rng)
+    for fold in folds:
+        yield SplitPart(fold.name, _ids(labelled, fold.train), _ids(labelled, fold.test))
 
 
 def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:

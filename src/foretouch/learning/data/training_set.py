@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
@@ -23,7 +22,7 @@ from foretouch.models.network.preparation import (
     sample_channels,
 )
 from foretouch.tactile import touch_faults
-from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample, Integer
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -64,7 +63,7 @@ class TrainingSet:
     def __len__(self) -> int:
         return len(self.clouds)
 
-    def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
+    def points(self, index: Integer, rng: np.random.Generator, n_points: int | None = None) -> Float32:
         """(B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default that of the configuration."""
         count = self.config.n_points if n_points is None else n_points
         chosen = [self.clouds[i] for i in index]

@@ -14,24 +14,14 @@ import numpy as np
 from foretouch.types import Float64, GraspSample
 
 _CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
-_CONTACT_NAMES: Final = ("count", "spread_1", "spread_2", "spread_3", "gap", "dx", "dy", "dz")
-
-FEATURE_NAMES: Final = (
-    *("x", "y", "z"),
-    *("extent_x", "extent_y", "extent_z"),
-    *("spread_1", "spread_2", "spread_3"),
-    *("radius", "log_points"),
-    *("g1_x", "g1_y", "g1_z", "g2_x", "g2_y", "g2_z"),
-    *("width", "offset"),
-    *(f"r{i}{j}" for i in range(3) for j in range(3)),
-    *(f"{contact}_{name}" for contact in ("g1", "g2") for name in _CONTACT_NAMES),
-)
 
 
 def geometry_features(sample: GraspSample) -> Float64:
-    """(len(FEATURE_NAMES),) float64: lengths in metres, camera frame; contacts relative to the centroid.
+    """(44,) float64: lengths in metres, camera frame; contacts relative to the centroid.
 
-    Where no point is near a contact, its count, spreads and offset are 0.
+    Centroid, extents, spreads along the principal axes, radius and logarithm of the number of points; g1, g2, width, offset
+    of the midpoint, rotation; of the points near each contact their share, spreads, gap and mean offset. Where no point is
+    near a contact, its share, spreads and offset are 0.
     """
     cloud = sample.cloud.take(np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_))
     xyz = cloud.xyz.astype(np.float64)
@@ -115,13 +105,8 @@ def geometry_trees(
     train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
 ) -> Float64:
     """Extremely randomised trees on `geometry_features`."""
-    return _forest(
-        np.array([geometry_features(sample) for sample in train]),
-        labels,
-        np.array([geometry_features(sample) for sample in test]),
-        seed,
-        trees,
-    )
+    known, asked = (np.array([geometry_features(sample) for sample in side]) for side in (train, test))
+    return _forest(known, labels, asked, seed, trees)
 
 
 def clock(
@@ -155,10 +140,7 @@ def _level(one: Float64, other: Float64) -> Float64:
 
 
 BASELINES: Final[dict[str, Baseline]] = {
-    "training_mean": training_mean,
-    "object_mean": object_mean,
-    "object_time_trees": object_time_trees,
-    "geometry_trees": geometry_trees,
+    one.__name__: one for one in (training_mean, object_mean, object_time_trees, geometry_trees)
 }
 
 

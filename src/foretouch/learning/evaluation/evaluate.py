@@ -15,7 +15,10 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning import data as datasets
+from foretouch.learning.data.dataset import Dataset
+from foretouch.learning.data.folds import Fold, HoldOut, Indices, fold_workers, predict_folds
+from foretouch.learning.data.splits import SplitPart
+from foretouch.learning.data.training_set import TrainingSet, labels_of, predict_set
 from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import read_card
@@ -30,8 +33,8 @@ MODEL: Final = "model"
 def cross_validate(
     samples: Sequence[GraspSample],
     labels: Float64,
-    model: datasets.HoldOut,
-    folds: Sequence[datasets.Fold],
+    model: HoldOut,
+    folds: Sequence[Fold],
     ranges: TactileRanges,
     *,
     seed: int = 0,
@@ -54,22 +57,20 @@ def cross_validate(
         Scores of `MODEL` and of each baseline, by modality; (S, 50) held-out predictions of the model [counts].
     """
     others = {name: partial(_baseline, samples, labels, baseline, seed) for name, baseline in baselines.items()}
-    predictors: dict[str, datasets.HoldOut] = {MODEL: model, **others}
-    with datasets.fold_workers(workers) as run:
-        predicted = {name: datasets.predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
-    reference = datasets.predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
+    predictors: dict[str, HoldOut] = {MODEL: model, **others}
+    with fold_workers(workers) as run:
+        predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
+    reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
     return {name: score(values, labels, reference, ranges) for name, values in predicted.items()}, predicted[MODEL]
 
 
-def _baseline(
-    samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: datasets.Fold
-) -> Float64:
+def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
     return baseline([samples[i] for i in fold.train], labels[fold.train], [samples[i] for i in fold.test], seed)
 
 
 def evaluate_model(
     model: str | Path,
-    data: datasets.Dataset,
+    data: Dataset,
     split: str,
     *,
     seed: int = 0,
@@ -81,7 +82,7 @@ def evaluate_model(
     If it was trained on all of them, the scores of its cross-validation on this kind of split are those in its card.
 
     Args:
-        model: Name, card, weights or folder of a run; it may predict only some of the modalities.
+        model: Name, card, weights or model folder; it may predict only some of the modalities.
         data: The dataset.
         split: `KIND` or `KIND/PART`; the baselines beside each test sample were fitted without it.
         seed: Seed of the baselines.
@@ -121,7 +122,7 @@ def evaluate_model(
     tested = [data.samples[k] for k in chosen[kept]]
     plain_network = card["kind"] == "network" and card.get("calibration") is None
     found = (_by_network if plain_network else _by_model)(path, tested)
-    labels = datasets.labels_of(tested)
+    labels = labels_of(tested)
     reference = _fitted(data, parts, training_mean, seed)[kept]
     # The columns that the model does not predict are not scored, but must be finite.
     values = {MODEL: np.where(np.isnan(found.counts), reference, found.counts)}
@@ -144,21 +145,17 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
     if any(kind not in table for table in tables.values()):
         raise DatasetError(
             f"{name}: was trained on all samples that the split {split} tests, so that none is held out; train with"
-            f" split='{kind}/{part}', evaluate other data, or score them nevertheless with --training-scores"
+            f" release=true (scores by cross-validation) or split='{kind}/{part}', evaluate other data, or score them"
+            " nevertheless with --training-scores"
         )
     scores = {
         who: {key: {"coverage90": None, **one} for key, one in table[kind].items()} for who, table in tables.items()
     }
-    return {
-        "scores": scores,
-        "samples": card["data"]["samples"],
-        "unfamiliar": None,
-        "split": kind,
-        "scored": "cross_validation",
-    }
+    facts = {"samples": card["data"]["samples"], "unfamiliar": None, "split": kind, "scored": "cross_validation"}
+    return {"scores": scores, **facts}
 
 
-def own_samples(card: Mapping[str, Any], data: datasets.Dataset, index: datasets.Indices) -> Bool | None:
+def own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
     """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
     text = card["data"].get("sample_hashes")
     if not isinstance(text, str):
@@ -203,16 +200,16 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
 
     net, _ = load_network(card_path)
     counts = np.full((len(samples), TOUCH_SIZE), np.nan)
-    prepared = datasets.TrainingSet.build(samples, net.config)
-    counts[:, columns(net.config.outputs)] = datasets.predict_set(net, prepared, np.arange(len(samples)))
+    prepared = TrainingSet.build(samples, net.config)
+    counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
     modalities = [name for name in MODALITIES if name in net.config.outputs]
     return _Predictions(counts, None, 0, modalities, net.config.ranges)
 
 
-def _fitted(data: datasets.Dataset, parts: Sequence[datasets.SplitPart], baseline: Baseline, seed: int) -> Float64:
+def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:
     """(S, 50) predictions of a baseline for the test samples of each part, in order."""
     rows = []
     for part in parts:
         train, test = ([data.samples[k] for k in data.index(ids)] for ids in (part.train, part.test))
-        rows.append(baseline(train, datasets.labels_of(train), test, seed))
+        rows.append(baseline(train, labels_of(train), test, seed))
     return np.concatenate(rows)

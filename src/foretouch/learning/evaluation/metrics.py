@@ -30,8 +30,6 @@ interval is given. In every case the interval is valid for objects *like these*:
 different days, guarantee nothing about another hand, camera or kind of object.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Self
@@ -119,9 +117,9 @@ Verdict = Literal["better", "worse", "tie", "too few objects"]
 class BootstrapConfig(Settings):
     """Settings of the bootstrap."""
 
-    draws: int = setting(10_000, "Resamples of the objects", minimum=100, maximum=1_000_000)
+    draws: int = setting(10_000, "Resamples of the objects", bounds=(100, 1_000_000))
     seed: int = setting(0, "Seed of the resamples", minimum=0)
-    level: float = setting(0.95, "Nominal coverage of the intervals", minimum=0.5, maximum=0.999)
+    level: float = setting(0.95, "Nominal coverage of the intervals", bounds=(0.5, 0.999))
 
 
 _DEFAULT: Final = BootstrapConfig()
@@ -180,10 +178,10 @@ class ObjectErrors:
             [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in rows]
         )
 
-    def only(self, name: str) -> ObjectErrors:
+    def only(self, name: str) -> Self:
         """The errors of one object."""
         k = [self.objects.index(name)]
-        return ObjectErrors((name,), self.counts[k], self.squared[k], self.reference[k])
+        return type(self)((name,), self.counts[k], self.squared[k], self.reference[k])
 
     def rmse(self) -> dict[str, float]:
         """Root of the mean squared error over all grasps and values, by modality [counts]."""

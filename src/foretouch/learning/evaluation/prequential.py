@@ -5,8 +5,6 @@ This is what a robot at work sees. The tracker learns of another object wherever
 where an object returns: what was learned about it before is forgotten.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
@@ -20,7 +18,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import MODALITIES, columns, tdc_of, touch_faults
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample, Index, Int64
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
     "none": (0, 0),
@@ -41,12 +39,12 @@ CLOCK_S: Final = 86400.0
 class Recording:
     """Readings of one hand in order of time, and predictions by vision that do not know them."""
 
-    stamps_ns: npt.NDArray[np.int64]  # (S,) [ns], not decreasing
+    stamps_ns: Int64  # (S,) [ns], not decreasing
     objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
     readings: Float64  # (S, 50) [counts]
     expected: Float64  # (S, 50) predictions by vision, at the rest level of training [counts]
     tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
-    known: npt.NDArray[np.bool_] | None = None  # (S,) whether the object is like those of training; None if none is
+    known: Bool | None = None  # (S,) whether the object is like those of training; None if none is
     tdc: Float64 | None = None  # (S, 2) TDC of thumb and middle finger with the reading, NaN without [counts]
     tare_tdc: Float64 | None = None  # (S, 2) the same with the tare
 
@@ -57,23 +55,16 @@ class Recording:
         labels: Float64,
         expected: Float64,
         rest: Float64,
-        known: npt.NDArray[np.bool_] | None = None,
+        known: Bool | None = None,
     ) -> Self:
         """From samples with their (S, 50) labels, and (S, 50) predictions by vision at a (50,) rest level [counts]."""
         tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
         tdc, tare_tdc = (np.array([tdc_of(one.extra, prefix) for one in samples]) for prefix in ("", "tare_"))
-        return cls(
-            stamps,
-            objects,
-            labels,
-            expected,
-            tares=None if np.isnan(tares).all() else tares,
-            known=known,
-            tdc=None if np.isnan(tdc).all() else tdc,
-            tare_tdc=None if np.isnan(tare_tdc).all() else tare_tdc,
-        )
+        read = {"tares": tares, "tdc": tdc, "tare_tdc": tare_tdc}
+        some = {name: None if np.isnan(rows).all() else rows for name, rows in read.items()}
+        return cls(stamps, objects, labels, expected, known=known, **some)
 
     def ordered(self) -> Self:
         """In order of time; grasps of equal stamps keep theirs.
@@ -85,7 +76,7 @@ class Recording:
             raise DatasetError("prequential: there is no sample, or one has no stamp, so their order is not known")
         return self.take(np.argsort(self.stamps_ns, kind="stable"))
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Self:
+    def take(self, index: Index | Bool) -> Self:
         """Some of the grasps, by indices or a mask."""
         arrays = {name: array[index] for name, array in vars(self).items() if array is not None}
         return replace(self, **arrays)
@@ -106,7 +97,7 @@ class Recording:
         tare = _row(self.tare_tdc, k)
         return _row(self.tdc, k) if tare is None or np.isnan(tare).all() else tare
 
-    def begins(self) -> npt.NDArray[np.bool_]:
+    def begins(self) -> Bool:
         """(S,) whether another object than before is touched."""
         return np.concatenate([[True], self.objects[1:] != self.objects[:-1]])
 
@@ -133,11 +124,11 @@ class Replayed:
     levels: list[Level]  # (S,) levels of the tracker
     restarted: list[tuple[str, ...]]  # (S,) fingers that each reading restarted
 
-    def take(self, index: npt.NDArray[np.bool_]) -> Replayed:
+    def take(self, index: Bool) -> Self:
         """Some of the grasps, by a mask."""
         chosen = np.flatnonzero(index)
         levels, restarted = [self.levels[k] for k in chosen], [self.restarted[k] for k in chosen]
-        return Replayed(self.counts[index], self.half[index], levels, restarted)
+        return type(self)(self.counts[index], self.half[index], levels, restarted)
 
 
 def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool = True) -> Replayed:
@@ -176,31 +167,19 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
 
     Args:
         calibration: Of the model that predicts by vision.
-        touched: Touches in order of time, none or more, with their tares.
-        asked: The grasps, each with its own tare; their readings are not used.
+        touched: Touches in order of time, none or more, without tares.
+        asked: The grasps, without tares; their readings are not used.
 
     Returns:
         (S, 50) predictions and half widths [counts].
     """
-    tracker, newest_ns = SensorTracker(calibration.tracker_parameters), 0
-    for k, stamp in enumerate(touched.stamps_ns.tolist()):
-        if k == 0:
-            tracker.start_object(known=touched.is_known(k))
-        newest_ns = max(newest_ns, stamp)
-        if (tare := touched.tare(k)) is not None:
-            tracker.add_tare(newest_ns, tare, tdc=_row(touched.tare_tdc, k))
-        tracker.add_touch(newest_ns, touched.readings[k], touched.expected[k], tdc=_row(touched.tdc, k))
+    tracker = SensorTracker(calibration.tracker_parameters)
+    replay(tracker, touched)
     counts, half = asked.expected.copy(), np.empty_like(asked.expected)
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
-        own, tare = tracker, asked.tare(k)
-        if tare is not None:
-            own = tracker.copy()
-            own.add_tare(max(newest_ns, stamp), tare, tdc=_row(asked.tare_tdc, k))
-        if own.evidence(0).readings:
-            level = own.level(
-                max(newest_ns, stamp), same_object=own.touches > 0, known=asked.is_known(k), tdc=asked.tdc_before(k)
-            )
-            (counts[k],), (half[k],) = own.adapt(level, asked.expected[k : k + 1])
+        if tracker.touches:
+            level = tracker.level(stamp, known=asked.is_known(k), tdc=asked.tdc_before(k))
+            (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1])
         else:
             half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]
     return counts, half
@@ -259,7 +238,7 @@ class ModelReplay:
     samples: list[GraspSample]  # S of them
     recording: Recording  # readings of unlabelled samples are NaN
     played: Replayed
-    scored: npt.NDArray[np.bool_]  # (S,) False for those of the history
+    scored: Bool  # (S,) False for those of the history
 
 
 def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()) -> ModelReplay:
@@ -339,14 +318,11 @@ def evaluate_prequential(
             }
             for key in MODALITIES if method in half else ():
                 own = np.ix_(chosen, columns([key]))
-                inside = np.abs(readings[own] - values[own]) <= half[method][own]
-                scores[method][key] |= {
-                    "coverage90": float(inside.mean()),
-                    "half_width": float(half[method][own].mean()),
-                }
+                width = half[method][own]
+                inside = np.abs(readings[own] - values[own]) <= width
+                scores[method][key] |= {"coverage90": float(inside.mean()), "half_width": float(width.mean())}
         found[name] = {"grasps": int(chosen.sum()), "scores": scores}
-    restarted = {
-        sample.id: list(names) for sample, names in zip(done.samples, done.played.restarted, strict=True) if names
-    }
+    pairs = zip(done.samples, done.played.restarted, strict=True)
+    restarted = {sample.id: list(names) for sample, names in pairs if names}
     count = int(done.scored.sum())
     return {"touches": found, "samples": count, "history": len(done.samples) - count, "restarted": restarted}

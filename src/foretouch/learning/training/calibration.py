@@ -12,11 +12,9 @@ With few objects that level exceeds what their scores can show; it is capped at 
 guarantee is given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +25,7 @@ from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
@@ -50,11 +48,9 @@ class HeldOutPredictions:
     objects: Names  # (S,) names
     sessions: Names  # (S,) the unit that shares the lasting part of the error: an object, or a block of its recording
 
-    def take(self, chosen: npt.NDArray[np.bool_]) -> HeldOutPredictions:
+    def take(self, chosen: Bool) -> Self:
         """The samples of an (S,) mask."""
-        return HeldOutPredictions(
-            self.predicted[chosen], self.labels[chosen], self.objects[chosen], self.sessions[chosen]
-        )
+        return type(self)(self.predicted[chosen], self.labels[chosen], self.objects[chosen], self.sessions[chosen])
 
 
 def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
@@ -180,12 +176,9 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     actual = _centred(held_out.labels, owners)
     slope = _slopes(differences, actual) * (shrinkage if new else 1.0)
     spread = np.maximum((residuals**2).mean(axis=0), _LEAST_DEVIATION**2)
-    freedom = len(residuals) - len(owners)
-    within = (
-        np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
-        if freedom
-        else spread
-    )
+    within = spread
+    if freedom := len(residuals) - len(owners):
+        within = np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
@@ -198,7 +191,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     return CalibrationGroup(between, within, slope, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
 
 
-def _centred(values: Float64, owners: Sequence[npt.NDArray[np.bool_]]) -> Float64:
+def _centred(values: Float64, owners: Sequence[Bool]) -> Float64:
     """(S, 50) minus the mean of each session."""
     centred = values.copy()
     for mine in owners:

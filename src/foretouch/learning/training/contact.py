@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.learning.data import Fold, Indices, labels_of
+from foretouch.learning.data import labels_of
+from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch.learning.training.generalisation import DECAY, choose_ridge, training_kernel
@@ -23,9 +23,9 @@ from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
 
-_FEWEST_SAMPLES: Final = 5
+FEWEST_SAMPLES: Final = 5
 _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
@@ -33,16 +33,15 @@ _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 class ContactConfig(Settings):
     """Settings of the fit of a contact model."""
 
-    trees: int = setting(60, "Trees of each forest", minimum=1, maximum=10_000)
-    leaf: int = setting(3, "Fewest samples in a leaf", minimum=1, maximum=1000)
+    trees: int = setting(60, "Trees of each forest", bounds=(1, 10_000))
+    leaf: int = setting(3, "Fewest samples in a leaf", bounds=(1, 1000))
     thinned: float = setting(
         0.5,
         "Share of the points in copies of the training clouds, to which the forests are fitted as well; 1 fits to no copies",
-        minimum=0.1,
-        maximum=1.0,
+        bounds=(0.1, 1.0),
     )
-    depth: int | None = setting(None, "Most levels of a tree; not limited by default", minimum=1, maximum=100)
-    feature_share: float = setting(0.5, "Share of the features tried at each split", minimum=0.01, maximum=1.0)
+    depth: int | None = setting(None, "Most levels of a tree; not limited by default", bounds=(1, 100))
+    feature_share: float = setting(0.5, "Share of the features tried at each split", bounds=(0.01, 1.0))
     seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
 
@@ -95,20 +94,24 @@ def fit_contact(
     Raises:
         DatasetError: If there are fewer than five samples, or a value of the labels is constant.
     """
-    if len(rows) < _FEWEST_SAMPLES:
-        raise DatasetError(f"contact model: {len(rows)} samples are fewer than {_FEWEST_SAMPLES}")
+    if len(rows) < FEWEST_SAMPLES:
+        rule = (
+            f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {FEWEST_SAMPLES - len(rows)} more grasps are needed"
+        )
+        raise DatasetError(f"contact model: {rule}")
     mean, deviation = labels.mean(axis=0), labels.std(axis=0)
     if not (span := np.ptp(labels, axis=0)).all():
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
     ridge, gain = choose_ridge(inputs, scaled, objects)
+    forests, kernel = fit_forests(rows, labels, config, thinned), _kernel(inputs, scaled, objects, ridge)
     return ContactEstimator(
-        forests=fit_forests(rows, labels, config, thinned),
-        kernel=_kernel(inputs, scaled, objects, ridge),
-        novelty=NoveltyDetector.fit(rows, objects),
-        mean=mean,
-        deviation=deviation,
+        forests,
+        kernel,
+        NoveltyDetector.fit(rows, objects),
+        mean,
+        deviation,
         generalisation_gain=gain,
         ranges=config.ranges,
     )
@@ -184,38 +187,28 @@ class ContactPredictor:
         """(S, 50) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
-    def predict_after(
-        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
-    ) -> Float64:
-        """Predictions after touches of the same object, with all tares or none, as `TouchModel.predict` gives them.
-
-        Raises:
-            DatasetError: If `tare` is set and a sample has no tare.
-        """
-        if not touched and not tare:  # requires no calibration
-            return self._estimate(samples)[0]
-        return self.intervals_after(touched, samples, tare=tare)[0]
+    def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
+        """Predictions after touches of the same object, without tares, as `TouchModel.predict` gives them."""
+        if not touched:  # requires no calibration
+            return self.predict(samples)
+        return self.intervals_after(touched, samples)[0]
 
     def intervals_after(
-        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
+        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]
     ) -> tuple[Float64, Float64]:
         """As `predict_after`, with the half widths of the intervals, both (S, 50) [counts].
 
         Raises:
-            DatasetError: If `tare` is set and a sample has no tare, or the training samples are all of one object.
+            DatasetError: If the training samples are all of one object.
         """
         earlier = sorted(touched, key=lambda sample: sample.stamp_ns)
-        recordings = (self._recording(part, tare=tare) for part in (earlier, samples))
-        return predict_after(self.calibration[0], *recordings)
+        return predict_after(self.calibration[0], *(self._recording(part) for part in (earlier, samples)))
 
-    def _recording(self, samples: Sequence[GraspSample], *, tare: bool) -> Recording:
-        """Samples with their predictions by vision, and with their tares if these are to be used."""
-        if tare and (missing := [sample.id for sample in samples if sample.tare is None]):
-            raise DatasetError(f"{missing[0]}: tare: is missing")
+    def _recording(self, samples: Sequence[GraspSample]) -> Recording:
+        """Samples with their predictions by vision, without their tares."""
         expected, familiar = self._estimate(samples)
         labels = labels_of(samples) if samples else expected
-        recording = Recording.of_samples(samples, labels, expected, self.rest, familiar)
-        return recording if tare else replace(recording, tares=None)
+        return replace(Recording.of_samples(samples, labels, expected, self.rest, familiar), tares=None)
 
     @cached_property
     def calibration(self) -> tuple[Calibration, dict[str, Any]]:
@@ -225,7 +218,7 @@ class ContactPredictor:
     def _without(self, fold: Fold) -> Float64:
         return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]
 
-    def _estimate(self, samples: Sequence[GraspSample]) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def _estimate(self, samples: Sequence[GraspSample]) -> tuple[Float64, Bool]:
         """Predictions before any touch and at rest level; each sample is described only once."""
         new = [sample for sample in samples if sample.id not in self._predicted]
         if new:

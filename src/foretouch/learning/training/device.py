@@ -11,13 +11,11 @@ The same seed gives the same bits on the same device with the same number of thr
 in no fixed order, so its results agree with each other and with a CPU's only up to rounding.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -37,7 +35,7 @@ class DistributedContext:
     rank: int = 0  # number of this process; 0 alone writes files
 
     @classmethod
-    def of_process_group(cls) -> DistributedContext:
+    def of_process_group(cls) -> Self:
         """The processes of the default process group; a single one without a group."""
         group = torch.distributed
         if not (group.is_available() and group.is_initialized()):
@@ -138,7 +136,7 @@ class TrainingDevice:
     context: DistributedContext  # the processes
 
     @classmethod
-    def of(cls, config: DeviceConfig, batch_size: int) -> TrainingDevice:
+    def of(cls, config: DeviceConfig, batch_size: int) -> Self:
         """The configured device, with the processes of the default group.
 
         Raises:

@@ -15,7 +15,10 @@ import numpy as np
 from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, TrainingSet, labels_of, predict_set
+from foretouch.learning.data import Dataset, labels_of
+from foretouch.learning.data.dataset import DataSplit
+from foretouch.learning.data.folds import Fold, Indices
+from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.calibration import calibrate_on_folds
 from foretouch.learning.training.contact import ContactPredictor, describe_objects
 from foretouch.learning.training.device import DistributedContext
@@ -132,7 +135,7 @@ class _Best:
 
 
 class NetworkLearner(Learner):
-    """Trains a network; without a run folder, for as many epochs as the kept epoch of the run before."""
+    """Trains a network; without a model folder, for as many epochs as the kept epoch of the run before."""
 
     def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
         if config.method == "srgan" and not len(split.unlabelled):
@@ -151,7 +154,7 @@ class NetworkLearner(Learner):
         return {**self.__dict__, "_net": None, "_best": replace(self._best, weights={})}
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
-        """As `Learner.fit`; with a run folder, every epoch is on disk before it is reported."""
+        """As `Learner.fit`; with a model folder, every epoch is on disk before it is reported."""
         self._chosen = np.arange(len(self.samples)) if chosen is None else chosen
         train = self.split.train[self._chosen]
         trainer: Trainer

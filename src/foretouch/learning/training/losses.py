@@ -23,6 +23,8 @@ as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the origina
 Eq. 3 to the letter compares unrelated pairs of clouds. Its expectation is 2 tr Cov(f), so with w_U = 10 over 1024 features it
 penalises the variance of the features themselves, and all clouds become one (`docs/papers.md`).
 
+With several processes, a loss is that of the batch which they share.
+
 Shapes: B samples, F features, M outputs.
 """
 
@@ -35,7 +37,7 @@ from torch import Tensor
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext
+from foretouch.learning.training.device import DistributedContext
 
 _LEAST_ROOT: Final = 1e-6
 _OF_MEANS: Final = ("batch_means", "srgan")  # variants that compare the mean features of two batches
@@ -50,11 +52,11 @@ class SrganLossConfig(Settings):
         "Variant of P2's equations 3 to 5; see the module",
         choices=("as_printed", "contrast", "batch_means", "srgan"),
     )
-    weight_labeled: float = setting(1.0, "w_L", minimum=0.0, maximum=1e6)
-    weight_unlabeled: float = setting(10.0, "w_U", minimum=0.0, maximum=1e6)
-    weight_fake: float = setting(0.1, "w_F", minimum=0.0, maximum=1e6)
+    weight_labeled: float = setting(1.0, "w_L", bounds=(0.0, 1e6))
+    weight_unlabeled: float = setting(10.0, "w_U", bounds=(0.0, 1e6))
+    weight_fake: float = setting(0.1, "w_F", bounds=(0.0, 1e6))
     gradient_penalty: float = setting(
-        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", minimum=0.0, maximum=1e6
+        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", bounds=(0.0, 1e6)
     )
 
 
@@ -79,22 +81,18 @@ def _safe_root(mean_square: Tensor) -> Tensor:
 
 
 def labeled_loss(
-    scaled: Tensor,
-    target: Tensor,
-    sizes: Sequence[int],
-    kind: str = "rmse",
-    context: DistributedContext = SINGLE_PROCESS,
-    epsilon: float = 0.0,
+    scaled: Tensor, target: Tensor, sizes: Sequence[int], kind: str = "rmse", epsilon: float = 0.0
 ) -> Tensor:
     """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
+
+    Squares and their number are summed over all processes before the root: the mean of each process's own root is a
+    different loss.
 
     Args:
         scaled: (B, M) predictions, floating; half precision is computed in float32.
         target: (B, M) labels on the same scale.
         sizes: Number of values of each modality; they add up to M. P2 has one modality per network.
         kind: `rmse`, or `mse` without the root.
-        context: The processes that share the batch. Squares and their number are summed over all of them before the
-            root: the mean of each process's own root is a different loss.
         epsilon: Added to the mean square under the root, as in P1's public code; 0 for `_safe_root`.
 
     Raises:
@@ -102,7 +100,7 @@ def labeled_loss(
     """
     if len(scaled) == 0:
         raise DatasetError("losses: there is no sample")
-    means = []
+    means, context = [], DistributedContext.of_process_group()
     for part in torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1):
         count = context.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
         means.append(context.shared_sum(part.square().sum()) / count)
@@ -113,11 +111,7 @@ def labeled_loss(
 
 
 def discriminator_loss(
-    labeled: Tensor,
-    features: Features,
-    config: SrganLossConfig,
-    penalty: Tensor | None = None,
-    context: DistributedContext = SINGLE_PROCESS,
+    labeled: Tensor, features: Features, config: SrganLossConfig, penalty: Tensor | None = None
 ) -> dict[str, Tensor]:
     """The parts of eq. 1 by name, before their weights, and their `total`.
 
@@ -126,13 +120,12 @@ def discriminator_loss(
         features: Features of the discriminator; those of the fake clouds detached from the generator.
         config: Variant and weights.
         penalty: Result of `gradient_penalty`, if it is used.
-        context: The processes that share the batch.
 
     Raises:
         DatasetError: If samples are compared in pairs and the batches differ in size.
     """
-    unlabeled = matching_loss(features.labeled, features.unlabeled, config, context)
-    fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config, context)  # eq. 4 is eq. 3
+    unlabeled = matching_loss(features.labeled, features.unlabeled, config)
+    fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
     if penalty is not None:
@@ -141,14 +134,12 @@ def discriminator_loss(
     return {**parts, "total": total}
 
 
-def matching_loss(
-    a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext = SINGLE_PROCESS
-) -> Tensor:
+def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     """Squared distance of the (B, F) features of two batches, eqs. 3 and 5, or the SR-GAN's mean|Δ|.
 
     Eq. 3 is of labelled and unlabelled clouds; eq. 5, the generator's loss, of fake and unlabelled ones.
     """
-    delta = _difference(a, b, config, context)
+    delta = _difference(a, b, config)
     if config.loss_variant == "srgan":
         return delta.abs().mean()
     if config.loss_variant == "batch_means":
@@ -157,11 +148,7 @@ def matching_loss(
 
 
 def gradient_penalty(
-    features: Callable[[Tensor], Tensor],
-    unlabeled: Tensor,
-    fake: Tensor,
-    rng: torch.Generator,
-    context: DistributedContext = SINGLE_PROCESS,
+    features: Callable[[Tensor], Tensor], unlabeled: Tensor, fake: Tensor, rng: torch.Generator
 ) -> Tensor:
     """Mean of max(‖∇‖ - 1, 0)², one-sided, of the norm of the features at clouds between real and fake ones.
 
@@ -171,11 +158,11 @@ def gradient_penalty(
     Args:
         features: Maps (B, N, C) clouds to (B, F). Its batch norm must be frozen: in training mode the penalty includes
             the statistics of the batch and starts in the millions.
-        unlabeled: (B, N, C) real clouds.
+        unlabeled: (B, N, C) real clouds of this process.
         fake: (B, N', C) fake clouds; both are cut to the smaller number of points.
         rng: Draws the mixing weight of each pair of clouds.
-        context: The processes that share the batch; the clouds are those of this process.
     """
+    context = DistributedContext.of_process_group()
     points = min(unlabeled.shape[1], fake.shape[1])
     share = context.shard(torch.rand(len(unlabeled) * context.world_size, 1, 1, generator=rng)).to(unlabeled)
     between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
@@ -186,21 +173,21 @@ def gradient_penalty(
     return (steepness - 1.0).clamp(min=0.0).square().mean()
 
 
-def _contrast(features: Features, config: SrganLossConfig, context: DistributedContext) -> Tensor:
+def _contrast(features: Features, config: SrganLossConfig) -> Tensor:
     """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
     if features.fake is None:
         raise DatasetError(f"losses: the variant {config.loss_variant} requires the features of fake clouds")
-    return -(_difference(features.unlabeled, features.fake, config, context).abs() + 1.0).sqrt().mean()
+    return -(_difference(features.unlabeled, features.fake, config).abs() + 1.0).sqrt().mean()
 
 
-def _difference(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
+def _difference(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     """(B, F) in pairs, or (1, F) of the batches' means."""
     a, b = _wide(a), _wide(b)
     if config.loss_variant not in _OF_MEANS:
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b
-    return _mean(a, context) - _mean(b, context)
+    return _mean(a) - _mean(b)
 
 
 def _wide(values: Tensor) -> Tensor:
@@ -210,7 +197,8 @@ def _wide(values: Tensor) -> Tensor:
     return values.float() if values.dtype in (torch.bfloat16, torch.float16) else values
 
 
-def _mean(features: Tensor, context: DistributedContext) -> Tensor:
+def _mean(features: Tensor) -> Tensor:
     """(1, F) mean over the batches of all processes."""
+    context = DistributedContext.of_process_group()
     count = context.sum(torch.tensor(float(len(features)), dtype=features.dtype, device=features.device))
     return context.shared_sum(features.sum(dim=0, keepdim=True)) / count

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One training from settings to a run folder with weights, calibration and card, resumable at every epoch.
+"""One training from settings to a model folder with weights, calibration and card, resumable at every epoch.
 
 With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
 
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,10 +17,13 @@ import numpy as np
 from foretouch import __version__
 from foretouch.checked_files import write_text
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
+from foretouch.learning.data import Dataset, make_folds
+from foretouch.learning.data.folds import SPLITS, Fold
+from foretouch.learning.data.training_set import duplicate_labels
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
 from foretouch.learning.evaluation.metrics import mean_skill
 from foretouch.learning.training.calibration import calibration_folds, guarantee
+from foretouch.learning.training.contact import FEWEST_SAMPLES
 from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.training.run_config import RunConfig
@@ -47,7 +51,7 @@ def train_run(
     Args:
         config: Resolved settings.
         data: The dataset.
-        out: Folder of the run.
+        out: The model folder.
         report: Called with each epoch's record, and with the result.
         resume: Continue the run in `out`, if there is one.
         workers: Processes for cross-validation and calibration; the result does not depend on it.
@@ -83,8 +87,8 @@ def train_run(
         try:
             calibration = learner.calibrate(predicted, workers=workers)
             facts["limits"] = [guarantee(calibration[1]), f"Rest level: {calibration[1]['rest']}."]
-        except DatasetError as err:  # of one object
-            facts["limits"] = [f"No calibration: {err}."]
+        except DatasetError as err:  # of too few objects or grasps
+            facts["limits"] = [f"No calibration: {_missing_grasps(learner) or err}."]
     if calibration is not None and skill:
         facts |= _release_facts(learner, data, skill, calibration[1])
     card = learner.save(out, config.name, facts, calibration)
@@ -111,18 +115,12 @@ def compare_splits(
         By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, 50)
         held-out predictions [counts], as far as the splits give them.
     """
-    seed = learner.config.seed
+    seed, ranges = learner.config.seed, learner.config.ranges
     results, predicted = {}, {}
     for split in splits:
-        start = time.monotonic()
+        start, folds = time.monotonic(), _folds(learner, split)
         scores, predicted[split] = cross_validate(
-            learner.samples,
-            learner.labels,
-            learner.predict_fold,
-            _folds(learner, split),
-            learner.config.ranges,
-            seed=seed,
-            workers=workers,
+            learner.samples, learner.labels, learner.predict_fold, folds, ranges, seed=seed, workers=workers
         )
         for name, one in scores.items():
             skills = {modality: round(score.skill, 3) for modality, score in one.items()}
@@ -144,6 +142,15 @@ def make_learner(config: RunConfig, data: Dataset) -> Learner:
     """The learner of the configured method for the configured part of a dataset."""
     split = data.partition(config.split, config.validation, config.seed)
     return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
+
+
+def _missing_grasps(learner: Learner) -> str:
+    """How many grasps a calibration lacks: a model must be fitted without each of the objects; "" if none are missing."""
+    name, most = Counter(sample.object for sample in learner.samples).most_common(1)[0]
+    others = len(learner.samples) - most
+    if others >= FEWEST_SAMPLES:
+        return ""
+    return f"{most} of {most + others} grasps are of {name}; at least {FEWEST_SAMPLES - others} more of other objects are needed"
 
 
 def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of one training, by whatever method, and how they are read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ class RunConfig(Settings):
     """
 
     name: str = setting(
-        "", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the run folder's"
+        "", "Name of the model and of its files: letters, digits, '.', '_' and '-'; by default the model folder's"
     )
     data: str | None = setting(None, "Dataset: recorded dataset, training store or vision2tactile folders")
     method: str = setting(
@@ -55,7 +53,7 @@ class RunConfig(Settings):
         None, "Part of the dataset to learn from, such as labels/T50 or time/block 0; all samples by default"
     )
     validation: float = setting(
-        0.0, "Share of the labelled samples set aside to choose the best epoch", minimum=0.0, maximum=0.5
+        0.0, "Share of the labelled samples set aside to choose the best epoch", bounds=(0.0, 0.5)
     )
     tensorboard: bool = setting(False, "Write the log for TensorBoard, too; requires foretouch[tensorboard]")
     patience: int | None = setting(None, "Stop after this many epochs without a better validation error", minimum=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a run: its files, and the check that it stays the same run.
+"""A model folder: its files, and the check that it stays the same run.
 
 RUN/config.yaml        resolved settings
 RUN/log.jsonl          one line per epoch
@@ -81,7 +81,7 @@ def _digest(tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> str:
 
 
 class RunFolder:
-    """The files of one run.
+    """The files of one model folder.
 
     Attributes:
         path: The folder; made by `open`.

@@ -33,7 +33,8 @@ from torch import Tensor, nn
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError
-from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training import losses as loss_terms
 from foretouch.learning.training.device import SINGLE_PROCESS
 from foretouch.learning.training.trainer import EpochsConfig, Trainer, other_default, shuffled_batches
@@ -135,9 +136,9 @@ class SrganTrainer(Trainer):
         error = scaled - self.net.to_scaled(self.training_device.shard(self._labels[labelled]))
         penalty = None
         if self.config.loss.gradient_penalty > 0.0:
-            penalty = loss_terms.gradient_penalty(self.net.features, real, fake, torch.default_generator, context)
-        labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes, context=context)
-        losses = loss_terms.discriminator_loss(labeled, features, self.config.loss, penalty, context)
+            penalty = loss_terms.gradient_penalty(self.net.features, real, fake, torch.default_generator)
+        labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
+        losses = loss_terms.discriminator_loss(labeled, features, self.config.loss, penalty)
         self.require_finite({"labeled": labeled}, number, context.shard(labelled), error, features.labeled)
         self.require_finite(losses, number, context.shard(unlabelled), features.unlabeled)
         self.optimisers["net"].step(losses["total"])
@@ -148,7 +149,7 @@ class SrganTrainer(Trainer):
             with torch.no_grad():
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(unlabelled)))
-            loss = loss_terms.matching_loss(made, aim, self.config.loss, self.training_device.context)
+            loss = loss_terms.matching_loss(made, aim, self.config.loss)
             self.require_finite({"generator": loss}, number, self.training_device.context.shard(unlabelled), aim)
             self.optimisers["generator"].step(loss)
         return {"generator": float(loss.detach())}

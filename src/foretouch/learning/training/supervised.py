@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from foretouch.config import setting
-from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.trainer import EpochsConfig, Trainer, shuffled_batches
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
@@ -64,14 +65,11 @@ class TrainConfig(EpochsConfig):
         False, "Train on the last, smaller batch of an epoch as well, as in P1's public code; else it is left out"
     )
     loss: str = setting("mse", "Mean squared error, or its root as in the papers", choices=("mse", "rmse"))
-    root_epsilon: float = setting(
-        0.0, "Added under the root of `rmse`; 1e-6 in P1's public code", minimum=0.0, maximum=1.0
-    )
+    root_epsilon: float = setting(0.0, "Added under the root of `rmse`; 1e-6 in P1's public code", bounds=(0.0, 1.0))
     turn_deg: float = setting(
         0.0,
         "Rotate cloud and grasp about the viewing axis by up to this angle; for cameras that look down",
-        minimum=0.0,
-        maximum=180.0,
+        bounds=(0.0, 180.0),
     )
 
 
@@ -87,9 +85,7 @@ class SupervisedTrainer(Trainer):
         self.net.train()
         for number, (batch, points, grasps, target) in enumerate(self.batches()):
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            loss = labeled_loss(
-                scaled, target, self.sizes, self.config.loss, self.training_device.context, self.config.root_epsilon
-            )
+            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.config.root_epsilon)
             self.require_finite({"loss": loss}, number, self.training_device.context.shard(batch), scaled - target)
             self.optimisers["net"].step(loss)
             yield {"loss": float(loss.detach())}

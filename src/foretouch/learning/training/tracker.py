@@ -11,8 +11,6 @@ without this step. The 24 electrodes of a finger are correlated and count as
 plausible range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
@@ -54,15 +52,7 @@ _PRIOR: Final = np.log(
     [[0.5, 0.2, 0.5, SLOW_TIME_S, FAST_TIME_S, TARE_NOISE, 1.0], [8.0, 8.0, 8.0, 2.7, 2.7, 2.7, 2.0]]
 )
 _LIMITS: Final = np.log(
-    [
-        [1e-3, 20.0],
-        [1e-3, 20.0],
-        [1e-3, 20.0],
-        [_DAY_S, 100.0 * _DAY_S],
-        [0.1 * _HOUR_S, 12.0 * _HOUR_S],
-        [1e-3, 10.0],
-        [0.1, 2.0],
-    ]
+    [*[[1e-3, 20.0]] * 3, [_DAY_S, 100.0 * _DAY_S], [0.1 * _HOUR_S, 12.0 * _HOUR_S], [1e-3, 10.0], [0.1, 2.0]]
 )
 
 
@@ -89,16 +79,9 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
     slow, fast, lasting, slow_s, fast_s, tare, noise = np.exp(found)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
-    fitted = replace(
-        parameters,
-        slow=slow * replayed.lasting,
-        fast=fast * replayed.lasting,
-        object=objects,
-        slow_time_s=slow_s,
-        fast_time_s=fast_s,
-        noise=parameters.noise * noise,
-        tare_noise=tare,
-    )
+    states = {"slow": slow * replayed.lasting, "fast": fast * replayed.lasting, "object": objects}
+    times = {"slow_time_s": slow_s, "fast_time_s": fast_s}
+    fitted = replace(parameters, **states, **times, noise=parameters.noise * noise, tare_noise=tare)
     fitted = _with_intervals(fitted, recording)  # without slopes as yet, so that TDC changes no interval
     return fitted if recording.tdc is None else replayed.with_slopes(fitted)
 

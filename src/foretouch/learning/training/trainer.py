@@ -14,7 +14,8 @@ from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
 
 from foretouch.config import setting
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, DistributedContext, TrainingDevice
 from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import columns, modality_size
@@ -33,12 +34,12 @@ class EpochsConfig(DeviceConfig):
     """Settings of every training in epochs."""
 
     epochs: int = setting(
-        100, "Passes over the training samples, with srgan over those of `epoch_over`", minimum=1, maximum=100_000
+        100, "Passes over the training samples, with srgan over those of `epoch_over`", bounds=(1, 100_000)
     )
-    batch_size: int = setting(32, "Samples per step, with srgan of each source", minimum=2, maximum=4096)
+    batch_size: int = setting(32, "Samples per step, with srgan of each source", bounds=(2, 4096))
     optimiser: str = setting("adamw", "Optimiser", choices=tuple(_OPTIMISERS))
-    learning_rate: float = setting(1e-3, "Largest learning rate", minimum=1e-7, maximum=10.0)
-    weight_decay: float = setting(1e-2, "Weight decay", minimum=0.0, maximum=10.0)
+    learning_rate: float = setting(1e-3, "Largest learning rate", bounds=(1e-7, 10.0))
+    weight_decay: float = setting(1e-2, "Weight decay", bounds=(0.0, 10.0))
     schedule: str = setting("cosine", "Schedule of the learning rate", choices=("cosine", "constant"))
     target_scaling: str = setting(
         "standardised",

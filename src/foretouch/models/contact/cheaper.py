@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.models.contact import features
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.regressors import Forest
 from foretouch.models.touch_model import Estimate
-from foretouch.types import Cloud, Float64, Grasp
+from foretouch.types import Bool, Cloud, Float64, Grasp
 
 _AROUND = [k for k, name in enumerate(features.FEATURES) if name.startswith(("g1_", "g2_")) and "_depth" not in name]
 """Columns that describe the points around each contact."""
@@ -29,14 +28,8 @@ def _first_trees(forest: Forest, count: int) -> Forest:
         return forest
     nodes = int(forest.roots[count])
     leaves = int(forest.leaf[:nodes].max()) + 1
-    return Forest(
-        roots=forest.roots[:count],
-        feature=forest.feature[:nodes],
-        threshold=forest.threshold[:nodes],
-        children=forest.children[:nodes],
-        leaf=forest.leaf[:nodes],
-        value=forest.value[:leaves],
-    )
+    cut = {name: getattr(forest, name)[:nodes] for name in ("feature", "threshold", "children", "leaf")}
+    return Forest(roots=forest.roots[:count], value=forest.value[:leaves], **cut)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +48,7 @@ class GlobalFeaturesOnly(ContactEstimator):
         """See `Estimator.estimate`."""
         return Estimate(*self.predict_rows(_GlobalFeatures(cloud.xyz).describe(grasps)))
 
-    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """As `ContactEstimator.predict_rows`."""
         plain = rows.copy()
         plain[:, _AROUND] = self.kernel.centre[np.array(_AROUND) - len(features.CONDITIONS)]

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.contact.features import CONDITIONS, FEATURES, HandFrameFeatures
@@ -30,7 +29,7 @@ from foretouch.models.model_files import CardCalibration, load_calibration, save
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
+from foretouch.types import TOUCH_SIZE, AnyArray, Bool, Cloud, Float64, Grasp
 
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
@@ -64,7 +63,7 @@ class ContactEstimator:
         """See `Estimator.estimate`."""
         return Estimate(*self.predict_rows(HandFrameFeatures(cloud.xyz).describe(grasps)))
 
-    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+    def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
 
         Returns:
@@ -88,7 +87,7 @@ class ContactEstimator:
     def _gain(self) -> Float64:
         return by_modality(self.generalisation_gain)
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+    def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
         forests = {f"forest_{name}": forest for name, forest in self.forests.items()}
         parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty, **forests}
@@ -96,7 +95,7 @@ class ContactEstimator:
         return tensors | {name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]], ranges: TactileRanges) -> Self:
+    def from_tensors(cls, tensors: Mapping[str, AnyArray], ranges: TactileRanges) -> Self:
         """From `to_tensors`.
 
         Raises:

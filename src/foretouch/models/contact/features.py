@@ -19,13 +19,12 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel
 from foretouch.models.object_shape import principal_axes, usable_points
-from foretouch.types import Float64, Grasp, stacked
+from foretouch.types import Float64, Grasp, Int32, Int64, stacked
 
 _sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
 _describe_contacts = Kernel(
@@ -119,7 +118,7 @@ class HandFrameFeatures:
         return np.column_stack([np.ones(len(products)), self._centred, products])
 
     @cached_property
-    def _grid(self) -> tuple[Float64, Float64, npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    def _grid(self) -> tuple[Float64, Float64, Int64, Int32]:
         """The points as (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts of the cells."""
         low, high = self._columns.min(axis=1), self._columns.max(axis=1)
         edge = max(_CELL, float((high - low).max()) / 64)  # at most 64 along one axis

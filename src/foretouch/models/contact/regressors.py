@@ -21,7 +21,7 @@ from scipy.spatial.distance import cdist
 from foretouch.errors import ModelError
 from foretouch.kernels import Kernel
 from foretouch.models.files import TensorRecord
-from foretouch.types import Float32, Float64
+from foretouch.types import Float32, Float64, Floating, Int32
 
 _DTYPES: Final = {
     "roots": np.int32,
@@ -56,11 +56,11 @@ class Forest(TensorRecord):
         value: (L, M) float16. The rounding, 1e-3 of a deviation, is far below the error of the trees.
     """
 
-    roots: npt.NDArray[np.int32]
+    roots: Int32
     feature: npt.NDArray[np.int16]
     threshold: Float64
-    children: npt.NDArray[np.int32]
-    leaf: npt.NDArray[np.int32]
+    children: Int32
+    leaf: Int32
     value: npt.NDArray[np.float16]
 
     @classmethod
@@ -225,7 +225,7 @@ def _fade(distance: Float64, decay: float, columns: int) -> Float64:
     return np.exp(distance, out=distance)
 
 
-def _in_groups(rows: npt.NDArray[np.floating], size: int) -> Float64:
+def _in_groups(rows: Floating, size: int) -> Float64:
     """(G, F, size) float64: (S, F) rows in groups, a column after the other; the last group is filled up with zeros."""
     groups = -(-len(rows) // size)
     filled = np.zeros((groups * size, rows.shape[1]))

@@ -25,7 +25,7 @@ class ModelConfig(Settings):
         ConfigError: If a setting is out of its bounds, or outputs are repeated or empty.
     """
 
-    n_points: int = setting(750, "Points of a cloud as input: 750 in P2, 500 in P1", minimum=8, maximum=8192)
+    n_points: int = setting(750, "Points of a cloud as input: 750 in P2, 500 in P1", bounds=(8, 8192))
     channels: str = setting("xyz", "Values of each point", choices=tuple(_CHANNELS))
     sampler: str = setting("random", "Method of choosing the points", choices=("random", "voxel", "farthest"))
     outputs: tuple[str, ...] = setting(MODALITIES, "Modalities to predict", choices=MODALITIES)
@@ -36,16 +36,16 @@ class ModelConfig(Settings):
         "not in the papers, whose unit sphere loses the size of the object",
     )
     tnet: bool = setting(True, "Transform the points by a learned 3 x 3 matrix first (the T-Net of PointNet)")
-    trunk_widths: tuple[int, ...] = setting((64, 128, 1024), "Shared layers over the points", minimum=1, maximum=8192)
+    trunk_widths: tuple[int, ...] = setting((64, 128, 1024), "Shared layers over the points", bounds=(1, 8192))
     trunk_relu: bool = setting(
         True, "Apply ReLU to the features before the maximum over the points; P1's public code does not"
     )
     tnet_widths: tuple[int, ...] = setting(
-        (64, 128, 1024, 512, 256), "Layers of the T-Net: three over the points, then two", minimum=1, maximum=8192
+        (64, 128, 1024, 512, 256), "Layers of the T-Net: three over the points, then two", bounds=(1, 8192)
     )
-    head_widths: tuple[int, ...] = setting((1024, 512, 256), "Layers of the head", minimum=1, maximum=8192)
+    head_widths: tuple[int, ...] = setting((1024, 512, 256), "Layers of the head", bounds=(1, 8192))
     head_norm: bool = setting(False, "Batch norm in the head")
-    head_dropout: float = setting(0.0, "Dropout before the last layer, in training", minimum=0.0, maximum=0.9)
+    head_dropout: float = setting(0.0, "Dropout before the last layer, in training", bounds=(0.0, 0.9))
     precision: str = setting(
         "float32",
         "Precision of the shared layers in prediction: bfloat16 is three times as fast on processors that have it",

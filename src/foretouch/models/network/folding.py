@@ -18,6 +18,7 @@ prediction is equal to the last bit however many grasps are predicted in the sam
 Shapes: N points, C channels, F features, K grasps, G grasp numbers, M outputs.
 """
 
+import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -143,20 +144,10 @@ def _fold_transform(transform: InputTransform, dtype: torch.dtype) -> tuple[tupl
     return _shared(_fold_layers(transform.points), dtype), (*_fold_layers(transform.cloud), matrix)
 
 
+@torch.no_grad()
 def _fold_layers(layers: Iterable[nn.Module]) -> list[_Affine]:
-    return [_fold_layer(layer) for layer in layers if isinstance(layer, Layer)]
-
-
-def _fold_layer(layer: Layer) -> _Affine:
-    weight, bias = layer.linear.weight.detach().double(), layer.linear.bias.detach().double()
-    norm = layer.norm
-    if norm is not None:
-        if norm.running_mean is None or norm.running_var is None:
-            raise ValueError("batch norm without running statistics cannot be folded")
-        gain = norm.weight.detach().double() / torch.sqrt(norm.running_var.double() + norm.eps)
-        weight = weight * gain[:, None]
-        bias = (bias - norm.running_mean.double()) * gain + norm.bias.detach().double()
-    return _Affine(weight.float().contiguous(), bias.float())
+    found = [copy.deepcopy(layer).double().folded() for layer in layers if isinstance(layer, Layer)]
+    return [_Affine(weight.float().contiguous(), bias.float()) for weight, bias in found]
 
 
 def _fold_output(net: TouchNet) -> _Affine:

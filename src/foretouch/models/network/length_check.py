@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.kernels import Kernel
 from foretouch.models.network.preparation import PreparedCloud
-from foretouch.types import Float64, Grasp, stacked
+from foretouch.types import Bool, Float64, Grasp, stacked
 
 _nearest_squares = Kernel("nearest_squares", np.float32, int, np.float32, int, np.float32)
 
@@ -42,18 +41,18 @@ class LengthRangeCheck:
             ModelError: If a length is missing or its range is not [low, high].
         """
         try:
-            table = np.array([ranges[name] for name in LENGTHS], np.float64)
+            low, high = np.array([ranges[name] for name in LENGTHS], np.float64).T
+            if not (low <= high).all():
+                raise ValueError("a low end is above the high one")
         except (KeyError, TypeError, ValueError) as err:
             raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}") from err
-        if table.shape != (len(LENGTHS), 2) or not np.all(table[:, 0] <= table[:, 1]):
-            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}")
-        return cls(table[:, 0], table[:, 1])
+        return cls(low, high)
 
     def to_card(self) -> dict[str, list[float]]:
         """Plain data for the card's field `familiar`."""
         return {name: [float(a), float(b)] for name, a, b in zip(LENGTHS, self.low, self.high, strict=True)}
 
-    def within(self, lengths: Float64) -> npt.NDArray[np.bool_]:
+    def within(self, lengths: Float64) -> Bool:
         """(K,) whether all five of each of (K, 5) lengths are in their ranges."""
         margin = _MARGIN * (self.high - self.low)
         inside = (lengths >= self.low - margin) & (lengths <= self.high + margin)

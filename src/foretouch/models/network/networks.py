@@ -88,11 +88,11 @@ _CHANNELS: Final = 6
 class GeneratorConfig(Settings):
     """Layers of a generator and the size of its clouds; the defaults are P2's."""
 
-    noise_length: int = setting(6, "Columns of the noise", minimum=1, maximum=4096)
+    noise_length: int = setting(6, "Columns of the noise", bounds=(1, 4096))
     widths: tuple[int, ...] = setting(
-        (6, 6), "Channels between the layers, one layer more than these; not in P2", minimum=1, maximum=8192
+        (6, 6), "Channels between the layers, one layer more than these; not in P2", bounds=(1, 8192)
     )
-    stride: int = setting(5, "Kernel and stride of every layer: points made from one", minimum=1, maximum=64)
+    stride: int = setting(5, "Kernel and stride of every layer: points made from one", bounds=(1, 64))
 
     @property
     def n_points(self) -> int:

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.config import ModelConfig
-from foretouch.types import Cloud, Float32, Float64, Grasp, stacked
+from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, stacked
 
 MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
@@ -52,29 +51,16 @@ def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
     return usable
 
 
-def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | None = None) -> PreparedCloud:
-    """Sample a cloud and map it to the unit sphere.
-
-    Args:
-        cloud: In metres, any frame. Points without depth are ignored.
-        config: Of the network.
-        rng: Chooses the points; by default a new one with `SAMPLER_SEED`, so that one cloud always gives the same
-            input. Training passes its own, so that other points are chosen each time.
-
-    Raises:
-        CloudError: As `finite_points`.
-        ModelError: As `finite_points`.
-    """
+def prepare_cloud(cloud: Cloud, config: ModelConfig) -> PreparedCloud:
+    """Sample a cloud [m] in any frame, with `SAMPLER_SEED`, and map it to the unit sphere; raises as `finite_points`."""
     usable = finite_points(cloud, config)
-    rng = np.random.default_rng(SAMPLER_SEED) if rng is None else rng
+    rng = np.random.default_rng(SAMPLER_SEED)  # so that one cloud always gives the same input
     frame = UnitSphereFrame.fit(usable.xyz)
     index = sample_indices(usable.xyz, config.n_points, method=config.sampler, rng=rng)
     return PreparedCloud(sample_channels(usable, index, frame, config), frame)
 
 
-def sample_channels(
-    cloud: Cloud, index: npt.NDArray[np.integer], frame: UnitSphereFrame, config: ModelConfig
-) -> Float32:
+def sample_channels(cloud: Cloud, index: Integer, frame: UnitSphereFrame, config: ModelConfig) -> Float32:
     """(n, C) float32: the chosen points as inputs of the network.
 
     Colour is scaled to [-1, 1], the range of P2's generator. Normals are of unit length.
@@ -116,6 +102,6 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def _normals(xyz: Float32, index: npt.NDArray[np.integer]) -> Float64:
+def _normals(xyz: Float32, index: Integer) -> Float64:
     """(n, 3) unit normals towards the camera; zero where fewer than three points are near."""
     return np.nan_to_num(normals_and_curvature(xyz, index)[0], nan=0.0)

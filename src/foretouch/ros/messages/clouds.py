@@ -55,7 +55,7 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     xyz = np.concatenate([one.cloud.xyz for one in targets] or [np.empty((0, 3), np.float32)])
     rgb = np.concatenate(colours) if targets and len(colours) == len(targets) else None
     ids, sizes = [int(one.id) for one in targets], [one.cloud.size for one in targets]
-    columns = {"label": np.repeat(np.array(ids, np.uint32), sizes or 1)}
+    columns = {"label": np.repeat(np.array(ids, np.uint32), sizes or 1)}  # NumPy refuses an empty list of counts
     if pixels:
         rows, places = map(np.concatenate, zip(*pixels, strict=True))
         columns |= {"row": rows.astype(np.uint16), "column": places.astype(np.uint16)}

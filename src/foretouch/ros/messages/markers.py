@@ -14,10 +14,10 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
-from foretouch.grasp.pose import fingertip_rotation
-from foretouch.ros.messages.conversions import point_to_msg, reference_text
-from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
-from foretouch.types import Float64, Grasp
+from foretouch.grasp.pose import electrodes_at
+from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, point_to_msg, reference_text
+from foretouch.tactile import TactileRanges
+from foretouch.types import ELECTRODES, Float64, Grasp, GraspSample
 from foretouch_msgs.msg import Interval, ObjectArray, Status, TouchPrediction
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere
@@ -81,15 +81,39 @@ def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_t
     return MarkerArray(markers=markers)
 
 
+def sample_markers(sample: GraspSample, ranges: TactileRanges) -> MarkerArray:
+    """Draw what a recorded grasp read, as `touch_markers` draws a prediction, until the markers of another replace it.
+
+    A sample without a touch gives no marker.
+    """
+    if sample.touch is None:
+        return MarkerArray()
+    intervals = [Interval(value=value, lower=math.nan, upper=math.nan) for value in sample.touch.vector().tolist()]
+    pdc_th, pdc_mf, *electrodes = intervals
+    found = touch_markers(
+        TouchPrediction(
+            header=header_to_msg(sample.cloud.frame_id, sample.stamp_ns),
+            grasp=grasp_to_msg(sample.grasp),
+            pdc_th=pdc_th,
+            pdc_mf=pdc_mf,
+            e_th=electrodes[:ELECTRODES],
+            e_mf=electrodes[ELECTRODES:],
+        ),
+        ranges,
+    )
+    for one in found.markers:
+        one.lifetime = Duration()
+    found.markers[-1].text = f"{sample.id}: PDC {pdc_th.value:.0f} | {pdc_mf.value:.0f}"
+    return found
+
+
 def _electrodes(
     header: Header, namespace: str, grasp: Grasp, contact: Float64, values: list[Interval], limits: tuple[float, float]
 ) -> Marker:
-    """Draw 24 spheres; the lowest electrodes, on the surface of the pad, are at the contact."""
+    """Draw 24 spheres."""
     marker = _marker(header, namespace, 0, Marker.SPHERE_LIST, ColorRGBA(a=1.0))
     marker.scale = Vector3(x=_ELECTRODE_M, y=_ELECTRODE_M, z=_ELECTRODE_M)
-    positions = electrode_positions() + 0.5 * _ELECTRODE_M * electrode_normals()
-    positions = positions - [positions[:, 0].mean(), 0.0, positions[:, 2].min()]
-    placed = positions @ fingertip_rotation(grasp, contact).T + contact
+    placed = electrodes_at(grasp, contact, 0.5 * _ELECTRODE_M)
     counts = np.array([interval.value for interval in values], np.float64)
     marker.points = [point_to_msg(point) for point in placed]
     marker.colors = [_heat(drop) for drop in np.clip((limits[1] - counts) / (limits[1] - limits[0]), 0.0, 1.0)]

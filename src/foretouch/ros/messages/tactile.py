@@ -53,11 +53,7 @@ def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds:
 
 
 def tactile_class(type_name: str) -> type:
-    """The message class of a type such as `std_msgs/String`.
-
-    Raises:
-        MissingDependencyError: If its package is not installed.
-    """
+    """The message class of a type such as `std_msgs/String`; a `MissingDependencyError` without its package."""
     package, _, name = type_name.partition("/")
     try:
         message: type = getattr(importlib.import_module(f"{package}.msg"), name)

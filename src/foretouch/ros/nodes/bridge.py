@@ -32,19 +32,15 @@ _SLOW: Final = "a client reads too slowly: its oldest messages are dropped"
 
 
 @dataclass(frozen=True, kw_only=True)
-class BridgeConfig(NodeConfig, TactileInput):
+class BridgeConfig(NodeConfig, TactileInput, read_only=True):
     """Settings of the bridge."""
 
-    address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too", read_only=True)
-    port: int = setting(8765, "Port to listen on; 0 for a free one", minimum=0, maximum=65535, read_only=True)
+    address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too")
+    port: int = setting(8765, "Port to listen on; 0 for a free one", bounds=(0, 65535))
     allow_origin: tuple[str, ...] = setting(
-        (),
-        "Origins of web pages that may connect, such as https://app.foxglove.dev; programs need none",
-        read_only=True,
+        (), "Origins of web pages that may connect, such as https://app.foxglove.dev; programs need none"
     )
-    backlog: int = setting(
-        256, "Messages that may wait for a client; its oldest are dropped", minimum=1, maximum=100_000, read_only=True
-    )
+    backlog: int = setting(256, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000))
 
 
 class _Reports(logging.Handler):
@@ -82,14 +78,10 @@ def _unsubscribe(one: _Served) -> None:
 
 
 class BridgeNode(ForetouchNode[BridgeConfig]):
-    """The bridge as a lifecycle node; it serves while it is active.
-
-    Attributes:
-        url: Where clients connect, while it is active; else "".
-    """
+    """The bridge as a lifecycle node; it serves while it is active."""
 
     def __init__(self, name: str = "bridge", **options: Any) -> None:
-        self.url = ""
+        self.url = ""  # where clients connect, while it is active
         self._served: dict[str, _Served] = {}  # by full name
         self._server: Any = None
         self._gate: OriginGate

@@ -30,7 +30,7 @@ from foretouch.simulation.schedule import ScheduleConfig
 class SyntheticConfig(Settings):
     """The scene in front of a synthetic camera: three objects on a table, of which one swings."""
 
-    seed: int = setting(0, "Seed of the random scene", minimum=0, maximum=2**31 - 1, read_only=True)
+    seed: int = setting(0, "Seed of the random scene", bounds=(0, 2**31 - 1), read_only=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,16 +54,12 @@ class CameraNodeConfig(NodeConfig):
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
-    """Publishes organised clouds, and the state of the camera in /diagnostics.
-
-    Attributes:
-        synthetic: The software device where `source` is `synthetic` or `scene`; it can be paused and unplugged.
-    """
+    """Publishes organised clouds, and the state of the camera in /diagnostics."""
 
     exclusive_topics = ("points",)
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
-        self.synthetic: SyntheticCamera | None = None
+        self.synthetic: SyntheticCamera | None = None  # the software device where `source` is `synthetic` or `scene`
         self._camera: RealSenseCamera | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
@@ -169,11 +165,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self.get_logger().error(reason)
 
     def _log_status(self, status: CameraStatus) -> None:
-        text = f"camera {status.state}" + (f": {status.reason}" if status.reason else "")
         if status.is_ok:
-            self.get_logger().info(text)
+            self.get_logger().info(str(status))
         else:
-            self.get_logger().warning(text)
+            self.get_logger().warning(str(status))
 
 
 def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:

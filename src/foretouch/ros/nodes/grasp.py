@@ -29,11 +29,10 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
         2.0,
         "The last grasp of an object is kept until another is better by this score on three clouds in a row; "
         "0 disables it, as grasp.method original",
-        minimum=0.0,
-        maximum=1000.0,
+        bounds=(0.0, 1000.0),
     )
     grasp_hold_tolerance_m: float = setting(
-        0.005, "Change of position or size that makes it another object", minimum=0.0, maximum=1.0
+        0.005, "Change of position or size that makes it another object", bounds=(0.0, 1.0)
     )
 
 

@@ -12,9 +12,11 @@ computes contacts, so that a slow computation delays no message.
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
 
+import numpy as np
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
@@ -26,8 +28,8 @@ from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rota
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
-from foretouch.simulation.message_faults import FaultConfig, MessageFaults
+from foretouch.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch.simulation.message_faults import TactileFaultConfig, TactileFaults
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
@@ -37,10 +39,10 @@ from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _DEPTH = 100
+_PRESS_S = 1.0  # how long a person presses a finger
 
 
-@dataclass(frozen=True, eq=False)
-class _Command:
+class _Command(NamedTuple):
     """A grasp to execute."""
 
     message: Any  # GraspArray; its first grasp is executed
@@ -48,8 +50,7 @@ class _Command:
     arrived: float  # when it was accepted (`time.monotonic`) [s]
 
 
-@dataclass(frozen=True, eq=False)
-class _RunningGrasp:
+class _RunningGrasp(NamedTuple):
     """A grasp that is being executed."""
 
     command: _Command
@@ -77,7 +78,7 @@ class HandConfig(NodeConfig):
 
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
     course: GraspTimingConfig = field(default_factory=GraspTimingConfig)
-    faults: FaultConfig = field(default_factory=FaultConfig)
+    faults: TactileFaultConfig = field(default_factory=TactileFaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     biotacs: tuple[str, ...] = setting(
         ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGER_ORDER, read_only=True
@@ -91,24 +92,19 @@ class HandConfig(NodeConfig):
 
 
 class HandNode(ForetouchNode[HandConfig]):
-    """The hand as a lifecycle node.
-
-    Attributes:
-        phase: `idle`, or the phase of the current grasp (`GraspTrajectory.phase`).
-        busy: Whether a grasp is being executed or computed.
-        executed: Numbers of grasps by outcome: `success`, or the reason of the failure.
-    """
+    """The hand as a lifecycle node."""
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
-        self.phase = "idle"
-        self.busy = False
-        self.executed: Counter[str] = Counter()
+        self.phase = "idle"  # or the phase of the current grasp (`GraspTrajectory.phase`)
+        self.busy = False  # whether a grasp is being executed or computed
+        self.executed: Counter[str] = Counter()  # grasps by outcome: `success`, or the reason of the failure
         self._lock = threading.Lock()
         self._newest: GraspArray | None = None
         self._accepted_ns = -1  # stamp of the cloud of the last accepted grasp
         self._ready: _RunningGrasp | None = None
         self._current: _RunningGrasp | None = None
         self._repeats = 0
+        self._pressed: tuple[Counts, float] | None = None  # what a person adds to the counts, and until when
         self._late = 0
         self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
@@ -116,11 +112,11 @@ class HandNode(ForetouchNode[HandConfig]):
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
         self._resting: list[RestingFingers] = []
-        self._faults = MessageFaults(FaultConfig())
+        self._faults = TactileFaults(TactileFaultConfig())
         super().__init__(name, HandConfig, **options)
 
     def _setup(self) -> None:
-        self._faults = MessageFaults(self.config.faults)
+        self._faults = TactileFaults(self.config.faults)
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
@@ -132,6 +128,8 @@ class HandNode(ForetouchNode[HandConfig]):
         self._tactile = self.advertise(BiotacAll, TACTILE_TOPIC, depth=_DEPTH)
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
         self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
+        for k, name in enumerate(_GRASPING):
+            self.serve(Trigger, f"press_{name.lower()}", partial(self._on_press, k), MutuallyExclusiveCallbackGroup())
         self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
 
     def _start(self) -> None:
@@ -184,6 +182,14 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _on_execute(self, _request: Any, response: Any) -> Any:
         response.success, response.message = self._accept()
+        return response
+
+    def _on_press(self, finger: int, _request: Any, response: Any) -> Any:
+        if self._hand is not None:
+            added = np.zeros((2, 25), np.int16)
+            added[finger] = self._hand.press(finger)
+            self._pressed = added, time.monotonic() + _PRESS_S
+            response.success = True
         return response
 
     def _accept(self) -> tuple[bool, str]:
@@ -267,7 +273,7 @@ class HandNode(ForetouchNode[HandConfig]):
     def _send(self, number: int, start_ns: int, period_ns: int) -> None:
         counts = self._fingers(number)
         if (stamp := self._faults.stamp(start_ns + number * period_ns)) is not None:
-            self._tactile.publish(biotac_all_to_msg(counts, "rh_tactile", stamp))
+            self._tactile.publish(biotac_all_to_msg(self._faults.readings(counts), "rh_tactile", stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.trajectory.counts) - 1:
             self._finish(current, start_ns + current.first * period_ns, period_ns)
@@ -275,13 +281,16 @@ class HandNode(ForetouchNode[HandConfig]):
     def _fingers(self, number: int) -> dict[str, Any]:
         """Counts of each finger that has a BioTac, as `biotac_all_to_msg` takes them."""
         if self._current is None and self._ready is not None:
-            self._current, self._ready = replace(self._ready, first=number), None
+            self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
         grasping, *idle = [fingers.read(elapsed_s) for fingers in self._resting]
         current = self._current
         if current is not None:
             row = min(number - current.first, len(current.trajectory.counts) - 1)
             grasping, self.phase = current.trajectory.counts[row], current.trajectory.phase(row)
+        if self._pressed is not None and time.monotonic() < self._pressed[1]:
+            grasping = grasping.copy()
+            grasping[:, :25] += self._pressed[0]
         # A finger that does not grasp reads as a middle finger at rest.
         return {
             **dict(zip(_GRASPING, grasping, strict=True)),

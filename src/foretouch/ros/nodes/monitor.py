@@ -67,14 +67,10 @@ def _is_unfamiliar(prediction: TouchPrediction) -> bool:
 
 
 class MonitorNode(GuardedCallbacks, Node):
-    """Subscribes to `touch` and /diagnostics, and on request to the clouds and to the hand.
+    """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
-    Args:
-        namespace: Of the graph.
-        with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
-        with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
-        on_touch: Called with each `touch` message, in the executor's thread; must not call the monitor.
-        count: Number of `touch` messages after which the view is closed; None for any number.
+    `on_touch` is called with each `touch` message, in the executor's thread, and must not call the monitor. The view is
+    closed after `count` of them, if that is given.
     """
 
     def __init__(

@@ -6,12 +6,16 @@ them, waits for the disk, and assembles samples. Services have a callback group 
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from sensor_msgs.msg import Joy
+from std_srvs.srv import SetBool, Trigger
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
@@ -21,8 +25,17 @@ from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
+from foretouch.ros.recorder.operator import ACTIONS, Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
-from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, sample_topics
+from foretouch.ros.recorder.subscriptions import (
+    ROBOT_TOPICS,
+    VIEWER_TOPICS,
+    MessageQueue,
+    RecorderSubscriptions,
+    TopicStatistics,
+    sample_topics,
+    viewer_topics,
+)
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
@@ -34,13 +47,13 @@ _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentityConfig(Settings):
+class IdentityConfig(Settings, read_only=True):
     """Which hand and which camera: a dataset holds recordings of one of each."""
 
-    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
-    hand_serial: str = setting("", "Serial number of the hand", read_only=True)
-    camera: str = setting("realsense", "Model of the camera", read_only=True)
-    camera_serial: str = setting("", "Serial number of the camera", read_only=True)
+    hand: str = setting("shadow_hand", "Model of the hand")
+    hand_serial: str = setting("", "Serial number of the hand")
+    camera: str = setting("realsense", "Model of the camera")
+    camera_serial: str = setting("", "Serial number of the camera")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,15 +67,33 @@ class RecorderConfig(NodeConfig, TactileInput):
     )  # fmt: skip
     record: str = setting("", "Dataset to record from the start; empty waits for start_recording", read_only=True)
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
+    objects: tuple[str, ...] = setting(
+        (), "Labels of the objects to record, in order: `next_object` takes the next; the first, if `object` is empty",
+        read_only=True,
+    )  # fmt: skip
+    joy_topic: str = setting(
+        "", "Topic of a joystick (sensor_msgs/Joy) whose buttons act on the last grasp; empty for none", read_only=True
+    )
+    joy_buttons: tuple[str, ...] = setting(
+        ("success", "failure", "drop", "undo", "relabel", "note", "pause", "object"),
+        "Action of each button, by its number; empty for none",
+        choices=("", *ACTIONS, "quit"),
+        read_only=True,
+    )
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
+    viewer_topics: tuple[str, ...] = setting(
+        ROBOT_TOPICS, "Topics to record for viewers too, as far as they are published; drawing `markers` takes the graph "
+        "3 ms a cloud", choices=VIEWER_TOPICS, read_only=True,
+    )  # fmt: skip
+    sample_views: bool = setting(
+        True, "Whether to record what each grasp read for viewers too: its readings as clouds of taxels, and markers"
+    )
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
-    unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", minimum=0.0, maximum=3600.0)
+    unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", bounds=(0.0, 3600.0))
     assume_grasps: bool = setting(
         False, "Whether a contact without a report is assigned to the best grasp of the last cloud before it"
     )
-    queue_mb: int = setting(
-        500, "Memory for messages that wait for the disk", minimum=10, maximum=100_000, read_only=True
-    )
+    queue_mb: int = setting(500, "Memory for messages that wait for the disk", bounds=(10, 100_000), read_only=True)
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
@@ -97,36 +128,43 @@ def _decode_label(request: Any) -> Label:
 
 
 class RecorderNode(ForetouchNode[RecorderConfig]):
-    """The recorder as a lifecycle node; deactivating it ends the recording.
-
-    Attributes:
-        path: Path of the current dataset, or of the last one; "" before the first.
-        reason: Why the last recording ended by itself, or "".
-    """
+    """The recorder as a lifecycle node; deactivating it ends the recording."""
 
     exclusive_topics = (GRASPS_TOPIC,)
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        self.path = ""
-        self.reason = ""
-        self._input_topics: RecorderSubscriptions | None = None
+        self.path = ""  # of the current dataset, or of the last one
+        self.reason = ""  # why the last recording ended by itself
+        self.input_topics: RecorderSubscriptions | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
         self._duration_s = 0.0
+        self._pressed: tuple[int, ...] | None = None  # buttons of the joystick
         super().__init__(name, RecorderConfig, **options)
 
     def _setup(self) -> None:
-        self._reader: TactileReader = make_reader(self.config.tactile)
+        self.reader: TactileReader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
         # The middleware keeps so many messages while this process does not get to run.
         topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
-        self._input_topics = RecorderSubscriptions(self, topics, self._mismatch)
-        self._closing.callback(self._input_topics.destroy)
+        others, missing = viewer_topics(self.config.viewer_topics, depth=1000)
+        if missing:
+            self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
+        self.input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
+        self._closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
         self.serve(StartRecording, "start_recording", self._start_recording, group)
         self.serve(StopRecording, "stop_recording", self._stop_recording, group)
         self.serve(LabelGrasp, "label_grasp", self._label_grasp, group)
+        self.serve(LabelGrasp, "edit_grasp", partial(self._answer, self._edit_grasp), group)
+        self.serve(
+            LabelGrasp, "next_object", partial(self._answer, lambda request: self.act("object", request.object)), group
+        )
+        self.serve(SetBool, "pause_recording", partial(self._answer, self._pause), group)
+        self.serve(Trigger, "undo_edit", partial(self._answer, lambda _: self.act("undo")), group)
+        if self.config.joy_topic:
+            self.subscribe(Joy, self.config.joy_topic, self._receive_buttons)
 
     def _start(self) -> None:
         if self.config.record:
@@ -136,7 +174,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.end()
 
     def _teardown(self) -> None:
-        self._input_topics = None
+        self.input_topics = None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
@@ -146,7 +184,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """The counts, for /diagnostics."""
         status = self.status()
         return {
-            "phase": "recording" if status.recording else "idle",
+            "phase": ("paused" if self.session_status().operator.paused else "recording")
+            if status.recording
+            else "idle",
+            "object": self.session_status().operator.object,
             "received": str(status.received),
             "used": str(status.used),
             "dropped": str(sum(status.drop_counts)),
@@ -160,6 +201,22 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         }
 
     # Recording.
+
+    def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
+        """Do an action of the operator (see `Operator.act`); a `ConfigError` if nothing is being recorded."""
+        session = self._session
+        if session is None or session.ended.is_set():
+            raise ConfigError(f"nothing is being recorded{': ' * bool(self.reason)}{self.reason}")
+        return session.act(action, text, grasp_id)
+
+    def inputs(self) -> dict[str, TopicStatistics]:
+        """Rate, age and clock offset of each input by topic."""
+        return {} if self.input_topics is None else self.input_topics.statistics()
+
+    @property
+    def identity(self) -> Identity:
+        """Hand and camera, as datasets hold them."""
+        return _dataset_identity(self.config)
 
     @property
     def recording(self) -> bool:
@@ -184,10 +241,11 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if self.recording:
             raise ConfigError(f"{self.path} is being recorded; stop it first")
         self.end()
-        if label:
-            check_name(label, "object")
-        topics, config = self._input_topics, self.config
+        topics, config = self.input_topics, self.config
         assert topics is not None  # noqa: S101  made by setup
+        label = label or next(iter(config.objects), "")
+        for name in filter(None, (label, *config.objects)):
+            check_name(name, "object")
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(
             target, _dataset_identity(config), config.writing, fallback_folder=config.fallback_folder or None
@@ -205,24 +263,28 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         )
         queue = MessageQueue(config.queue_mb * 1_000_000)
         topics.open(queue)
-        roles: dict[str, Role] = {
+        roles: dict[str, Role | Literal["touch"]] = {
             config.tactile_topic: "tactile",
             CLOUD_TOPIC: "cloud",
             GRASPS_TOPIC: "grasps",
             EXECUTED_TOPIC: "executed",
+            "touch": "touch",
         }
         inputs = {
             name: (roles[one.topic.name], one.topic.message)
             for name, one in topics.inputs.items()
             if one.topic.name in roles
         }
+        assembler = SampleAssembler(assembling, self.reader)
         self._session = RecordingSession(
             writer,
             queue,
-            SampleAssembler(assembling, self._reader),
+            assembler,
+            Operator(writer, assembler, config.objects, lambda: self.get_clock().now().nanoseconds),
             inputs,
             topics.lost,
             lambda text: self.get_logger().warning(text),
+            views=config.sample_views,
         )
         self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")
@@ -230,8 +292,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def end(self) -> SessionStatus:
         """End the session, if one is running; gives the final state of the last one."""
-        if self._input_topics is not None:
-            self._input_topics.close()
+        if self.input_topics is not None:
+            self.input_topics.close()
         return self._finish()
 
     def _finish(self) -> SessionStatus:
@@ -248,7 +310,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         session, state = self._session, self.session_status()
         return status_to_msg(
             state,
-            {} if self._input_topics is None else self._input_topics.statistics(),
+            {} if self.input_topics is None else self.input_topics.statistics(),
             path=self.path,
             recording=self.recording,
             duration_s=self._duration_s if session is None else time.monotonic() - session.began_s,
@@ -296,8 +358,45 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             response.grasp_id, response.message = request.grasp_id, str(err)
         return response
 
+    def _answer(self, act: Callable[[Any], str], request: Any, response: Any) -> Any:
+        """Answer a request by what was done, or by why it was not."""
+        try:
+            response.message = act(request)
+            response.success = True
+        except ForetouchError as err:
+            response.message = str(err)
+        return response
+
+    def _edit_grasp(self, request: Any) -> str:
+        label = _decode_label(request)
+        edits: list[tuple[Action, str]] = [("relabel", label.object)] if label.object else []
+        edits += [(label.outcome, "")] if label.outcome != "unknown" else []
+        edits += [("note", label.note)] if label.note else []
+        edits += [("drop", "")] if label.discard else []
+        if not edits:
+            raise ConfigError("the request changes nothing: set object, outcome, note or discard")
+        return "; ".join(self.act(action, text, request.grasp_id) for action, text in edits)
+
+    def _pause(self, request: Any) -> str:
+        if request.data == self.session_status().operator.paused:
+            return "paused already" if request.data else "is being recorded already"
+        return self.act("pause")
+
+    def _receive_buttons(self, message: Any) -> None:
+        """Do what the buttons stand for that were pressed since the last message."""
+        before, self._pressed = self._pressed, tuple(message.buttons)
+        for button, action in enumerate(self.config.joy_buttons[: len(before or ())]):
+            if action and not (before or ())[button] and any(self._pressed[button : button + 1]):
+                try:
+                    if action == "quit":
+                        self.end()
+                    else:
+                        self.act(cast("Action", action))
+                except ForetouchError as err:
+                    self.get_logger().warning(f"{self.config.joy_topic}: button {button}: {action}: {err}")
+
     def _tick(self) -> None:
-        inputs = self._input_topics
+        inputs = self.input_topics
         for text in () if inputs is None else inputs.tick():
             self.get_logger().info(text)
         session = self._session

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ament_index_python import has_resource
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -32,6 +32,7 @@ from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, ent
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.runtime.diagnostics import made_status
 from foretouch.ros.runtime.discovery import Matching, matched_ends
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
@@ -104,18 +105,17 @@ class ReplayConfig(NodeConfig):
         read_only=True,
     )
     rate_hz: float = setting(
-        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", minimum=0.0, maximum=1000.0
+        0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", bounds=(0.0, 1000.0)
     )
     loop: bool = setting(False, "Start again at the end, with increasing stamps")
     restamp: bool = setting(False, "Stamp every message with the time of its publication")
     lockstep: bool = setting(False, "Publish each cloud after the answer on `touch` to the one before", read_only=True)
-    subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", minimum=0, maximum=100)
+    subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", bounds=(0, 100))
     discovery_s: float = setting(
         3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
         " announce themselves every 3 s; 0 does not wait",
-        minimum=0.0,
-        maximum=60.0,
+        bounds=(0.0, 60.0),
     )
     wait_for: tuple[str, ...] = setting(
         (), "Topics that must have a subscriber, besides the nodes of the graph, before the first cloud", read_only=True
@@ -123,8 +123,7 @@ class ReplayConfig(NodeConfig):
     wait_limit_s: float = setting(
         10.0,
         "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
-        minimum=0.0,
-        maximum=3600.0,
+        bounds=(0.0, 3600.0),
     )
     frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
 
@@ -135,26 +134,17 @@ class ReplayConfig(NodeConfig):
 
 
 class ReplayNode(ForetouchNode[ReplayConfig]):
-    """The replay as a lifecycle node; activating it again plays from the beginning.
-
-    Attributes:
-        ended: Set at the end of the replay; `outcome` is the reason.
-        outcome: `waiting`, `playing`, `finished`, `stopped` or `failed`.
-        reason: Why it failed, else "".
-        clouds_topic: Full name of the topic of the clouds; "" before it is known.
-        played: Published messages by topic, also of the clouds.
-        unanswered: In lockstep, clouds without an answer on `touch` in time.
-    """
+    """The replay as a lifecycle node; activating it again plays from the beginning."""
 
     exclusive_topics = ("points", "objects", GRASPS_TOPIC, "touch")
 
     def __init__(self, name: str = "replay", **options: Any) -> None:
-        self.ended = threading.Event()
-        self.outcome = "waiting"
-        self.played: Counter[str] = Counter()
-        self.unanswered = 0
-        self.reason = ""
-        self.clouds_topic = ""
+        self.ended = threading.Event()  # set at the end of the replay
+        self.outcome = "waiting"  # or `playing`, and at the end `finished`, `stopped` or `failed`
+        self.played: Counter[str] = Counter()  # published messages by topic, also of the clouds
+        self.unanswered = 0  # in lockstep, clouds without an answer on `touch` in time
+        self.reason = ""  # why it failed
+        self.clouds_topic = ""  # full name of the topic of the clouds, once it is known
         self._source: Source | None = None
         self._topic_publishers: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}
@@ -378,13 +368,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def _report_outcome(self, outcome: str, reason: str = "") -> None:
         self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
         values = self.notes() | {"unreadable": str(self.unreadable)}
-        self._status.publish(
-            DiagnosticStatus(
-                level=DiagnosticStatus.ERROR if self.has_failed else DiagnosticStatus.OK,
-                name=self.get_fully_qualified_name(),
-                message=f"{outcome}: {reason}" if reason else outcome,
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-        )
+        level, text = (DiagnosticStatus.ERROR, f"{outcome}: {reason}") if reason else (DiagnosticStatus.OK, outcome)
+        self._status.publish(made_status(self.get_fully_qualified_name(), level, text, values))
         if reason:
             self.get_logger().error(reason)

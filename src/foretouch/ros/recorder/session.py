@@ -9,24 +9,39 @@ import math
 import threading
 import time
 import traceback
-from collections import Counter, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Final, Literal
 
+from rclpy.serialization import serialize_message
+
+from foretouch.dataset.bag import POINT_CLOUD_TYPE
+from foretouch.dataset.messages import read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
+from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
+from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.taxels import TAXEL_TOPICS, taxel_clouds
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
+from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
+from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
-from foretouch_msgs.msg import RecorderStatus, Status
+from foretouch.tactile import P2_RANGES
+from foretouch.types import GraspSample
+from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
+MARKERS_TOPIC: Final = "/foretouch/sample_markers"
+MARKERS_TYPE: Final = "visualization_msgs/msg/MarkerArray"
+_PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
 _AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
 
 
@@ -45,6 +60,8 @@ class SessionStatus:
     bytes_written: int = 0  # size of the file
     bytes_per_s: float = 0.0  # current rate
     free_bytes: int = 0  # space left until the session ends by itself
+    operator: OperatorState = OperatorState()
+    last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
     error: str = ""  # why it ended by itself, else ""
 
 
@@ -52,7 +69,8 @@ class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
     The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
-    assembled from; `losses` gives the messages that the middleware has lost since the session began, by topic.
+    assembled from, and the predictions as `touch`; `losses` gives the messages that the middleware has lost since the
+    session began, by topic.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -64,17 +82,25 @@ class RecordingSession:
         writer: RecordingWriter,
         queue: MessageQueue,
         assembler: SampleAssembler,
-        inputs: Mapping[str, tuple[Role, type]],
+        operator: Operator,
+        inputs: Mapping[str, tuple[Role | Literal["touch"], type]],
         losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], object],
+        *,
+        views: bool = True,
     ) -> None:
         self.writer = writer
+        self._views = views
         self.began_s = time.monotonic()
         self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
         self.ended = threading.Event()
         self._queue = queue
         self._assembler = assembler
-        self._assembler_lock = threading.Lock()  # labels come from a service
+        self._assembler_lock = threading.Lock()  # labels and the operator's actions come from other threads
+        self._operator = operator
+        self._dropping = False  # what is received in a pause
+        self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
+        self._last: tuple[TouchPrediction | None, TouchCut] | None = None
         self._inputs = inputs
         self._losses = losses
         self._warn = warn
@@ -92,6 +118,11 @@ class RecordingSession:
         with self._assembler_lock:
             return self._assembler.matcher.add_label(label, time.monotonic())
 
+    def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
+        """Do an action of the operator (see `Operator.act`)."""
+        with self._assembler_lock:
+            return self._operator.act(action, text, grasp_id)
+
     def close(self) -> None:
         """Write all messages received so far, complete pending grasps, and close the file."""
         self._queue.close()
@@ -108,6 +139,7 @@ class RecordingSession:
                 self._error = f"{self.writer.file}: was removed during the recording"
                 self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
+            self._operator.end_wait("the session has ended")
         except ForetouchError as err:
             self._error = str(err)
         except Exception as err:  # noqa: BLE001  a thread that ends silently would lose everything
@@ -141,6 +173,7 @@ class RecordingSession:
         self._account_for_losses()
         for one in messages:  # counted before anything can fail
             self.writer.receive(one.topic)
+        messages = self._without_pause(messages)
         for one in messages:
             self.writer.write(
                 one.topic,
@@ -157,12 +190,50 @@ class RecordingSession:
         for result in results:
             if isinstance(result, RejectedGrasp):
                 self._warn(f"grasp {result.grasp_id}: no sample: {result.reason}: {result.message}")
+                with self._assembler_lock:
+                    self._operator.add_rejected(result.grasp_id, result.message)
                 continue
             name = self.writer.append(result.record)
+            if self._views:
+                self._write_views(replace(result.record.sample, id=name), result.record)
             if result.cut is not None:
                 self._last_sample = name
+                self._last = self._prediction(result.record.sample), result.cut
                 self._errors_ns.append(result.cut.error_ns)
+            with self._assembler_lock:
+                self._operator.add_sample(result.record, name)
         self._update_status()
+
+    def _write_views(self, sample: GraspSample, record: SampleRecord) -> None:
+        """Write for viewers what a grasp read, at the times of its stamps: every reading as taxels, and markers."""
+        if sample.touch is None:
+            return
+        markers = serialize_message(sample_markers(sample, P2_RANGES))
+        views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
+        views += [(topic, POINT_CLOUD_TYPE, stamp_ns, data) for topic, stamp_ns, data in taxel_clouds(record)]
+        for topic, type_name, stamp_ns, data in views:
+            self.writer.add_topic(topic, type_name)
+            self.writer.receive(topic)
+            self.writer.write(topic, data, stamp_ns)
+
+    def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:
+        """The messages to record: none in a pause, which begins once the grasp that is being executed is complete."""
+        with self._assembler_lock:
+            expects = self._assembler.expects_grasp(time.monotonic())
+            self._dropping = bool(self._operator.paused) and (self._dropping or not expects)
+            if not expects:
+                self._operator.end_wait("no grasp came")
+        if not self._dropping:
+            return messages
+        for one in messages:
+            self.writer.drop(one.topic, "paused")
+        return []
+
+    def _prediction(self, sample: GraspSample) -> TouchPrediction | None:
+        """What was predicted for the grasp of a sample, if that was received."""
+        data = self._predictions.get(sample.cloud.stamp_ns)
+        found = () if data is None else read_serialized(data, TouchPredictionArray).predictions
+        return next((one for one in found if one.grasp.id == sample.grasp.id), None)
 
     def _assemble(self, one: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
@@ -171,6 +242,11 @@ class RecordingSession:
             return
         decode = partial(read_serialized, one.data, message_class)
         try:
+            if role == "touch":
+                self._predictions[read_header(one.data)[0]] = one.data
+                if len(self._predictions) > _PREDICTIONS:
+                    self._predictions.popitem(last=False)
+                return
             message = SerializedCloud(one.data, decode) if role == "cloud" else decode()
             with self._assembler_lock:
                 self._assembler.add(role, message, received_ns=one.received_ns, now_s=time.monotonic())
@@ -203,6 +279,8 @@ class RecordingSession:
                 bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
                 free_bytes=0 if self._error else self.writer.free_bytes,
                 error=self._error,
+                operator=self._operator.state(),
+                last=self._last,
             )
 
 
@@ -220,7 +298,8 @@ def status_to_msg(
 
     `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
     """
-    received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}  # made here
+    made_here = (SAMPLE_TOPIC, MARKERS_TOPIC, *TAXEL_TOPICS.values())
+    received = {name: account for name, account in session.accounts.items() if name not in made_here}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())

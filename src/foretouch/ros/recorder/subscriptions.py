@@ -7,26 +7,46 @@ publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.r
 subscription is then as the parameter demands, and a publisher that offers less is reported.
 """
 
+import math
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from importlib import import_module
+from typing import Any, Final
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.bounded_queue import BoundedQueue
+from foretouch.dataset.messages import read_header
+from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
+_RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
+_LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
+
+#: Topics for viewers, which no sample is made of, and the types of their messages.
+VIEWER_TOPICS: Final = {
+    "markers": "visualization_msgs/msg/MarkerArray",
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/robot_description": "std_msgs/msg/String",
+}
+ROBOT_TOPICS: Final = tuple(VIEWER_TOPICS)[1:]
+_LATCHED: Final = ("/tf_static", "/robot_description")
 
 
 @dataclass(frozen=True)
@@ -36,6 +56,14 @@ class InputTopic:
     name: str  # before remapping, which may be relative to the namespace
     message: type  # class of its messages
     depth: int  # queue size of the middleware
+    optional: bool = False  # whether nothing is reported of it until a message arrives
+    latched: bool = False  # whether its publishers send their last messages to late subscribers (transient local)
+
+    @cached_property
+    def stamped(self) -> bool:
+        """Whether its messages begin with a header."""
+        fields: dict[str, str] = getattr(self.message, "get_fields_and_field_types", dict)()
+        return next(iter(fields.items()), None) == ("header", "std_msgs/Header")
 
     @property
     def type_name(self) -> str:
@@ -106,7 +134,8 @@ class SerializedInput:
 
     def _subscribe(self) -> Any:
         reliability = ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
-        profile = QoSProfile(depth=self.topic.depth, reliability=reliability)
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if self.topic.latched else DurabilityPolicy.VOLATILE
+        profile = QoSProfile(depth=self.topic.depth, reliability=reliability, durability=durability)
         overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, *[_ADAPTED] * self._overridden]
         subscription = self._node.create_subscription(
             self.topic.message,
@@ -146,6 +175,20 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
         *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]
+
+
+def viewer_topics(names: Sequence[str], depth: int) -> tuple[list[InputTopic], list[str]]:
+    """Those of `VIEWER_TOPICS` that are named, and the packages that are missing for others."""
+    topics, missing = [], set()
+    for name in names:
+        package, _, kind = VIEWER_TOPICS[name].split("/")
+        try:
+            message = getattr(import_module(f"{package}.msg"), kind)
+        except ImportError:
+            missing.add(package)
+            continue
+        topics.append(InputTopic(name, message, depth, optional=True, latched=name in _LATCHED))
+    return topics, sorted(missing)
 
 
 class MessageQueue(BoundedQueue[SerializedMessage]):
@@ -189,6 +232,10 @@ class TopicStatistics:
     late: int = 0  # messages that came after the session had ended by itself and its file was closed
     reliable: bool = True  # whether lost messages are sent again
     rate_hz: float = 0.0  # rate of arrival [Hz]
+    age_s: float = math.inf  # time since the last message [s]; infinite before the first
+    offset_s: float = (
+        math.nan
+    )  # smallest difference of reception and stamp [s]; not finite without messages with a stamp
 
 
 class RecorderSubscriptions:
@@ -200,23 +247,30 @@ class RecorderSubscriptions:
     def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
         self.inputs: dict[str, SerializedInput] = {}
         self._queue: MessageQueue | None = None
+        self._latched: deque[SerializedMessage] = deque(maxlen=_LATCHED_KEPT)
+        self._lock = threading.Lock()  # a latched message is written once in a session
         self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
+        self._last_s: dict[str, float] = {}
+        self._behind_ns: dict[str, deque[int]] = {}  # differences of reception and stamp of recent messages
         self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
         try:
             for topic in topics:
-                one = SerializedInput(node, topic, self._receive, mismatch)
+                one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched), mismatch)
                 self.inputs[one.name] = one
         except BaseException:  # such as an override that names no policy
             self.destroy()
             raise
 
     def open(self, queue: MessageQueue) -> None:
-        """Begin a session: restart the counts, and put messages into its queue."""
+        """Begin a session: restart the counts, and put messages into its queue, first the latched ones of before."""
         for one in self.inputs.values():
             one.losses.reset()
         self._late.clear()
-        self._queue = queue
+        with self._lock:
+            for message in self._latched:
+                queue.put(replace(message, received_ns=time.time_ns()))
+            self._queue = queue
 
     def close(self) -> None:
         """End the session."""
@@ -251,8 +305,11 @@ class RecorderSubscriptions:
                 late=late[name],
                 reliable=one.reliable,
                 rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
+                age_s=time.monotonic() - self._last_s.get(name, -math.inf),
+                offset_s=min(tuple(self._behind_ns.get(name, ())), default=math.nan) * 1e-9,
             )
             for name, one in self.inputs.items()
+            if self._arrived[name] or not one.topic.optional
         }
 
     def destroy(self) -> None:
@@ -260,7 +317,16 @@ class RecorderSubscriptions:
         for one in self.inputs.values():
             one.destroy()
 
-    def _receive(self, message: SerializedMessage) -> None:
+    def _receive(self, message: SerializedMessage, *, latched: bool) -> None:
         self._arrived[message.topic] += 1
-        if (queue := self._queue) is not None:
-            queue.put(message)
+        self._last_s[message.topic] = time.monotonic()
+        one = self.inputs.get(message.topic)  # None where a message comes before the subscription is complete
+        if one is not None and one.topic.stamped:
+            with suppress(DatasetError):  # it is counted by those who read it
+                behind = self._behind_ns.setdefault(message.topic, deque(maxlen=_RECENT))
+                behind.append(message.received_ns - read_header(message.data)[0])
+        with self._lock:
+            if latched and all(message.data != one.data for one in self._latched):
+                self._latched.append(message)
+            if (queue := self._queue) is not None:
+                queue.put(message)

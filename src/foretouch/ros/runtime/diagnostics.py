@@ -165,20 +165,19 @@ def diagnostic_status(
     else:
         level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
     pairs = {"state": state, **_numbers(now), **(notes or {})}
-    return DiagnosticStatus(
-        level=level,
-        name=name,
-        message=message,
-        hardware_id="none",
-        values=[KeyValue(key=key, value=value) for key, value in pairs.items()],
-    )
+    return made_status(name, level, message, pairs)
 
 
 def gone_status(name: str, listener: str, last_s: float) -> DiagnosticStatus:
     """Report in the place of a node that was killed or hangs, which another last heard at a time [s]."""
     text = f"was killed or hangs: no heartbeat for {time.monotonic() - last_s:.1f} s at {listener}"
-    values = [KeyValue(key="state", value="gone")]
-    return DiagnosticStatus(level=DiagnosticStatus.ERROR, name=name, message=text, hardware_id="none", values=values)
+    return made_status(name, DiagnosticStatus.ERROR, text, {"state": "gone"})
+
+
+def made_status(name: str, level: bytes, message: str, values: Mapping[str, str]) -> DiagnosticStatus:
+    """Make a status with values by key."""
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=pairs)
 
 
 def _silence(now: InputSummary, limit_s: float | None) -> list[str]:

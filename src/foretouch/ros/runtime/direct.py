@@ -31,18 +31,13 @@ ID_BYTES = 16  # of a publisher; some versions of ROS pad them
 
 
 class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not generic before Kilted
-    """A publisher that knows the subscriptions of its process.
-
-    Attributes:
-        receivers: Called with each message; empty without hand-over.
-        id: Of the publisher, as subscribers see it; empty if the middleware has none.
-        keeps: Whether a late subscriber gets the last messages.
-    """
+    """A publisher that knows the subscriptions of its process."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self.receivers: tuple[Callable[[Any], None], ...] = ()
-        self.id = b""
+        self.receivers: tuple[Callable[[Any], None], ...] = ()  # called with each message; empty without hand-over
+        self.id = b""  # as subscribers see it; empty if the middleware has none
+        # Whether a late subscriber gets the last messages.
         self.keeps = self.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
     @property

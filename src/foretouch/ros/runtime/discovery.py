@@ -29,10 +29,8 @@ _GRAPH: Final = frozenset({"segmentation", "grasp", "touch_predictor", "replay",
 def find_conflicts(node: Node, topics: Iterable[str], is_silent: Callable[[bytes], bool]) -> tuple[str, ...]:
     """Signs of a second graph in the namespace, which answers every cloud once more without any error, a line each.
 
-    Args:
-        node: Looks at the graph as far as it is discovered, which takes less than 0.1 ms a topic.
-        topics: Names that should have one publisher at most.
-        is_silent: Whether the process of an end, by its id, has ended: such are still listed for some seconds.
+    Each of the topics should have one publisher at most. `is_silent` says whether the process of an end, by its id, has
+    ended: such are still listed for some seconds. To look takes less than 0.1 ms a topic.
     """
     own = node.get_fully_qualified_name()
     count = sum(_full_name(name, space) == own for name, space in node.get_node_names_and_namespaces())
@@ -60,15 +58,10 @@ def matched_ends(
 
 
 class Matching:
-    """What the nodes of a graph wait for before the first cloud.
+    """What the nodes of a graph wait for before the first cloud, as one of them sees the graph.
 
-    Args:
-        node: A node of the graph, whose view of it is used.
-        discovery_s: Time that every node must have run [s].
-        wait_for: Names of topics that need a subscriber that is neither a node which answers clouds nor the display.
-
-    Raises:
-        ConfigError: If one is no name of a topic.
+    Every node must have run for `discovery_s` [s], and each topic of `wait_for`, or else a `ConfigError`, needs a subscriber
+    that is neither a node which answers clouds nor the display.
     """
 
     def __init__(self, node: Node, discovery_s: float, wait_for: Iterable[str]) -> None:

@@ -45,14 +45,7 @@ def profile_variable() -> str:
 
 
 def start_rclpy(arguments: Sequence[str]) -> None:
-    """Prepare the environment and call `rclpy.init`, without signal handlers.
-
-    Args:
-        arguments: Command line with ROS arguments.
-
-    Raises:
-        ConfigError: If an argument is malformed.
-    """
+    """Prepare the environment and call `rclpy.init`, without signal handlers; a `ConfigError` if an argument is malformed."""
     prepare_environment()
     stale_bytes(free=True)
     import rclpy
@@ -80,9 +73,13 @@ def _name_log_folder() -> None:
 
 
 def _keep_large_blocks() -> None:
-    """Let glibc keep the memory of a cloud for the next: new pages made receiving four times as expensive."""
+    """Let glibc keep the memory of a cloud for the next: new pages made receiving four times as expensive.
+
+    One arena for all threads, or each thread that ever takes a cloud keeps memory of its own for the next one.
+    """
     set_limit = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if set_limit is None or any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
         return
-    for parameter, megabytes in ((-3, 32), (-1, 128)):  # M_MMAP_THRESHOLD, at its maximum, and M_TRIM_THRESHOLD
-        set_limit(parameter, megabytes << 20)
+    # M_MMAP_THRESHOLD, at its maximum, M_TRIM_THRESHOLD, and M_ARENA_MAX.
+    for parameter, value in ((-3, 32 << 20), (-1, 128 << 20), (-8, 1)):
+        set_limit(parameter, value)

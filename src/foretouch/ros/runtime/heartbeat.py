@@ -43,13 +43,9 @@ class _Sign(NamedTuple):
 
 
 class Heartbeat:
-    """Publishes that a node lives, and listens to the others of its namespace.
+    """Publishes that a node lives, and its state, and listens to the others of its namespace.
 
-    Args:
-        node: The node.
-        state: Gives its state.
-        group: Callback group of its inputs.
-        changed: Called, in the thread of the inputs, when a node is gone or back.
+    `changed` is called, in the thread of the inputs, when a node is gone or back.
 
     Attributes:
         gone: By full name of each node that was killed or hangs, when it was last heard (`time.monotonic`) [s].

@@ -17,6 +17,8 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.executors import Executor, ExternalShutdownException
 
 from foretouch.errors import shown
@@ -116,10 +118,13 @@ class GuardedCallbacks:
         )
 
     def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """See rclpy's `Node`."""
+        """See rclpy's `Node`; a timer goes on while the clock of a simulator stands."""
         name = getattr(callback, "__name__", "timer").strip("_")
         return super().create_timer(  # type: ignore[misc]
-            timer_period_sec, self.internal_errors.guarded(name, callback), *arguments, **options
+            timer_period_sec,
+            self.internal_errors.guarded(name, callback),
+            *arguments,
+            **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **options},
         )
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:

@@ -43,39 +43,25 @@ REQUESTS = QoSProfile(depth=1000)
 
 
 @dataclass(frozen=True, kw_only=True)
-class NodeConfig(Settings):
+class NodeConfig(Settings, read_only=True):
     """Settings of every node."""
 
-    autostart: bool = setting(True, "Whether the node configures and activates itself", read_only=True)
-    diagnostics_period_s: float = setting(
-        1.0, "Time between reports in /diagnostics", minimum=0.1, maximum=60.0, read_only=True
-    )
+    autostart: bool = setting(True, "Whether the node configures and activates itself")
+    diagnostics_period_s: float = setting(1.0, "Time between reports in /diagnostics", bounds=(0.1, 60.0))
     direct: bool = setting(
-        True,
-        "Whether messages to nodes of the same process that have this set are handed over without the middleware",
-        read_only=True,
+        True, "Whether messages to nodes of the same process that have this set are handed over without the middleware"
     )
 
 
 class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     """A lifecycle node with typed settings and diagnostics, whose process no error in a callback ends.
 
-    Args:
-        name: Of the node.
-        config_class: Class of its settings; every field becomes a parameter.
-        options: For rclpy's `Node`; the namespace is `/foretouch` by default.
-
-    Attributes:
-        exclusive_topics: Topics that only one node of a graph publishes; another publisher is reported as a second graph.
-        has_failed: Whether the process ends with exit status 1.
-        conflicts: Signs of a second graph in the namespace, a line each.
-        past_conflicts: All that there have been.
-
-    Raises:
-        ConfigError: If a parameter given at the start breaks a rule.
+    Every field of `config_class` becomes a parameter; a `ConfigError` if one that is given at the start breaks a rule.
+    `options` are for rclpy's `Node`; the namespace is `/foretouch` by default.
     """
 
     exclusive_topics: ClassVar[tuple[str, ...]] = ()
+    """Topics that only one node of a graph publishes; another publisher is reported as a second graph."""
 
     def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
         super().__init__(name, **{"namespace": NAMESPACE, **options})
@@ -88,7 +74,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.statistics = InputStatistics()
         self._began_s = time.monotonic()
         self.state_name = "unconfigured"
-        self.has_failed = False
+        self.has_failed = False  # whether the process ends with exit status 1
         self.is_direct = self.config.direct and SUPPORTED  # whether messages are handed over within the process
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
@@ -97,8 +83,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
         self._mismatches: dict[str, str] = {}
-        self.conflicts: tuple[str, ...] = ()
-        self.past_conflicts: list[str] = []
+        self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
+        self.past_conflicts: list[str] = []  # all that there have been
         self._report_lock = threading.Lock()
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()

@@ -20,20 +20,13 @@ _BLOCK: Final = 1 << 20
 
 
 class OriginGate:
-    """Listens for clients of a server.
+    """Listens for clients of a server on a port, 0 for a free one; an `OSError` if the address cannot be listened on.
 
-    Args:
-        address: To listen on.
-        port: To listen on; 0 for a free one.
-        allowed: Origins of the web pages that may connect, such as `https://app.foxglove.dev`.
-        refused: Called with the origin of a client that is refused.
+    Web pages of `allowed` origins may connect, such as `https://app.foxglove.dev`; `refused` is called with those of others.
 
     Attributes:
         port: The one that it listens on.
         inner: Host that the server must listen on; `open` is then called with its port.
-
-    Raises:
-        OSError: If the address cannot be listened on.
     """
 
     def __init__(self, address: str, port: int, allowed: Collection[str], refused: Callable[[str], object]) -> None:

@@ -34,7 +34,7 @@ class HandEye(Settings):
     """The keys of a file with a static hand-eye calibration, the pose of the camera's frame in a frame of the robot."""
 
     translation: tuple[float, ...] = setting(
-        (), "x, y, z of the camera's frame in the robot's", unit="m", minimum=-100.0, maximum=100.0
+        (), "x, y, z of the camera's frame in the robot's", unit="m", bounds=(-100.0, 100.0)
     )
     rotation: tuple[float, ...] = setting((), "Its orientation, a quaternion x, y, z, w of unit length")
     frame_id: str = setting("", "The robot's frame, which must be that of the answers; any if empty")
@@ -87,21 +87,16 @@ def read_hand_eye(path: str) -> FrameTransform:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutputFrameConfig(Settings):
+class OutputFrameConfig(Settings, read_only=True):
     """Settings of nodes that publish poses."""
 
-    output_frame: str = setting(
-        "", "Frame of what is published, such as base_link; that of the cloud if empty", read_only=True
-    )
+    output_frame: str = setting("", "Frame of what is published, such as base_link; that of the cloud if empty")
     hand_eye: str = setting(
         "",
         "File with the pose of the camera in output_frame, of translation (m) and rotation (x, y, z, w), or of "
         "easy_handeye2; tf2 if empty",
-        read_only=True,
     )
-    transform_timeout_s: float = setting(
-        0.1, "Longest wait for the transform of a cloud from tf2", minimum=0.0, maximum=10.0, read_only=True
-    )
+    transform_timeout_s: float = setting(0.1, "Longest wait for the transform of a cloud from tf2", bounds=(0.0, 10.0))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -128,16 +123,11 @@ class _FramedRequest(NamedTuple):
 class OutputFrame:
     """Finds the transform of each cloud. Thread-safe.
 
-    Attributes:
-        name: The frame; "" for that of the cloud.
-
-    Raises:
-        ConfigError: If the calibration cannot be used.
-        MissingDependencyError: If tf2 is needed and not installed.
+    A `ConfigError` if the calibration cannot be used, or a `MissingDependencyError` if tf2 is needed and not installed.
     """
 
     def __init__(self, node: Node, config: OutputFrameConfig) -> None:
-        self.name = config.output_frame
+        self.name = config.output_frame  # "" for that of the cloud
         self._timeout = Duration(seconds=config.transform_timeout_s)
         self._calibration = read_hand_eye(config.hand_eye) if config.hand_eye else None
         self._tf2: Any = None
@@ -178,11 +168,7 @@ class OutputFrame:
         return self._calibration.source or "camera"
 
     def transform(self, cloud: Header) -> FrameTransform | None:
-        """The transform of answers for a cloud; None if they stay in its frame.
-
-        Raises:
-            RefusalError: UNKNOWN_FRAME, with a reason that begins with `no_transform`.
-        """
+        """The transform of answers for a cloud, None if they stay in its frame; a `RefusalError` if there is none."""
         if self.name in {"", cloud.frame_id}:
             return None
         if self._calibration is None:
@@ -207,13 +193,10 @@ class OutputFrame:
 def in_cloud_frame(
     frame: OutputFrame, cloud: PointCloud2, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
 ) -> _FramedRequest:
-    """Bring a request to the frame of the camera.
+    """Bring a request to the frame of the camera; a `RefusalError`: UNKNOWN_FRAME, or EMPTY_CLOUD without a latest cloud.
 
     The header of the cloud gives the frame of cloud, table and grasps: the camera's, or `frame`, that of the answers. A
     cloud that is only a header stands for the latest one, with its table.
-
-    Raises:
-        RefusalError: UNKNOWN_FRAME, or EMPTY_CLOUD if there is no latest cloud.
     """
     header = cloud.header
     if header.frame_id and not cloud.fields:

@@ -22,16 +22,10 @@ _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
 def check_parameters(arguments: Sequence[str], nodes: Mapping[str, str], own: Sequence[str], namespace: str) -> None:
-    """Check the parameter files and parameters of a command line.
+    """Check the parameter files and parameters of a command line for the nodes `own` of this process, of all `nodes`.
 
-    Args:
-        arguments: The command line.
-        nodes: Module and class of all nodes of foretouch, `module:class` by name.
-        own: Names of the nodes of this process.
-        namespace: Of these nodes, unless the command line remaps it.
-
-    Raises:
-        ConfigError: If a file is none, or a node or a parameter is unknown: names it with the nearest known one.
+    A `ConfigError` if a file is none, or names an unknown node or parameter, with the nearest known one. The command line
+    may remap the namespace.
     """
     remapped = [word.partition(":=")[2] for word in arguments if re.match(r"(\w+:)?__ns:=", word)]
     namespace = f"/{(remapped or [namespace])[-1].strip('/')}"

@@ -97,14 +97,13 @@ class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
     queue_depth: int = setting(
-        8, "Number of inputs that may wait; the oldest is dropped", minimum=1, maximum=10_000, read_only=True
+        8, "Number of inputs that may wait; the oldest is dropped", bounds=(1, 10_000), read_only=True
     )
-    silence_s: float = setting(5.0, "Longest time without an input before a warning", minimum=0.1, maximum=1e6)
+    silence_s: float = setting(5.0, "Longest time without an input before a warning", bounds=(0.1, 1e6))
     partner_timeout_s: float = setting(
         3.0,
         "Longest wait of a cloud for what belongs to it, such as its grasps, until it is answered without",
-        minimum=0.1,
-        maximum=3600.0,
+        bounds=(0.1, 3600.0),
     )
 
 

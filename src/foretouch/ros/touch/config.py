@@ -32,30 +32,26 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
         "", "Model to use, with a flag, if `model` cannot be loaded; none if empty", read_only=True
     )
     late_after_s: float = setting(
-        0.5, "Age of a cloud beyond which its predictions are flagged late; 0 for never", minimum=0.0, maximum=3600.0
+        0.5, "Age of a cloud beyond which its predictions are flagged late; 0 for never", bounds=(0.0, 3600.0)
     )
     latency_budget_ms: float = setting(
         0.0,
         "Time from the receipt of a cloud and its grasps to their predictions, for which cheaper forms of the model are used "
         "and flagged reduced; 0 for no limit",
-        minimum=0.0,
-        maximum=60_000.0,
+        bounds=(0.0, 60_000.0),
         read_only=True,
     )
     thumb_takes_g1: bool = setting(True, "Whether the markers show the thumb at g1, else the middle finger")
     use_tare: bool = setting(True, "Whether predictions use the tare: the tactile readings at rest")
-    tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", minimum=0.0, maximum=1e6)
+    tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", bounds=(0.0, 1e6))
     use_touches: bool = setting(
         True, "Whether predictions adapt to the tactile readings of executed grasps of the same object"
     )
     forget_after_s: float = setting(
-        300.0, "Time after the last touch of an object until its touches are forgotten", minimum=0.0, maximum=1e6
+        300.0, "Time after the last touch of an object until its touches are forgotten", bounds=(0.0, 1e6)
     )
     same_object_m: float = setting(
-        0.02,
-        "How far an object may have moved, or changed in apparent size, since it was touched",
-        minimum=0.0,
-        maximum=1.0,
+        0.02, "How far an object may have moved, or changed in apparent size, since it was touched", bounds=(0.0, 1.0)
     )
     hand: str = setting(
         "",
@@ -66,7 +62,7 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
     history_folder: str = setting(
         "", "Folder of these files (default: foretouch in XDG_STATE_HOME, ~/.local/state)", read_only=True
     )
-    max_grasps: int = setting(1000, "Maximum number of grasps in a request", minimum=1, maximum=10_000)
+    max_grasps: int = setting(1000, "Maximum number of grasps in a request", bounds=(1, 10_000))
     sample_cost: str = setting(PRESSURE, "Cost of sampled grasps for goals that name none", choices=COSTS)
     planner_action_type: str = setting(
         "moveit_task_constructor_msgs/SampleGraspPoses",
@@ -74,7 +70,7 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
         read_only=True,
     )
     planner_action_count: int = setting(
-        20, "Maximum number of grasps in an answer of sample_grasp_poses", minimum=1, maximum=10_000
+        20, "Maximum number of grasps in an answer of sample_grasp_poses", bounds=(1, 10_000)
     )
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)

@@ -49,23 +49,12 @@ def sample_grasps(
     feedback: Callable[[Any], None],
     cancelled: Callable[[], bool],
 ) -> Any:
-    """Plan, predict and sort.
+    """Plan, predict and sort: a `SampleGrasps.Result`, lowest cost first; grasps without a prediction come last.
 
-    Args:
-        goal: `SampleGrasps.Goal`.
-        latest: The latest cloud of the graph, for a goal without a cloud.
-        config: The defaults and limits.
-        name: Of the goal, which distinguishes its grasps from others on the same cloud.
-        predict: Gives the predictions for grasps on one target, in order.
-        feedback: Called with a `SampleGrasps.Feedback` after each object, and after every 100 grasps.
-        cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that
-            are predicted so far.
-
-    Returns:
-        `SampleGrasps.Result`, lowest cost first; grasps without a prediction are last, at infinite cost.
-
-    Raises:
-        RefusalError: If there is nothing to grasp, nothing can be predicted, or the goal is invalid.
+    A goal without a cloud is for the `latest` one; its `name` distinguishes its grasps from others on the same cloud. Before
+    each object and after every 100 grasps, `feedback` is called with a `SampleGrasps.Feedback`, and if `cancelled` is then
+    true, the result holds what is predicted so far. A `RefusalError` if there is nothing to grasp, nothing can be predicted,
+    or the goal is invalid.
     """
     cost = goal.cost or config.sample_cost
     if cost not in COSTS:
@@ -151,8 +140,7 @@ def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> fl
 def planner_action_class(type_name: str) -> Any:
     """The class of an action such as `moveit_task_constructor_msgs/SampleGraspPoses`; None if it cannot be loaded.
 
-    Raises:
-        ConfigError: If the name is not of the form package/Type, or the type has no fields of this action.
+    A `ConfigError` if the name is not of the form package/Type, or the type has no fields of this action.
     """
     package, _, name = type_name.partition("/")
     if not package.isidentifier() or not name.isidentifier():

@@ -18,14 +18,10 @@ _SECOND_NS = 1_000_000_000
 
 
 class LiveTare:
-    """The tare of a stream of readings. Not thread-safe.
-
-    Attributes:
-        fault: Why the last rest gives no tare, such as a dead sensor; "" without a fault or without a rest.
-    """
+    """The tare of a stream of readings. Not thread-safe."""
 
     def __init__(self, config: ContactConfig) -> None:
-        self.fault = ""
+        self.fault = ""  # why the last rest gives no tare, such as a dead sensor
         self._detector = ContactDetector(config)
         self._lag_ns = round(config.lag_s * _SECOND_NS)
         self._window_ns = round(config.window_s * _SECOND_NS)

@@ -34,22 +34,14 @@ _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 
 
 class Predictor:
-    """A model that may be absent: every answer then gives the reason. `fallback` is used if it cannot be loaded.
-
-    Attributes:
-        model: None if neither could be loaded.
-        adapter: Adapts predictions to tactile readings; None for vision alone.
-        fault: Why `model` could not be loaded; "" if it could.
-        flags: Flags of every prediction.
-        budget: Chooses the level of each request; None without a budget.
-    """
+    """A model that may be absent: every answer then gives the reason. `fallback` is used if it cannot be loaded."""
 
     def __init__(self, model: str, fallback: str = "") -> None:
-        self.model: TouchModel | None = None
-        self.adapter: OnlineAdapter | None = None
-        self.fault = ""
-        self.flags: tuple[str, ...] = ()
-        self.budget: LatencyBudget | None = None
+        self.model: TouchModel | None = None  # None if neither could be loaded
+        self.adapter: OnlineAdapter | None = None  # adapts predictions to tactile readings; None for vision alone
+        self.fault = ""  # why `model` could not be loaded
+        self.flags: tuple[str, ...] = ()  # of every prediction
+        self.budget: LatencyBudget | None = None  # chooses the level of each request
         self._switch_s = 0.0  # before `keep_to`
         try:
             self.model = load_model(model)

@@ -231,7 +231,7 @@ def _expected_pressure(problem: ContactProblem, command: Command) -> Float64:
     return np.asarray(shape * (mean / float(shape.sum())))
 
 
-def _stiffness(problem: ContactProblem, radius: npt.NDArray[np.float64]) -> Float64:
+def _stiffness(problem: ContactProblem, radius: Float64) -> Float64:
     compliance = np.zeros_like(radius)
     for layer in problem.layers:
         bed = 0.0 if math.isinf(layer.thickness_m) else bed_stiffness(layer)

@@ -29,17 +29,14 @@ SOFT_WINDOW_M: Final = 0.02  # side of the window on a soft object
 class PadConfig(Settings):
     """Shape and material of the fingertip's pad, and the grid that contacts are solved on."""
 
-    layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", minimum=1e-5, maximum=1.0)
+    layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", bounds=(1e-5, 1.0))
     modulus_pa: float = setting(
-        1.552e6,
-        "Young's modulus of the layer, as in published finite-element models of the skin",
-        minimum=1.0,
-        maximum=1e12,
+        1.552e6, "Young's modulus of the layer, as in published finite-element models of the skin", bounds=(1.0, 1e12)
     )
     window_m: float = setting(
-        0.012, "Side of the square that a contact with a rigid object is solved on", minimum=1e-4, maximum=1.0
+        0.012, "Side of the square that a contact with a rigid object is solved on", bounds=(1e-4, 1.0)
     )
-    cells: int = setting(24, "Number of cells along one side of that square", minimum=3, maximum=512)
+    cells: int = setting(24, "Number of cells along one side of that square", bounds=(3, 512))
 
     @property
     def step_m(self) -> float:

@@ -121,11 +121,9 @@ def _surface(job: Job, state: SampleState) -> None:
     state.relief = state.relief + np.stack(waves)
 
 
-_TOUCHED = ("bodies", "pads", "touches")
-
 EFFECTS = (
     Effect("posture", _posture, "fingers", reads=("fingers",), writes=("postures",)),
     Effect("first_touch", _first_touch, "fingers", reads=("bodies", "fingers", "postures"), writes=("pads", "touches")),
-    Effect("relief", _relief, "fingers", reads=_TOUCHED, writes=("relief",)),
-    Effect("surface", _surface, "objects.surface", reads=(*_TOUCHED, "relief"), writes=("relief",)),
+    Effect("relief", _relief, "fingers", reads=("bodies", "pads", "touches"), writes=("relief",)),
+    Effect("surface", _surface, "objects.surface", reads=("bodies", "pads", "touches"), changes=("relief",)),
 )

@@ -136,28 +136,26 @@ _DRIFT = Effect(
     "level_drift",
     _drift,
     "campaign.drift",
-    reads=("campaign_time", "times", "load", "level"),
-    writes=("level",),
+    reads=("campaign_time", "times", "load"),
+    changes=("level",),
     detail=_drift_detail,
 )
 _WARM_UP = Effect(
     "warm_up",
     _warm_up,
     _warms_up,
-    reads=("campaign_time", "times", "level"),
-    writes=("level",),
+    reads=("campaign_time", "times"),
+    changes=("level",),
     off="no campaign.warm_up, or finger_temperature holds it",
 )
 FINGER_TEMPERATURE = Effect(
     "finger_temperature",
     _finger_temperature,
     "campaign.warm_up.tdc",
-    reads=("campaign_time", "times", "load", "level", "others"),
-    writes=("others", "level"),
+    reads=("campaign_time", "times", "load"),
+    changes=("others", "level"),
 )
-_FLUID_LOSS = Effect(
-    "fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=("campaign_time", "level"), writes=("level",)
-)
+_FLUID_LOSS = Effect("fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=("campaign_time",), changes=("level",))
 
 #: Which sensors are mounted.
 MOUNTING = (
@@ -179,12 +177,10 @@ DRIFT = (
     _WARM_UP,
     FINGER_TEMPERATURE,
     _FLUID_LOSS,
-    Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
+    Effect("level_shift", _shift, _needs_level, reads=("level",), changes=("series",), off=_NO_DRIFT),
 )
 
 #: Which tares are recorded.
 TARES = (
-    Effect(
-        "tares", _tares, _needs_tares, reads=("campaign_time", "tare"), writes=("tare",), off="each grasp has a tare"
-    ),
+    Effect("tares", _tares, _needs_tares, reads=("campaign_time",), changes=("tare",), off="each grasp has a tare"),
 )

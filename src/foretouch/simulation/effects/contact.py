@@ -30,13 +30,10 @@ def _weight(job: Job, state: SampleState) -> None:
 
 def _solve(level: str, job: Job, state: SampleState) -> None:
     scene, item = job.scene, job.item
-    state.contacts = solve_grip(
-        [contact_problem(scene, item, pad, height) for pad, height in zip(state.pads, state.relief, strict=True)],
-        [command_of(scene, float(target)) for target in state.targets],
-        balanced=scene.grasps.balanced,
-        axial_load_n=state.axial_load_n,
-        level=level,
-    )
+    pairs, balanced = zip(state.pads, state.relief, strict=True), scene.grasps.balanced
+    problems = [contact_problem(scene, item, pad, height) for pad, height in pairs]
+    commands = [command_of(scene, float(target)) for target in state.targets]
+    state.contacts = solve_grip(problems, commands, balanced=balanced, axial_load_n=state.axial_load_n, level=level)
 
 
 def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[Layer, ...]:
@@ -76,9 +73,7 @@ def _held(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect(
-        "weight", _weight, "gravity", reads=("bodies", "touches", "axial_load_n"), writes=("weight", "axial_load_n")
-    ),
+    Effect("weight", _weight, "gravity", reads=("bodies", "touches"), writes=("weight",), changes=("axial_load_n",)),
     *(
         Effect(
             f"contact_{level}",
@@ -90,5 +85,5 @@ EFFECTS = (
         )
         for level in LEVELS
     ),
-    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=("contacts",)),
+    Effect("held", _held, "gravity", reads=("weight",), changes=("contacts",)),
 )

@@ -18,14 +18,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 def _plan(job: Job, state: SampleState) -> None:
     grasps, view = job.scene.grasps, job.world.view
-    plan = plan_grasps(
-        state.cloud,
-        job.world.plane,
-        grasps.geograsp,
-        rng=job.rng() if grasps.slide else None,
-        pixels=state.pixels,
-        image_shape=(view.height, view.width),
-    )
+    rng, shape = job.rng() if grasps.slide else None, (view.height, view.width)
+    plan = plan_grasps(state.cloud, job.world.plane, grasps.geograsp, rng=rng, pixels=state.pixels, image_shape=shape)
     if plan.status == "no_grasp":
         raise SimulationError(f"{job.item.name}: {plan.reason}", "no_grasp")
     grasp = plan.grasps[0]
@@ -99,12 +93,5 @@ EFFECTS = (
     Effect("grasp", _plan, "grasps", reads=("cloud", "pixels"), writes=("plan", "grasp")),
     Effect("fingers", _fingers, "grasps", reads=("grasp",), writes=("fingers",)),
     Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n")),
-    Effect(
-        "execution_error",
-        _execution_error,
-        "grasps.error",
-        reads=("fingers", "targets"),
-        writes=("fingers", "targets"),
-        again=True,
-    ),
+    Effect("execution_error", _execution_error, "grasps.error", changes=("fingers", "targets"), again=True),
 )

@@ -74,5 +74,5 @@ def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: 
 
 EFFECTS = (
     Effect("object", _object, "objects", writes=("bodies",)),
-    Effect("clutter", _clutter, "clutter", reads=("bodies",), writes=("bodies",)),
+    Effect("clutter", _clutter, "clutter", changes=("bodies",)),
 )

@@ -194,9 +194,8 @@ def _touch(counts: Float64) -> Touch:
 
 
 _TIMED = ("times", "load", "hold_row", "series")
-_SERIES = ("series",)
 _VIBRATION = Effect(
-    "vibration", _vibration, "fingers.vibration", reads=("load", "slid", "others"), writes=("others",), again=True
+    "vibration", _vibration, "fingers.vibration", reads=("load", "slid"), changes=("others",), again=True
 )
 
 EFFECTS = (
@@ -218,17 +217,17 @@ EFFECTS = (
         "slip",
         _slip,
         "fingers.slip",
-        reads=("sensors", "readings", "bodies", "touches", "pads", "targets", "load", "series", "slid"),
-        writes=("series", "slid"),
+        reads=("sensors", "readings", "bodies", "touches", "pads", "targets", "load"),
+        changes=("series", "slid"),
         again=True,
     ),
     _VIBRATION,
-    Effect("creep", _creep, "fingers.creep", reads=_SERIES, writes=_SERIES),
-    Effect("drift", _drift, "fingers.drift", reads=("times", "load", "series"), writes=_SERIES, again=True),
-    Effect("sessions", _sessions, "fingers.sessions", reads=_SERIES, writes=_SERIES),
-    Effect("noise", _noise, "fingers.noise", reads=_SERIES, writes=_SERIES, again=True),
-    Effect("scan_hold", _scan, "fingers.scan", reads=_SERIES, writes=_SERIES, again=True),
-    Effect("dead_electrodes", _dead, "fingers.dead", reads=_SERIES, writes=_SERIES),
+    Effect("creep", _creep, "fingers.creep", changes=("series",)),
+    Effect("drift", _drift, "fingers.drift", reads=("times", "load"), changes=("series",), again=True),
+    Effect("sessions", _sessions, "fingers.sessions", changes=("series",)),
+    Effect("noise", _noise, "fingers.noise", changes=("series",), again=True),
+    Effect("scan_hold", _scan, "fingers.scan", changes=("series",), again=True),
+    Effect("dead_electrodes", _dead, "fingers.dead", changes=("series",)),
     Effect("counts", _counts, "fingers", reads=("series", "load", "hold_row"), writes=("touch", "tare")),
     *campaign.TARES,
 )

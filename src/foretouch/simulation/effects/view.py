@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import SimulationError
 from foretouch.simulation.depth_effects import (
     D415_BASELINE_M,
@@ -30,6 +31,9 @@ _FEWEST_POINTS = 100  # fewer are no view of an object
 
 def _object_window(job: Job, state: SampleState) -> None:
     view = job.world.view
+    if job.scene.camera.segmented is not None:  # which needs the table
+        _whole_window(job, state)
+        return
     rows, columns = view.window(state.bodies[0].corners())
     if rows.start >= rows.stop or columns.start >= columns.stop:
         raise SimulationError(f"{job.item.name}: lies outside of the view", "outside_view")
@@ -119,6 +123,16 @@ def _cloud(job: Job, state: SampleState) -> None:
     state.pixels = (v * view.width + u).astype(np.int64)
 
 
+def _segmented(job: Job, state: SampleState) -> None:
+    depth = np.where(np.isfinite(state.depth), state.depth, np.nan)
+    image = (job.world.rays * depth[..., None]) @ job.world.view.R_world_camera
+    found = segment(Cloud(image.astype(np.float32), None, CAMERA_FRAME))
+    seen = max((np.isin(state.pixels, one.pixels) for one in found.objects), key=np.count_nonzero, default=None)
+    if seen is None or np.count_nonzero(seen) < _FEWEST_POINTS:
+        raise SimulationError(f"{job.item.name}: segmentation does not find it: {found.reason}", "too_few_points")
+    state.cloud, state.pixels = state.cloud.take(seen), state.pixels[seen]
+
+
 def _colour(job: Job, state: SampleState) -> None:
     rows, columns = state.window
     v, u = np.divmod(state.pixels, job.world.view.width)
@@ -139,23 +153,22 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-_DEPTH = ("depth",)
-
 EFFECTS = (
     Effect("window", _object_window, "camera", reads=("bodies",), writes=("window",)),
     Effect("render", _render, "camera", reads=("bodies", "window"), writes=("exact_depth", "labels", "hits", "depth")),
     Effect("normals", _normals, lambda *_: "holes or colour", reads=("bodies", "labels", "hits"), writes=("normals",)),
-    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", reads=_DEPTH, writes=_DEPTH),
-    Effect("depth_noise", _noise, "camera.noise", reads=_DEPTH, writes=_DEPTH),
-    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth", "depth"), writes=_DEPTH),
-    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window", "depth"), writes=_DEPTH),
-    Effect("depth_steps", _quantise, "camera.z_step_m", reads=_DEPTH, writes=_DEPTH),
+    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", changes=("depth",)),
+    Effect("depth_noise", _noise, "camera.noise", changes=("depth",)),
+    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth",), changes=("depth",)),
+    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window"), changes=("depth",)),
+    Effect("depth_steps", _quantise, "camera.z_step_m", changes=("depth",)),
     Effect("cloud", _cloud, "camera", reads=("depth", "labels", "window"), writes=("cloud", "pixels")),
-    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window", "cloud"), writes=("cloud",)),
+    Effect("segmentation", _segmented, "camera.segmented", reads=("depth",), changes=("cloud", "pixels")),
+    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window"), changes=("cloud",)),
 )
 
 #: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
 FRAME_EFFECTS = (
     replace(EFFECTS[0], run=_whole_window, reads=()),
-    *(replace(effect, again=True) for effect in EFFECTS[1:-2]),
+    *(replace(effect, again=True) for effect in EFFECTS[1:-3]),
 )

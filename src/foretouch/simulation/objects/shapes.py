@@ -8,6 +8,7 @@ All stand upright along z. Random superquadrics, vases and blobs serve to learn 
 
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -15,13 +16,13 @@ import numpy.typing as npt
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.objects.mesh import TriangleMesh, read_mesh_file
-from foretouch.types import Float64
+from foretouch.types import Float64, Int64
 
 _HARMONICS = 6  # waves of a blob
 _LEVEL = 5  # halvings of the icosahedron's edges: 10,242 directions
 _ROUNDING = 6  # grid cells from the flat part of a box to the middle of an edge
 
-_Surface = tuple[Float64, npt.NDArray[np.int64]]  # vertices and faces
+_Surface = tuple[Float64, Int64]  # vertices and faces
 
 
 def _superquadric(rng: np.random.Generator) -> TriangleMesh:
@@ -111,13 +112,7 @@ def _volleyball() -> TriangleMesh:
 
 
 _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
-    "ball": _ball,
-    "box": _box,
-    "can": _can,
-    "flat_ball": _flat_ball,
-    "minion": _minion,
-    "sponge": _sponge,
-    "volleyball": _volleyball,
+    build.__name__[1:]: build for build in (_ball, _box, _can, _flat_ball, _minion, _sponge, _volleyball)
 }
 #: Names that a scene may use; `random` is a family with a member for each number.
 SHAPES: Final = (*_BUILDERS, "random")
@@ -219,16 +214,10 @@ def _sphere() -> _Surface:
     return vertices, faces
 
 
-def _hull_faces(vertices: Float64) -> npt.NDArray[np.int64]:
+def _hull_faces(vertices: Float64) -> Int64:
     """The 20 faces of an icosahedron: triples of corners one edge apart, turned outwards."""
     near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 1.1  # the edge is 1.05
-    triples = [
-        (i, j, k)
-        for i in range(12)
-        for j in range(i + 1, 12)
-        for k in range(j + 1, 12)
-        if near[i, j] and near[j, k] and near[i, k]
-    ]
+    triples = [(i, j, k) for i, j, k in combinations(range(12), 3) if near[i, j] and near[j, k] and near[i, k]]
     faces = np.array(triples, np.int64)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0.0
@@ -236,7 +225,7 @@ def _hull_faces(vertices: Float64) -> npt.NDArray[np.int64]:
     return faces
 
 
-def _halved(vertices: Float64, faces: npt.NDArray[np.int64]) -> _Surface:
+def _halved(vertices: Float64, faces: Int64) -> _Surface:
     """Each triangle as four, the new corners pushed onto the unit sphere."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     unique, place = np.unique(edges, axis=0, return_inverse=True)
@@ -271,16 +260,14 @@ def _cube_grid(half: Float64, edge_radius: float, cells: int) -> _Surface:
     return _merged(np.concatenate(points), np.concatenate(faces))
 
 
-def _merged(points: Float64, faces: npt.NDArray[np.int64]) -> _Surface:
+def _merged(points: Float64, faces: Int64) -> _Surface:
     """Points that coincide within rounding become one."""
     rounded = np.round(points / np.abs(points).max(), 9)
     _, first, place = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return points[first], np.asarray(place.reshape(-1)[faces], np.int64)
 
 
-def _quads(
-    a: npt.NDArray[np.int64], b: npt.NDArray[np.int64], c: npt.NDArray[np.int64], d: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
+def _quads(a: Int64, b: Int64, c: Int64, d: Int64) -> Int64:
     """Two triangles for each quadrilateral a b c d."""
     first = np.stack([a, b, c], axis=-1).reshape(-1, 3)
     return np.concatenate([first, np.stack([a, c, d], axis=-1).reshape(-1, 3)])

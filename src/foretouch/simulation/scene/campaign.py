@@ -23,7 +23,7 @@ class DriftTermConfig(Settings):
     and the grasp (docs/scenes.md). Between 5 and 40 days of memory the likelihood hardly differs.
     """
 
-    memory_days: float = setting(10.0, "Time in which the correlation falls to 1/e", minimum=0.05, maximum=1000.0)
+    memory_days: float = setting(10.0, "Time in which the correlation falls to 1/e", bounds=(0.05, 1000.0))
     hand_counts: float = setting(55.0, "Standard deviation of what all electrodes of both fingers share", minimum=0.0)
     finger_counts: float = setting(7.0, "Standard deviation of what the electrodes of one finger share", minimum=0.0)
     electrode_counts: float = setting(3.0, "Standard deviation of each electrode by itself", minimum=0.0)
@@ -40,13 +40,10 @@ class ExchangeConfig(Settings):
     session: int = setting(1, "First session with the new sensor, counted from 0", minimum=1)
     finger: str = setting("thumb", "Finger whose sensor is replaced", choices=("thumb", "middle"))
     electrode_counts: float = setting(
-        100.0,
-        "Difference of the new sensor's mean electrode at rest from the old one's",
-        minimum=-2000.0,
-        maximum=2000.0,
+        100.0, "Difference of the new sensor's mean electrode at rest from the old one's", bounds=(-2000.0, 2000.0)
     )
     pdc_counts: float = setting(
-        50.0, "Difference of the new sensor's PDC at rest from the old one's", minimum=-2000.0, maximum=2000.0
+        50.0, "Difference of the new sensor's PDC at rest from the old one's", bounds=(-2000.0, 2000.0)
     )
 
 
@@ -59,29 +56,20 @@ class ThermistorConfig(RangedSettings):
     """
 
     session_kelvin: float = setting(
-        1.0, "Standard deviation of the temperature at power-on between sessions", minimum=0.0, maximum=50.0
+        1.0, "Standard deviation of the temperature at power-on between sessions", bounds=(0.0, 50.0)
     )
-    finger_kelvin: float = setting(0.2, "The same of each finger on its own", minimum=0.0, maximum=50.0)
+    finger_kelvin: float = setting(0.2, "The same of each finger on its own", bounds=(0.0, 50.0))
     object_kelvin: tuple[float, ...] = setting(
-        (-3.0, 0.0), "Temperature of an object minus that of the fingers, low and high", minimum=-50.0, maximum=50.0
+        (-3.0, 0.0), "Temperature of an object minus that of the fingers, low and high", bounds=(-50.0, 50.0)
     )
     contact_s: float = setting(
-        20.0,
-        "Time constant with which a finger in contact takes the temperature of the object",
-        minimum=0.1,
-        maximum=1e6,
+        20.0, "Time constant with which a finger in contact takes the temperature of the object", bounds=(0.1, 1e6)
     )
-    slope_th: float = setting(
-        0.75, "Mean of the thumb's electrode counts per count of TDC", minimum=-10.0, maximum=10.0
-    )
+    slope_th: float = setting(0.75, "Mean of the thumb's electrode counts per count of TDC", bounds=(-10.0, 10.0))
     slope_mf: float = setting(
-        0.65, "Mean of the middle finger's electrode counts per count of TDC", minimum=-10.0, maximum=10.0
+        0.65, "Mean of the middle finger's electrode counts per count of TDC", bounds=(-10.0, 10.0)
     )
-    slope_spread: float = setting(
-        0.15, "Standard deviation of these slopes between electrodes", minimum=0.0, maximum=10.0
-    )
-
-    RANGES = ("object_kelvin",)
+    slope_spread: float = setting(0.15, "Standard deviation of these slopes between electrodes", bounds=(0.0, 10.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +86,8 @@ class FluidLossConfig(Settings):
     The defaults are assumptions, not measurements.
     """
 
-    pdc_per_day: float = setting(1.0, "Fall of PDC at rest", unit="counts/day", minimum=0.0, maximum=100.0)
-    electrodes_per_day: float = setting(
-        2.0, "Fall of the electrodes at rest", unit="counts/day", minimum=0.0, maximum=100.0
-    )
+    pdc_per_day: float = setting(1.0, "Fall of PDC at rest", unit="counts/day", bounds=(0.0, 100.0))
+    electrodes_per_day: float = setting(2.0, "Fall of the electrodes at rest", unit="counts/day", bounds=(0.0, 100.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,12 +102,12 @@ class CampaignConfig(Settings):
     """
 
     days: tuple[float, ...] = setting(
-        (0.0,), "Start of each session, after that of the first", unit="days", minimum=0.0, maximum=365.0
+        (0.0,), "Start of each session, after that of the first", unit="days", bounds=(0.0, 365.0)
     )
-    objects: int = setting(6, "Number of objects in a session", minimum=1, maximum=1000)
-    grasps: int = setting(10, "Number of grasps of an object in succession", minimum=1, maximum=1000)
+    objects: int = setting(6, "Number of objects in a session", bounds=(1, 1000))
+    grasps: int = setting(10, "Number of grasps of an object in succession", bounds=(1, 1000))
     repeat_every: int | None = setting(
-        None, "Every so many grasps of an object, the one before is executed again", minimum=2, maximum=1000
+        None, "Every so many grasps of an object, the one before is executed again", bounds=(2, 1000)
     )
     tares: str = setting(
         "grasp",
@@ -129,11 +115,7 @@ class CampaignConfig(Settings):
         choices=("grasp", "object", "session", "none"),
     )
     live_speed: float = setting(
-        1.0,
-        "Time of the campaign that passes in a second of a live simulated hand",
-        unit="s/s",
-        minimum=0.0,
-        maximum=1e6,
+        1.0, "Time of the campaign that passes in a second of a live simulated hand", unit="s/s", bounds=(0.0, 1e6)
     )
     warm_up: WarmUpConfig | None = None
     fluid_loss: FluidLossConfig | None = None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
@@ -17,32 +17,21 @@ class PostureConfig(RangedSettings):
     """Which place of its pad a finger aims with, drawn uniformly."""
 
     pitch_deg: tuple[float, ...] = setting(
-        (0.0, 0.0), "Angle from the middle of the pad towards the tip, low and high", minimum=-60.0, maximum=60.0
+        (0.0, 0.0), "Angle from the middle of the pad towards the tip, low and high", bounds=(-60.0, 60.0)
     )
     roll_deg: tuple[float, ...] = setting(
-        (0.0, 0.0),
-        "Angle from the middle of the pad towards +y of the fingertip, low and high",
-        minimum=-60.0,
-        maximum=60.0,
+        (0.0, 0.0), "Angle from the middle of the pad towards +y of the fingertip, low and high", bounds=(-60.0, 60.0)
     )
-
-    RANGES = ("pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimelineConfig(Settings):
+class TimelineConfig(Settings, read_only=True):
     """The messages of a grasp: rest, closing, hold, release. Tare and touch are read out of them."""
 
-    rate_hz: float = setting(100.0, "Rate of the messages", minimum=1.0, maximum=1000.0, read_only=True)
-    rest_s: float = setting(
-        0.2, "Time before contact, and again after release", minimum=0.02, maximum=600.0, read_only=True
-    )
-    close_s: float = setting(
-        0.2, "Time from first touch to steady contact, and back", minimum=0.0, maximum=60.0, read_only=True
-    )
-    hold_s: float = setting(
-        0.5, "Time of steady contact; its last message is the touch", minimum=0.02, maximum=600.0, read_only=True
-    )
+    rate_hz: float = setting(100.0, "Rate of the messages", bounds=(1.0, 1000.0))
+    rest_s: float = setting(0.2, "Time before contact, and again after release", bounds=(0.02, 600.0))
+    close_s: float = setting(0.2, "Time from first touch to steady contact, and back", bounds=(0.0, 60.0))
+    hold_s: float = setting(0.5, "Time of steady contact; its last message is the touch", bounds=(0.02, 600.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,20 +39,18 @@ class DriftConfig(RangedSettings):
     """Counts drift with the liquid's temperature, so a tare grows old."""
 
     temperature: TemperatureConfig = TemperatureConfig()
-    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-on, low and high", minimum=0.0, maximum=1e9)
+    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-on, low and high", bounds=(0.0, 1e9))
     tare_age_s: tuple[float, ...] = setting(
-        (2.0, 30.0), "Age of the tare at the touch, low and high", minimum=0.0, maximum=1e9
+        (2.0, 30.0), "Age of the tare at the touch, low and high", bounds=(0.0, 1e9)
     )
-
-    RANGES = ("session_s", "tare_age_s")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeadConfig(Settings):
     """Electrodes that have failed; the numbers are those of the layout, 1 to 24."""
 
-    thumb: tuple[int, ...] = setting((), "Dead electrodes of the thumb", minimum=1, maximum=24)
-    middle: tuple[int, ...] = setting((), "Dead electrodes of the middle finger", minimum=1, maximum=24)
+    thumb: tuple[int, ...] = setting((), "Dead electrodes of the thumb", bounds=(1, 24))
+    middle: tuple[int, ...] = setting((), "Dead electrodes of the middle finger", bounds=(1, 24))
     stuck_at: str = setting(
         "low", "What dead electrodes read: 0, full scale, or their first counts", choices=("low", "high", "last")
     )
@@ -73,12 +60,12 @@ class DeadConfig(Settings):
 class VibrationConfig(Settings):
     """PAC swings at first touch, release and slip; the defaults are assumptions, not measurements."""
 
-    noise_counts: float = setting(5.0, "Standard deviation of PAC of a still fingertip", minimum=0.0, maximum=500.0)
+    noise_counts: float = setting(5.0, "Standard deviation of PAC of a still fingertip", bounds=(0.0, 500.0))
     contact_counts: float = setting(
-        200.0, "Standard deviation of PAC at first touch and at release", minimum=0.0, maximum=2000.0
+        200.0, "Standard deviation of PAC at first touch and at release", bounds=(0.0, 2000.0)
     )
     slip_counts_mm: float = setting(
-        200.0, "Standard deviation of PAC per slip of 1 mm", unit="counts/mm", minimum=0.0, maximum=1e4
+        200.0, "Standard deviation of PAC per slip of 1 mm", unit="counts/mm", bounds=(0.0, 1e4)
     )
 
 
@@ -127,7 +114,6 @@ class TargetConfig(RangedSettings):
     force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
     depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
 
-    RANGES = ("force_n", "depth_m")
     LOWEST = 0.0
 
 
@@ -138,28 +124,23 @@ TARGET_SHARE = 0.1  # standard deviation of the force or depth that is reached, 
 class ExecutionErrorConfig(Settings):
     """The hand does not go exactly where it is sent, nor press exactly as hard."""
 
-    position_m: float = setting(
-        0.001, "Standard deviation of the position along each tangent", minimum=0.0, maximum=0.05
-    )
-    angle_deg: float = setting(1.0, "Standard deviation of the orientation about each axis", minimum=0.0, maximum=30.0)
+    position_m: float = setting(0.001, "Standard deviation of the position along each tangent", bounds=(0.0, 0.05))
+    angle_deg: float = setting(1.0, "Standard deviation of the orientation about each axis", bounds=(0.0, 30.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraspsConfig(Settings):
     """Where and how the hand grasps."""
 
-    geograsp: GeoGraspConfig = GeoGraspConfig()
+    geograsp: SceneGeoGraspConfig = SceneGeoGraspConfig()
     slide: bool = setting(False, "Whether the grasp plane is slid at random along the object's axis (P2)")
     initial_points: bool = setting(
         False, "Whether the initial points are grasped, as in the data of P1, in place of the best ranked pair"
     )
     insertion_m: float = setting(
-        0.0,
-        "Distance below the planned points at which the fingers close, along the table's normal",
-        minimum=0.0,
-        maximum=1.0,
+        0.0, "Distance below the planned points at which the fingers close, along the table's normal", bounds=(0.0, 1.0)
     )
-    max_width_m: float = setting(0.13, "Widest opening of the hand", minimum=0.001, maximum=0.5)
+    max_width_m: float = setting(0.13, "Widest opening of the hand", bounds=(0.001, 0.5))
     control: str = setting("force", "Quantity that the hand controls", choices=("force", "depth"))
     thumb: TargetConfig = TargetConfig()
     middle: TargetConfig | None = None

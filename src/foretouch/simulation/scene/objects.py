@@ -33,14 +33,12 @@ class PoseConfig(RangedSettings):
     yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Angle about the vertical, low and high")
     rest: str = setting("upright", "Part that the object rests on: its foot, its side, or any point", choices=RESTS)
 
-    RANGES = ("x_m", "y_m", "yaw_deg")
-
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceConfig(Settings):
     """Fine relief, too small for the mesh and the camera, but not for a fingertip."""
 
-    relief_m: float = setting(2e-4, "Standard deviation of the height", minimum=0.0, maximum=2e-3)
+    relief_m: float = setting(2e-4, "Standard deviation of the height", bounds=(0.0, 2e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,25 +53,21 @@ class ObjectConfig(Settings):
     file: str = setting("", "Closed mesh (OBJ, PLY, STL, GLB) for the shape mesh, upright along z [m]")
     file_sha256: str = setting("", "SHA-256 of the file; another file is refused where it is given")
     variants: int = setting(
-        1, "Number of members of the family that are used, for the shape random", minimum=1, maximum=10_000
+        1, "Number of members of the family that are used, for the shape random", bounds=(1, 10_000)
     )
-    first_variant: int = setting(
-        0, "First member of the family that is used, for the shape random", minimum=0, maximum=10_000
-    )
+    first_variant: int = setting(0, "First member of the family that is used, for the shape random", bounds=(0, 10_000))
     size_m: tuple[float, ...] = setting(
         (0.07, 0.07, 0.1), "Edges of the object's bounding box along its own x, y and z (up); empty: those of the file"
     )
-    size_spread: float = setting(
-        0.0, "Largest relative change of the size from sample to sample", minimum=0.0, maximum=0.5
-    )
+    size_spread: float = setting(0.0, "Largest relative change of the size from sample to sample", bounds=(0.0, 0.5))
     pose: PoseConfig = PoseConfig()
-    young_pa: float | None = setting(None, "Young's modulus; absent for a rigid object", minimum=1e3, maximum=1e9)
-    thickness_m: float | None = setting(None, "Thickness of the soft layer on a rigid core", minimum=1e-4, maximum=0.5)
-    friction: float = setting(0.783, "Coefficient of friction against the skin", minimum=0.0, maximum=3.0)
+    young_pa: float | None = setting(None, "Young's modulus; absent for a rigid object", bounds=(1e3, 1e9))
+    thickness_m: float | None = setting(None, "Thickness of the soft layer on a rigid core", bounds=(1e-4, 0.5))
+    friction: float = setting(0.783, "Coefficient of friction against the skin", bounds=(0.0, 3.0))
     mass_kg: float | None = setting(None, "Mass of the object; needed where the scene has gravity", minimum=0.0)
     surface: SurfaceConfig | None = None
     colour: tuple[int, ...] | None = setting(
-        None, "Red, green and blue of the points; absent for a cloud without colours", minimum=0, maximum=255
+        None, "Red, green and blue of the points; absent for a cloud without colours", bounds=(0, 255)
     )
 
     def __post_init__(self) -> None:
@@ -122,12 +116,11 @@ class ObjectConfig(Settings):
 class ClutterConfig(RangedSettings):
     """Other objects around the one that is grasped; they hide it in part but are not touched."""
 
-    count: int = setting(4, "Number of other objects", minimum=1, maximum=20)
+    count: int = setting(4, "Number of other objects", bounds=(1, 20))
     distance_m: tuple[float, ...] = setting(
         (0.1, 0.25), "Distance between the axes of object and clutter, low and high", maximum=10.0
     )
 
-    RANGES = ("distance_m",)
     LOWEST = 0.005
 
 
@@ -136,27 +129,22 @@ class FamilyConfig(RangedSettings):
     """Objects of one kind. Each draws its values once, independent of the seed of the scene."""
 
     name: str = setting("obj", "Name of the family; object names are this name and a number: obj_000, obj_001...")
-    count: int = setting(10, "Number of objects", minimum=1, maximum=10_000)
-    seed: int = setting(0, "Seed of what the objects draw", minimum=0, maximum=2**53)
+    count: int = setting(10, "Number of objects", bounds=(1, 10_000))
+    seed: int = setting(0, "Seed of what the objects draw", bounds=(0, 2**53))
     shapes: tuple[str, ...] = setting(
         ("random",), "Shapes to draw from; each object of the shape random is a separate member", choices=SHAPES
     )
     rests: tuple[str, ...] = setting(("upright",), "Parts that they rest on, to draw from", choices=RESTS)
     size_m: tuple[float, ...] = setting(
-        (0.05, 0.1), "Length of each edge of the bounding box, low and high", minimum=0.005, maximum=0.5
+        (0.05, 0.1), "Length of each edge of the bounding box, low and high", bounds=(0.005, 0.5)
     )
     young_pa: tuple[float, ...] | None = setting(
-        None,
-        "Young's modulus, low and high, uniform in its logarithm; absent for rigid objects",
-        minimum=1e3,
-        maximum=1e9,
+        None, "Young's modulus, low and high, uniform in its logarithm; absent for rigid objects", bounds=(1e3, 1e9)
     )
     thickness_m: tuple[float, ...] = setting(
-        (0.01, 0.03), "Thickness of the soft layer, low and high", minimum=1e-4, maximum=0.5
+        (0.01, 0.03), "Thickness of the soft layer, low and high", bounds=(1e-4, 0.5)
     )
     pose: PoseConfig = PoseConfig()
-
-    RANGES = ("size_m", "thickness_m", "young_pa")
 
     def __post_init__(self) -> None:
         super().__post_init__()

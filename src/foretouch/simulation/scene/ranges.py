@@ -3,11 +3,12 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
 
-from foretouch.config import Settings
+from foretouch.config import Settings, setting_infos
 from foretouch.errors import ConfigError
 
 
@@ -18,23 +19,28 @@ class Switch(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RangedSettings(Settings):
-    """Settings of which some are ranges (low, high) to draw from.
+    """Settings whose lists of numbers are ranges (low, high) to draw from.
 
     Raises:
         ConfigError: If one is not; names the field.
     """
 
-    RANGES: ClassVar[tuple[str, ...]] = ()
     LOWEST: ClassVar[float] = -math.inf  # what a range may contain
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in self.RANGES:
+        for name in _ranges(type(self)):  # type: ignore[arg-type]  # a class is hashable
             value = getattr(self, name)
             if value is not None and (len(value) != 2 or value[0] > value[1]):
                 raise ConfigError(f"{name}: {list(value)} is not [low, high] with low <= high")
             if value is not None and value[0] < self.LOWEST:
                 raise ConfigError(f"{name}: {value[0]} is below {self.LOWEST}")
+
+
+@cache
+def _ranges(cls: type[Settings]) -> list[str]:
+    infos = setting_infos(cls)
+    return [info.name for info in infos if info.is_list and info.type is float and "." not in info.name]
 
 
 def draw(rng: np.random.Generator, limits: tuple[float, ...]) -> float:

@@ -42,8 +42,8 @@ class SceneConfig(Settings):
     fidelity: str = setting(
         "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=("auto", *LEVELS)
     )
-    max_attempts: int = setting(20, "Number of tries for one sample before it is given up", minimum=1, maximum=1000)
-    seed: int = setting(0, "Seed of all that is drawn", minimum=0, maximum=2**53)
+    max_attempts: int = setting(20, "Number of tries for one sample before it is given up", bounds=(1, 1000))
+    seed: int = setting(0, "Seed of all that is drawn", bounds=(0, 2**53))
 
     def __post_init__(self) -> None:
         super().__post_init__()

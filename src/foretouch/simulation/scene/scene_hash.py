@@ -73,9 +73,10 @@ _CONSTANTS: Final[dict[str, Any]] = {
 }
 # Settings that do not count at these values.
 _OFF: Final = {
-    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration", "repeat_every")),
+    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration", "repeat_every", "segmented")),
     "pdc_span": fingertip.PDC_SPAN,
     "method": "original",
+    "flying_share": 1.0,
     "first_variant": 0,
     "hand": 0,
     "file_sha256": "",

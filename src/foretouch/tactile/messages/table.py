@@ -30,20 +30,14 @@ _SECOND_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class TactileConfig(Settings):
+class TactileConfig(Settings, read_only=True):
     """Type of the tactile messages, and which of their fingers are the thumb and the middle finger."""
 
-    type: str = setting(
-        "foretouch_msgs/BiotacAll", "Type of the tactile messages", choices=TACTILE_TYPES, read_only=True
-    )
-    thumb: str = setting("", "Name of the thumb in the messages; empty for the type's default, TH or 0", read_only=True)
-    middle: str = setting(
-        "", "Name of the middle finger in the messages; empty for the type's default, MF or 1", read_only=True
-    )
-    state_pdc: int = setting(0, "Index of PDC in a channel of TactileState", minimum=0, read_only=True)
-    state_electrodes: int = setting(
-        1, "Index of the first of 24 electrodes in a channel of TactileState", minimum=0, read_only=True
-    )
+    type: str = setting("foretouch_msgs/BiotacAll", "Type of the tactile messages", choices=TACTILE_TYPES)
+    thumb: str = setting("", "Name of the thumb in the messages; empty for the type's default, TH or 0")
+    middle: str = setting("", "Name of the middle finger in the messages; empty for the type's default, MF or 1")
+    state_pdc: int = setting(0, "Index of PDC in a channel of TactileState", minimum=0)
+    state_electrodes: int = setting(1, "Index of the first of 24 electrodes in a channel of TactileState", minimum=0)
 
     @property
     def fingers(self) -> tuple[str, str]:

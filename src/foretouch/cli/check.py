@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch record --check`: checks hand, camera and table before a session, and stores the report with the dataset."""
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from foretouch.cli.output import print_json, print_text, warn
+from foretouch.dataset.recording.folder import opened_to_write
+from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, store_check
+from foretouch.tactile.contact_detector import FINGER_COLUMNS
+
+if TYPE_CHECKING:
+    from foretouch.ros.nodes.recorder import RecorderNode
+
+_REST_S = 5.0
+_PRESS_S = 15.0  # longest wait for an answer
+_SETTLE_S = 1.5  # until a finger that was released is at rest, and the detector has a reference again
+
+
+def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
+    """Check with an active recorder that records nothing; 1 if there is a fault."""
+    path = Path(arguments.output).resolve()
+    with opened_to_write(path, node.identity):
+        findings = _check(node, as_json=arguments.json)
+        store_check(path, findings, time.time_ns())
+    faults = sum(bool(one.fix) for one in findings)
+    warn(f"{len(findings)} checks, {faults} faults; stored in {path / CHECKS}")
+    return int(bool(faults))
+
+
+def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
+    """Print and return what is found."""
+    from foretouch.ros.recorder.check_feed import CheckFeed
+
+    assert node.input_topics is not None  # noqa: S101  an active node has them
+    config, findings = node.config, list[CheckFinding]()
+    check = SessionCheck(config.tactile.fingers, node.reader.others)
+    feed = CheckFeed(check, node.input_topics, node.reader)
+
+    def report(found: list[CheckFinding]) -> None:
+        findings.extend(found)
+        for one in found:
+            if as_json:
+                print_json(one.record())
+            elif one.fix:
+                print_text(f"FAULT {one.name}: {one.found}; fix: {one.fix}", "red")
+            else:
+                print_text(f"ok    {one.name}: {one.found}")
+
+    try:
+        warn(f"keep the fingers open and still for {_REST_S:g} s")
+        feed.receive(_REST_S)
+        report(check.at_rest())
+        for finger, name in zip(FINGER_COLUMNS, config.tactile.fingers, strict=True):
+            check.pressed.clear()
+            warn(f"press the {'thumb' if finger == 'TH' else 'middle finger'} ({name}) on its pad, and let it go")
+            feed.receive(_PRESS_S, lambda: bool(check.pressed))
+            feed.receive(_SETTLE_S)
+            check.end_press(finger)
+        report(check.presses())
+    finally:
+        feed.close()
+    return findings

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch sensor`: list, check and draw descriptions of tactile sensors."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
+from foretouch.cli.inputs import error_line
+from foretouch.cli.output import print_json, print_table, warn
+from foretouch.errors import ForetouchError
+from foretouch.tactile.description import load_sensor, sensor_files
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """One action each."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    for name, summary, count in (
+        ("list", "List the sensors of the package", 0),
+        ("check", "Check descriptions of sensors", "+"),
+        ("show", "Draw the taxels of a sensor with their normals", 1),
+    ):
+        action = actions.add_parser(name, help=summary, description=f"{summary}.")
+        action.add_argument("--json", action="store_true", help="print one JSON object for each sensor")
+        if count:
+            about = "YAML file, or the name of a sensor of the package"
+            action.add_argument("sensors", metavar="SENSOR", nargs=count, help=about)
+        if name == "show":
+            action.add_argument("-o", "--out", type=Path, required=True, metavar="F.png", help="image file")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 1 if a description breaks a rule."""
+    if arguments.action == "show":
+        from foretouch.report.sensor_figure import save_sensor_figure
+
+        require_writable(arguments.out, *PICTURE_SUFFIXES)
+        save_sensor_figure(load_sensor(arguments.sensors[0]), arguments.out)
+    records = [_record(name) for name in (sensor_files() if arguments.action == "list" else arguments.sensors)]
+    found = [record for record in records if record["status"] == "ok"]
+    for record in records if arguments.json else ():
+        print_json(record)
+    if found and not arguments.json:
+        columns = ["sensor", "fingers", "taxels", "values of a taxel", "what it is"]
+        print_table("Tactile sensors", columns, [_row(record) for record in found])
+    for record in records:
+        if record["status"] != "ok":
+            warn(record["reason"])
+    return int(len(found) < len(records))
+
+
+def _record(name: str) -> dict[str, Any]:
+    """The JSON object of a sensor."""
+    try:
+        sensor = load_sensor(name)
+    except ForetouchError as err:
+        return {"input": name, "status": "refused", "reason": error_line(name, err)}
+    config = sensor.config
+    return {
+        "input": name,
+        "status": "ok",
+        "name": config.name,
+        "summary": config.summary,
+        "sha256": sensor.sha256,
+        "type": config.source.type,
+        "fingers": [finger.name for finger in config.fingers],
+        "taxels": sensor.size,
+        "values": [{"name": one.name, "unit": one.unit} for one in config.values],
+        "scalars": [{"name": one.name, "unit": one.unit} for one in config.scalars],
+    }
+
+
+def _row(record: dict[str, Any]) -> list[str]:
+    values = ", ".join(f"{one['name']} [{one['unit']}]" for one in record["values"])
+    return [record["name"], ", ".join(record["fingers"]), str(record["taxels"]), values, record["summary"]]

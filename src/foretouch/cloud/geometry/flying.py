@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flying points: pixels of a depth camera that lie in the air, between two depths along their ray.
+
+The segmentation of an image removes most (see `foretouch.cloud.segmentation.clusters`). Lists of points, and objects that
+another program has cut out, hold them.
+"""
+
+import numpy as np
+
+from foretouch.kernels import Kernel
+from foretouch.types import Bool, Float32
+
+_flying = Kernel("flying_points", np.float32, int, np.float64, np.uint8, np.float64)
+
+_NEIGHBOURS = 20.0  # that a point has on average, of all whose rays are near
+_GAP_M = 0.008  # in depth, up to which neighbours support each other, as `ClusterConfig.gap_m`,
+_SLOPE = 2.0  # or so many times their lateral distance
+_SHARE = 0.5  # of the neighbours, at least, that are behind it, or before it
+_SUPPORT = 1.0  # neighbours that support it, at most: the end of a wire has two
+_SETTINGS = np.array([_NEIGHBOURS, _GAP_M, _SLOPE, _SHARE, _SUPPORT])
+
+
+def flying_mask(xyz: Float32, least_share: float) -> Bool:
+    """Mark points that are alone in front of those around them, or alone behind them.
+
+    The rim of any object has some: none is marked in a cloud of few, so that its grasps do not depend on them.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite, of one object, camera optical frame. N may be 0.
+        least_share: Of the points, from which on they are marked.
+
+    Returns:
+        (N,) bool; all False if a point is not in front of the camera.
+
+    Raises:
+        MemoryError: If there is too little memory.
+    """
+    flying = _alone(xyz)
+    if np.count_nonzero(flying) < max(least_share * len(xyz), 1.0):
+        return np.zeros(len(xyz), np.bool_)
+    rest = np.flatnonzero(~flying)
+    flying[rest[_alone(xyz[rest])]] = True  # those that were together, or hid each other
+    return flying
+
+
+def _alone(xyz: Float32) -> Bool:
+    flying, radius = np.empty(len(xyz), np.uint8), np.empty(1)
+    _flying(np.ascontiguousarray(xyz), len(xyz), _SETTINGS, flying, radius)
+    if radius[0] < 0.0:
+        raise MemoryError("flying_points")
+    return flying.view(np.bool_)

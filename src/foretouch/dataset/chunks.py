@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that the nodes of a Ray cluster make in chunks, in a folder that all of them share.
+
+    FOLDER/plan.json       what decides the samples
+    FOLDER/chunk-00000/    a training store each: complete, with the hashes of its files, or absent
+
+What is in a chunk depends on the plan and its number alone. A node returns no samples, but writes them; so nothing is lost
+with a node but the chunks that it was making, and the same call later makes only those that are missing.
+"""
+
+import json
+import os
+import shutil
+import socket
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import repeat
+from pathlib import Path
+from typing import Any, Final
+
+from foretouch import __version__
+from foretouch.checked_files import read_json, write_text
+from foretouch.dataset.files import disk_errors
+from foretouch.dataset.record import DISCARDED
+from foretouch.dataset.samples import SampleSet, only_finite, open_samples
+from foretouch.dataset.store import Store
+from foretouch.dataset.store_writer import StoreWriter
+from foretouch.errors import DatasetError, FileError
+from foretouch.ray_cluster import ray_results
+from foretouch.types import GraspSample
+
+CHUNK_SAMPLES: Final = 512
+PLAN: Final = "plan.json"
+
+#: Writes the samples of a range with the function that it is given, and returns facts on them for the chunk's manifest.
+MakeSamples = Callable[[range, Callable[[GraspSample], None]], Mapping[str, Any]]
+
+
+def chunks_folder(out: Path) -> Path:
+    """Where the chunks of a store are, beside it, until it is complete."""
+    return out.with_name(f"{out.name}.chunks")
+
+
+def made_in_chunks(
+    folder: Path,
+    plan: Mapping[str, Any],
+    count: int,
+    make: MakeSamples,
+    address: str,
+    workers: int,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Iterator[Store]:
+    """Make the chunks that are missing, then open all of them in order.
+
+    Args:
+        folder: Where they are kept; every node must see it at this path. The caller removes it.
+        plan: What decides the samples, in plain types; a folder of another plan is refused.
+        count: Number of samples, or of entries to make samples from.
+        make: A function of a module, or `partial` of one, that depends on the plan alone.
+        address: Of the cluster; and cores of a local one (see `ray_results`).
+        workers: As of `ray_results`.
+        progress: Called with the number of entries of each chunk that is there.
+
+    Raises:
+        FileError: If the folder holds chunks of another plan, a chunk is not there, or the disk fails.
+        DatasetError: If a chunk could not be made; the others are kept.
+        ConfigError, MissingDependencyError: As `ray_results`.
+    """
+    _require_plan(folder, plan)
+    slots = {
+        k: range(k * CHUNK_SAMPLES, min((k + 1) * CHUNK_SAMPLES, count)) for k in range(-(-count // CHUNK_SAMPLES))
+    }
+    missing = [k for k in slots if not _is_whole(_chunk(folder, k))]
+    for k in slots.keys() - missing:
+        progress(len(slots[k]))
+    errors = {}
+    if missing:
+        for (k, _), _, error in ray_results(
+            partial(_make_chunk, folder, make), [(k, slots[k]) for k in missing], address, workers
+        ):
+            if error:
+                errors[k] = error
+            else:
+                progress(len(slots[k]))
+    if errors:
+        raise DatasetError(
+            f"{folder}: {len(errors)} of {len(slots)} chunks could not be made; chunk {min(errors)}: {errors[min(errors)]}"
+        )
+    for k in slots:
+        yield Store(_chunk(folder, k))
+
+
+def _chunk(folder: Path, number: int) -> Path:
+    return folder / f"chunk-{number:05d}"
+
+
+def _require_plan(folder: Path, plan: Mapping[str, Any]) -> None:
+    path, wanted = folder / PLAN, json.loads(json.dumps(plan))
+    with disk_errors(folder, "cannot be written"):
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            write_text(path, json.dumps(wanted, indent=1))
+    found = read_json(path)
+    if found != wanted:
+        differs = sorted(key for key in wanted if not isinstance(found, dict) or found.get(key) != wanted[key])
+        raise FileError(path, f"is of other samples ({', '.join(differs)}); remove {folder} to make these")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a chunk is there with the hashes of its manifest; a damaged one is removed."""
+    if not path.exists():
+        return False
+    try:
+        Store(path)
+    except FileError:
+        shutil.rmtree(path)
+        return False
+    return True
+
+
+def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range]) -> str:
+    """Make one chunk on a node; gives its name. If a node that seemed lost made it too, both are equal."""
+    number, slots = chunk
+    path = _chunk(folder, number)
+    if not folder.is_dir():
+        raise DatasetError(f"node {socket.gethostname()} does not see {folder}, which all nodes must share")
+    own = path.with_name(f"{path.name}-{socket.gethostname()}-{os.getpid()}")
+    with StoreWriter(own) as writer:
+        writer.about.update(make(slots, writer.write))
+    with suppress(OSError):  # the other was earlier
+        own.rename(path)
+    shutil.rmtree(own, ignore_errors=True)
+    return path.name
+
+
+@dataclass(frozen=True)
+class ReadOnRay:
+    """A `ReadSamples` whose sources the nodes of a cluster read, from a disk that all of them share."""
+
+    folder: Path  # of the chunks (see `made_in_chunks`)
+    address: str
+    workers: int
+
+    def __call__(self, number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
+        """The samples of a source in order, then one None for each that was discarded."""
+        path = samples.path.absolute()
+        files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+        stats = [(one, one.stat()) for one in files]
+        plan = {
+            "foretouch": __version__,
+            "source": str(path),
+            "files": [[str(one.relative_to(path)), stat.st_size, stat.st_mtime_ns] for one, stat in stats],
+        }
+        make = partial(_read_chunk, path)
+        for store in made_in_chunks(
+            self.folder / f"source-{number}", plan, len(samples), make, self.address, self.workers
+        ):
+            yield from store
+            yield from repeat(None, store.manifest["about"]["discarded"])
+
+
+def _read_chunk(path: Path, entries: range, write: Callable[[GraspSample], None]) -> dict[str, int]:
+    samples, discarded = open_samples(path), 0
+    for k in entries:
+        record = samples.record(k)
+        if DISCARDED in record.flags:
+            discarded += 1
+        else:
+            write(only_finite(record.sample))
+    return {"discarded": discarded}

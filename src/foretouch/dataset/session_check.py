@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks hand, camera and table before a recording session, from the messages that the recorder receives.
+
+Each finding is one line with a fix. The reports of a dataset are lines of `checks.jsonl` beside its recordings.
+"""
+
+import json
+import math
+import os
+from collections import defaultdict, deque
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from foretouch import __version__
+from foretouch.checked_files import open_own, parse_json
+from foretouch.dataset.files import disk_errors
+from foretouch.dataset.pairing.sensors import ALIVE, SensorHealth
+from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactDetector, contact_scores
+from foretouch.tactile.messages.table import TactileReading
+from foretouch.tactile.readings import is_tdc, to_celsius
+from foretouch.types import Float32, Float64, Plane
+
+CHECKS: Final = "checks.jsonl"
+HAND_HZ: Final = 50.0  # least rate of the tactile messages [Hz]
+CAMERA_HZ: Final = 10.0  # least rate of the clouds [Hz]
+HAND_OFFSET_S: Final = 0.1  # largest offset of the hand's clock [s]: `guard_s` of the pairing
+CAMERA_OFFSET_S: Final = 0.5  # largest delay of the clouds [s], which includes their computation
+CELSIUS: Final = (10.0, 60.0)  # of a working finger
+_NEAR_M: Final = 0.3  # how far from the object the hand is looked for
+_ABOVE_M: Final = 0.03  # above the table
+_POINTS: Final = 200  # of what is taken for a hand
+_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
+
+
+class CheckFinding(NamedTuple):
+    """The result of one check; with a fix, it is a fault."""
+
+    name: str  # what was checked
+    found: str
+    fix: str = ""
+
+    def record(self) -> dict[str, Any]:
+        """As it is stored and printed."""
+        return {"name": self.name, "fault": bool(self.fix), "found": self.found, "fix": self.fix}
+
+
+class SessionCheck:
+    """Collects messages for a while, then reports; not thread-safe.
+
+    Args:
+        fingers: Names of thumb and middle finger in the tactile messages.
+        others: Names of the further channels, as of `TactileReader`.
+
+    Attributes:
+        pressed: Fingers that were in contact, in order.
+        table: Plane of the table in the latest message; None without one.
+        scene, targets: Points of the camera, and (N, 3) of each object that was found in them [m].
+    """
+
+    def __init__(self, fingers: tuple[str, str], others: Sequence[str]) -> None:
+        self.pressed: list[str] = []
+        self.table: Plane | None = None
+        self.scene: Float32 | None = None
+        self.targets: Sequence[Float32] = ()
+        self._fingers = dict(zip(FINGER_COLUMNS, fingers, strict=True))
+        self._others = list(others)
+        self._contacts, self._health = ContactDetector(), SensorHealth()
+        self._readings: deque[TactileReading] = deque(maxlen=2000)
+        self._received: dict[str, list[int]] = defaultdict(list)
+        self._behind: dict[str, list[int]] = defaultdict(list)
+        self._answers: dict[str, tuple[str, ...]] = {}
+
+    def add_message(self, what: str, received_ns: int, stamp_ns: int | None) -> None:
+        """Count a message of the `hand` or the `camera`, with its stamp if it has one [ns]."""
+        self._received[what].append(received_ns)
+        if stamp_ns is not None:
+            self._behind[what].append(received_ns - stamp_ns)
+
+    def add_reading(self, reading: TactileReading, received_ns: int) -> None:
+        """Add a tactile reading."""
+        self.add_message("hand", received_ns, reading.stamp_ns)
+        self._readings.append(reading)
+        self._health.update(reading.counts)
+        events = self._contacts.update(received_ns, reading.counts)
+        self.pressed += [event.finger for event in events if event.kind == "onset"]
+
+    def end_press(self, finger: str) -> None:
+        """Take what is `pressed` for the answer to the press of a finger, `TH` or `MF`."""
+        self._answers[finger] = tuple(dict.fromkeys(self.pressed))
+
+    def at_rest(self) -> list[CheckFinding]:
+        """What the messages so far show, while nothing was to be touched."""
+        found = [
+            self._rate("hand", HAND_HZ, "is the driver running, and --tactile-topic its topic?"),
+            self._clock("hand", HAND_OFFSET_S),
+            self._rate("camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),
+            self._clock("camera", CAMERA_OFFSET_S),
+            *self._fingers_at_rest(),
+        ]
+        missing = self.table is None
+        fix = "is the graph running, and the table in the camera's view?" * missing
+        return [*found, CheckFinding("table", "none in the clouds" if missing else "found", fix), self._view()]
+
+    def presses(self) -> list[CheckFinding]:
+        """Whether each pressed finger has answered."""
+        found = []
+        for finger, answers in self._answers.items():
+            other = next(name for name in FINGER_COLUMNS if name != finger)
+            text, fix = f"{' and '.join(answers) or 'no finger'} answered", ""
+            if answers == (other,):
+                fix = f"fingers are swapped: --thumb {self._fingers['MF']} --middle {self._fingers['TH']}"
+            elif answers != (finger,):
+                fix = "press one finger alone, on its pad; else check its cable" if answers else "check its cable"
+            found.append(CheckFinding(f"press {_NAMES[finger]}", text, fix))
+        return found
+
+    def _rate(self, what: str, least_hz: float, fix: str) -> CheckFinding:
+        times = [time for received in self._received.values() for time in received]
+        rate = len(self._received[what]) / max(1e-9 * (max(times) - min(times)), 1.0) if times else 0.0
+        low = rate < least_hz
+        found = f"{rate:.1f} Hz" + f", at least {least_hz:g} are needed" * low
+        return CheckFinding(f"{what} rate", found, fix * low)
+
+    def _clock(self, what: str, most_s: float) -> CheckFinding:
+        if not self._behind[what]:
+            return CheckFinding(f"{what} clock", "there are no messages with a stamp")
+        offset = min(self._behind[what]) * 1e-9
+        far = abs(offset) > most_s
+        found = f"{abs(offset):.2f} s {'behind' if offset > 0.0 else 'ahead of'} this computer"
+        fix = "synchronise the clocks (chrony, PTP)" + ", or reduce the load" * (offset > 0.0)
+        return CheckFinding(f"{what} clock", found, fix * far)
+
+    def _fingers_at_rest(self) -> list[CheckFinding]:
+        counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, 50)
+        half = len(counts) // 2
+        restless = np.median(contact_scores(counts[half:], counts[:half]), axis=0) > 1.0 if half > 4 else [False] * 2
+        found = []
+        for k, (finger, columns) in enumerate(FINGER_COLUMNS.items()):
+            state, fix = self._health.states[finger] if half else "no readings", "check cable and power of the finger"
+            still = np.flatnonzero((counts[:, columns[1:]] == counts[:1, columns[1:]]).all(axis=0)) + 1 if half else ()
+            if state == ALIVE and len(still):
+                state = f"electrodes {', '.join(map(str, still))} never change"
+            elif state == ALIVE and restless[k]:
+                state, fix = "is touched: no tare", "keep the fingers open and still"
+            found.append(CheckFinding(_NAMES[finger], state, fix * (state != ALIVE)))
+        return [*found, *(self._temperature(finger) for finger in FINGER_COLUMNS)]
+
+    def _temperature(self, finger: str) -> CheckFinding:
+        name = f"{_NAMES[finger]} temperature"
+        if (channel := f"TDC_{finger}") not in self._others or not self._readings:
+            return CheckFinding(name, "this type of message has none")
+        tdc = float(np.median([one.others[self._others.index(channel)] for one in self._readings]))
+        if not is_tdc(np.array([tdc]))[0]:
+            return CheckFinding(name, f"TDC is {tdc:g}: the driver sends none")
+        celsius = to_celsius(tdc)
+        odd = not CELSIUS[0] <= celsius <= CELSIUS[1]
+        fix = f"{CELSIUS[0]:g} to {CELSIUS[1]:g} are plausible: let it warm up or cool down, or check the finger" * odd
+        return CheckFinding(name, f"{celsius:.1f} °C", fix)
+
+    def _view(self) -> CheckFinding:
+        """Whether the hand, or another thing, stands where the object is."""
+        name = "hand in view"
+        if self.table is None or self.scene is None or not self.targets:
+            fix = "lay an object on the table and start the graph (foretouch run, or perception.launch.py)"
+            return CheckFinding(name, "no object was found, so this is not known", fix)
+        gap_m = _nearest_other(self.scene, self.targets, self.table)
+        near = gap_m < _NEAR_M
+        found = f"something stands {100.0 * gap_m:.0f} cm from the object" if near else "no"
+        fix = "move the hand and other things aside while the camera looks" * near
+        return CheckFinding(name, found, fix)
+
+
+def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> float:
+    """Distance from the first object to what else stands on or above the table near it [m]; infinite if nothing."""
+    points: Float64 = scene.reshape(-1, 3)[np.isfinite(scene.reshape(-1, 3)).all(axis=1)].astype(np.float64)
+    height = points @ table.normal + table.offset
+    other = points[(height > _ABOVE_M) & (height < 2.0 * _NEAR_M)]
+    for target in targets:
+        low, high = target.min(axis=0) - 0.02, target.max(axis=0) + 0.02
+        other = other[~((other > low) & (other < high)).all(axis=1)]
+    across = other - targets[0].mean(axis=0)
+    across -= (across @ table.normal)[:, None] * table.normal
+    distances = np.sort(np.linalg.norm(across, axis=1))
+    return float(distances[_POINTS]) if len(distances) > _POINTS else math.inf
+
+
+def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
+    """Append a report to those of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written."""
+    report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [one.record() for one in findings]}
+    with disk_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
+        log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())
+        log.flush()
+        os.fsync(log.fileno())
+
+
+def last_check(path: Path) -> str:
+    """The last report of a dataset in words; "" without one."""
+    try:
+        report = parse_json((path / CHECKS).read_text(encoding="utf-8").splitlines()[-1])
+        faults = [str(one["name"]) for one in report["findings"] if one["fault"]]
+        when = datetime.fromtimestamp(report["stamp_ns"] * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        found = f"faults: {', '.join(faults)}" if faults else "no fault"
+        return f"{when}: {len(report['findings'])} checks, {found}"
+    except (FileNotFoundError, NotADirectoryError):
+        return ""
+    except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
+        return "the last report cannot be read"

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a function as tasks of a Ray cluster; what a lost node was running runs again on another one."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, TypeVar
+
+from foretouch import __version__
+from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
+from foretouch.processes import ONE_THREAD
+
+LOCAL_CLUSTER: Final = "local"  # address that starts a Ray node on this machine
+ADDRESS_HELP: Final = "run on Ray: auto, ray://host:port, or local for a node on this machine (default: not on Ray)"
+
+DIED: Final = "its process died (killed, or out of memory)"
+
+_RETRIES: Final = 3
+_AHEAD: Final = 2  # tasks a core that are handed to the cluster
+
+_Item = TypeVar("_Item")
+
+
+def ray_results(
+    function: Callable[[_Item], Any], items: Sequence[_Item], address: str, workers: int
+) -> Iterator[tuple[_Item, Any, str]]:
+    """Call a function with each item, one task of one core each, and yield results as they arrive.
+
+    Args:
+        function: Of a module, or `partial` of one, which every node can import; returns small plain data.
+        items: Plain data.
+        address: `auto`, `ray://host:port` or `host:port` of a running cluster; `local` starts a node on this machine.
+        workers: Cores of that node.
+
+    Yields:
+        The item, its result, and the error in one line: "" if there is none, and then no result.
+
+    Raises:
+        MissingDependencyError: If ray is not installed.
+        ConfigError: If no cluster answers, or it was lost.
+    """
+    try:
+        import ray
+    except ImportError as err:
+        raise MissingDependencyError("ray is not installed: pip install 'foretouch[sweep]'") from err
+    _require_server(address)
+    try:
+        # Without an address, Ray would use RAY_ADDRESS.
+        own: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == LOCAL_CLUSTER else {}
+        ray.init(address=address, log_to_driver=False, **own)
+    except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
+        raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
+    try:
+        task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": ONE_THREAD})(_call)
+        waiting = list(reversed(items))
+        running: dict[Any, _Item] = {}
+        while waiting or running:
+            limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            while waiting and len(running) < limit:
+                item = waiting.pop()
+                running[task.remote(function, item, __version__)] = item
+            (done, *_), _ = ray.wait(list(running), num_returns=1)
+            item = running.pop(done)
+            try:
+                yield item, *ray.get(done)
+            except ray.exceptions.RayError as err:
+                yield item, None, f"{DIED}: {type(err).__name__}, {_RETRIES + 1} times"
+    except (ray.exceptions.RayError, ConnectionError) as err:
+        raise ConfigError(f"--address: {address}: the cluster was lost: {' '.join(str(err).split())[:200]}") from err
+    finally:
+        ray.shutdown()
+
+
+def _call(function: Callable[[Any], Any], item: Any, version: str) -> tuple[Any, str]:
+    """On a node: the result and no error, or none and the error."""
+    if version != __version__:
+        return None, f"node {socket.gethostname()} has foretouch {__version__}, not {version}"
+    try:
+        return function(item), ""
+    except ForetouchError as err:
+        return None, str(err)
+    except Exception as err:  # noqa: BLE001 - a defect in one task must not end the others; it is reported
+        return None, f"{type(err).__name__}: {' '.join(str(err).split())}"
+
+
+def _require_server(address: str) -> None:
+    """Fail at once where Ray would retry for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon:
+        return
+    try:
+        with socket.create_connection((host, int(port)), timeout=10.0):
+            return
+    except (OSError, ValueError, OverflowError) as err:
+        raise ConfigError(f"--address: {address}: no cluster answers: {err}") from err

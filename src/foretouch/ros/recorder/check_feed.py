@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gives the messages that the recorder receives to a check, and records nothing."""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.dataset.messages import decode_cloud, decode_objects, read_header
+from foretouch.dataset.session_check import SessionCheck
+from foretouch.errors import ForetouchError
+from foretouch.ros.messages.conversions import plane_from_msg
+from foretouch.ros.messages.requests import read_serialized
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.topics import CLOUD_TOPIC
+from foretouch_msgs.msg import TablePlane
+
+_QUEUE_BYTES = 500_000_000
+_CLOUDS = 5  # of the camera that are kept until the object's cloud of the same stamp comes
+
+
+class CheckFeed:
+    """Receives until `close`; messages that cannot be decoded are left out."""
+
+    def __init__(self, check: SessionCheck, inputs: RecorderSubscriptions, reader: TactileReader) -> None:
+        self._check, self._inputs, self._reader = check, inputs, reader
+        self._clouds: OrderedDict[int, bytes] = OrderedDict()
+        self._queue = MessageQueue(_QUEUE_BYTES)
+        inputs.open(self._queue)
+
+    def receive(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Give messages to the check for some time [s], or until something is done."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and not done():
+            for message in self._queue.take(0.05)[0]:
+                try:
+                    self._add(message)
+                except ForetouchError:
+                    continue
+
+    def close(self) -> None:
+        """Receive no more."""
+        self._inputs.close()
+
+    def _add(self, message: SerializedMessage) -> None:
+        topic, check = self._inputs.inputs[message.topic].topic, self._check
+        if topic.name == "points":
+            stamp, _ = read_header(message.data)
+            check.add_message("camera", message.received_ns, stamp)
+            self._clouds[stamp] = message.data
+            if len(self._clouds) > _CLOUDS:
+                self._clouds.popitem(last=False)
+        elif topic.name == "table":
+            check.table = plane_from_msg(read_serialized(message.data, TablePlane).plane)
+        elif topic.name == CLOUD_TOPIC:
+            scene = self._clouds.get(read_header(message.data)[0])
+            objects = decode_objects(read_serialized(message.data, PointCloud2))
+            if scene is not None and objects:
+                check.scene = decode_cloud(read_serialized(scene, PointCloud2)).xyz
+                check.targets = [one.cloud.xyz for one in objects]
+        elif topic.name == next(iter(self._inputs.inputs.values())).topic.name:  # the hand's is the first
+            check.add_reading(self._reader.read(read_serialized(message.data, topic.message)), message.received_ns)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the operator does during a session, by key, service or joystick: each action is an edit in the dataset's log.
+
+An action on the last grasp while one is being executed waits for that grasp, so that it is not taken for the one before.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Final, Literal, NamedTuple, get_args
+
+from foretouch.dataset.pairing.assembler import SampleAssembler
+from foretouch.dataset.record import SampleRecord, check_name, renamed_id
+from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
+from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.summary import (
+    TARE_S,
+    GraspSummary,
+    count_outcomes,
+    edited,
+    suggest,
+    summarise,
+    summarise_dataset,
+)
+from foretouch.errors import DatasetError, ForetouchError
+
+Action = Literal["object", "success", "failure", "unknown", "drop", "relabel", "note", "pause", "undo"]
+ACTIONS: Final[tuple[Action, ...]] = get_args(Action)
+
+
+class Reply(NamedTuple):
+    """What became of an action."""
+
+    text: str
+    done: bool
+    at_s: float  # by `time.monotonic`
+
+
+@dataclass(frozen=True)
+class OperatorState:
+    """What a session shows its operator."""
+
+    object: str = ""  # on the table
+    paused: bool = False  # whether nothing is recorded
+    grasps: Mapping[str, Mapping[str, int]] | None = None  # of the dataset, by object and outcome
+    suggestions: Sequence[str] = ()  # what is worth doing next, the most urgent first
+    replies: Sequence[Reply] = ()  # to the latest actions, also to those that waited for a grasp
+
+
+class Operator:
+    """The operator's actions in a session. Not thread-safe.
+
+    Args:
+        writer: Of the session.
+        assembler: Of the session; its `objects` follow the actions.
+        plan: Objects that are to be recorded, in order.
+        clock_ns: Gives the time of the stamps [ns].
+    """
+
+    def __init__(
+        self, writer: RecordingWriter, assembler: SampleAssembler, plan: Sequence[str], clock_ns: Callable[[], int]
+    ) -> None:
+        self._writer, self._assembler, self._plan, self._clock_ns = writer, assembler, plan, clock_ns
+        self._log: EditLog = read_edits(writer.path)
+        self._first = len(self._log.edits)
+        self._earlier: dict[str, GraspSummary] = {}  # of earlier sessions
+        self._grasps: dict[str, GraspSummary] = {}  # of this session, by id as recorded
+        self._touched: list[str] = []  # ids as recorded of the samples with a touch
+        self._sample_of: dict[str, str] = {}  # by id of the grasp: id as recorded, or after a colon why there is none
+        self._waiting: list[tuple[Action, str]] = []
+        self._visits = [(0, time.monotonic())]  # of each object: samples before it, and when it was laid on the table
+        self._tared = False
+        self._replies: deque[Reply] = deque(maxlen=8)
+        self._state, self._known = OperatorState(), (-1, -1, -1)
+        threading.Thread(target=self._read_earlier, name="summary", daemon=True).start()
+
+    @property
+    def paused(self) -> int:
+        """Number of the pause that is in force; 0 without one."""
+        own = self._own_edits()
+        return next((number for number, edit in own.items() if edit.action == "pause"), 0)
+
+    def state(self) -> OperatorState:
+        """The state; grasps are counted anew once a second and after each change."""
+        now_s = time.monotonic()
+        known = (len(self._log.edits), len(self._grasps), int(now_s))
+        if known != self._known:
+            before, since_s = self._visits[-1]
+            rested_s = self._assembler.rest_since_s
+            self._tared |= rested_s is not None and now_s - max(rested_s, since_s) >= TARE_S
+            found = edited({**self._earlier, **self._grasps}, self._log)
+            visited = sum(found[recorded].counts for recorded in self._touched[before:])
+            grasps, label = list(found.values()), self._object
+            steps = suggest(grasps, self._plan, label, visited, tared=self._tared)
+            self._known = known
+            self._state = OperatorState(label, bool(self.paused), count_outcomes(grasps, self._plan), steps)
+        return replace(self._state, replies=tuple(self._replies))
+
+    def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
+        """Do one action, which is then on the disk or waits for a grasp, and return what was done in a few words.
+
+        Args:
+            action: `undo` reverts the latest one that is in force; `pause` during a pause ends it.
+            text: Name of the object for `object` (by default the next of the plan) and `relabel` (the one on the table);
+                the remark for `note`.
+            grasp_id: Of the grasp, of this session; "" for the latest.
+
+        Raises:
+            DatasetError: If it cannot be done: a dropped or unknown grasp, no plain name, nothing to undo.
+            FileError: If it cannot be written; it is then not done.
+        """
+        try:
+            done = self._do(action, text, grasp_id)
+        except ForetouchError as err:
+            self._reply(f"not done: {err}", done=False)
+            raise
+        self._reply(done)
+        return done
+
+    def add_sample(self, record: SampleRecord, recorded: str) -> None:
+        """A sample was written under an id; what waits for it is done."""
+        self._grasps[recorded] = summarise(record)
+        if record.sample.touch is not None:
+            self._touched.append(recorded)
+            self._sample_of[record.sample.grasp.id] = recorded
+            self.end_wait()
+
+    def add_rejected(self, grasp_id: str, message: str) -> None:
+        """An executed grasp makes no sample."""
+        self._sample_of.setdefault(grasp_id, f": no sample: {message}")
+        self.end_wait(message)
+
+    def end_wait(self, reason: str = "") -> None:
+        """Do what waits for a grasp, which is the last sample; with a reason, there is no such grasp."""
+        waiting, self._waiting = self._waiting, []
+        for action, text in waiting:
+            try:
+                if reason:
+                    raise DatasetError(reason)
+                self._reply(self._edit(action, text, self._touched[-1]))
+            except ForetouchError as err:
+                self._reply(f"not done: {_words(action, text)}: {err}", done=False)
+
+    @property
+    def _object(self) -> str:
+        return self._assembler.objects[-1][1] or "unknown"
+
+    def _read_earlier(self) -> None:
+        self._earlier = summarise_dataset(self._writer.path)
+
+    def _own_edits(self) -> dict[int, Edit]:
+        return {number: edit for number, edit in self._log.in_force().items() if number > self._first}
+
+    def _do(self, action: Action, text: str, grasp_id: str) -> str:
+        if action == "undo":
+            return self._undo()
+        if action == "object":
+            return self._next_object(text)
+        if action == "pause":
+            paused = self.paused
+            self._write(Edit(action="undo", edit=paused) if paused else Edit(action="pause"))
+            return "recording goes on" if paused else "paused: nothing is recorded"
+        if action == "relabel":
+            text = check_name(text or self._object, "object")
+        if not grasp_id and self._assembler.expects_grasp(time.monotonic()):
+            self._waiting.append((action, text))
+            return f"{_words(action, text)}: waits for the grasp that is being recorded"
+        recorded = self._touched[-1] if self._touched else ""
+        if grasp_id:
+            recorded = self._sample_of.get(grasp_id, ": is none of the recorded grasps of this session")
+        if recorded.startswith(":"):
+            raise DatasetError(f"grasp {grasp_id}{recorded}")
+        if not recorded and action != "note":
+            raise DatasetError("no grasp was recorded in this session yet")
+        return self._edit(action, text, recorded)
+
+    def _edit(self, action: Action, text: str, recorded: str) -> str:
+        """Edit a sample; a note may also be on the session, ""."""
+        changes, ids = self._log.changes(recorded), tuple(filter(None, [recorded]))
+        name = renamed_id(recorded, changes.object) if changes.object else recorded
+        if changes.dropped:
+            raise DatasetError(f"{name}: is dropped; undo that first")
+        if action == "relabel":
+            edit = Edit(action="relabel", ids=ids, object=text)
+        elif action == "note":
+            edit = Edit(action="note", ids=ids, text=text or "marked")
+        else:
+            edit = Edit(action="drop", ids=ids) if action == "drop" else Edit(action="outcome", ids=ids, text=action)
+        self._write(edit)
+        return f"{name or 'session'}: {_words(action, text)}"
+
+    def _next_object(self, name: str) -> str:
+        before, plan = self._object, self._plan
+        following = plan[plan.index(before) + 1 :] if before in plan else plan
+        known = {before, *(one.object for one in (*self._earlier.values(), *self._grasps.values()))}
+        numbered = (f"object-{number}" for number in count(1))
+        free = next(one for one in numbered if one not in known)
+        name = check_name(name or next(iter(following), free), "object")
+        if name == before:
+            raise DatasetError(f"{name} is on the table already")
+        self._write(Edit(action="object", object=name))
+        self._assembler.objects.append((self._clock_ns(), name))
+        self._visits.append((len(self._touched), time.monotonic()))
+        self._tared = False
+        return f"on the table: {name}"
+
+    def _undo(self) -> str:
+        if self._waiting:
+            return f"undone: {_words(*self._waiting.pop())}"
+        if not (own := self._own_edits()):
+            raise DatasetError("nothing to undo in this session")
+        number, edit = max(own.items())
+        if edit.action != "object":
+            self._write(Edit(action="undo", edit=number))
+            return f"{''.join(f'{name}: ' for name in edit.ids)}undone: {_words(edit.action, edit.object or edit.text)}"
+        # The object before is on the table, and was for all grasps since.
+        before, (first, _) = self._assembler.objects[-2][1] or "unknown", self._visits[-1]
+        since = tuple(one for one in self._touched[first:] if self._grasps[one].object == edit.object)
+        self._write(Edit(action="undo", edit=number, ids=since, object=before if since else ""))
+        self._assembler.objects.pop()
+        self._visits.pop()
+        return f"on the table: {before}" + f", also in the {len(since)} grasps since" * bool(since)
+
+    def _write(self, edit: Edit) -> None:
+        edit = replace(edit, stamp_ns=self._clock_ns())
+        self._writer.edit(edit)
+        self._log = EditLog((*self._log.edits, edit))
+
+    def _reply(self, text: str, *, done: bool = True) -> None:
+        self._replies.append(Reply(text, done, time.monotonic()))
+
+
+def _words(action: str, text: str) -> str:
+    names = {"relabel": f"is {text}", "note": f"note {text}".rstrip(), "drop": "dropped", "outcome": text}
+    return names.get(action, action)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Descriptions of taxel sensors: a YAML file, with a CSV file where the taxels form no array.
+
+The names are those of `urdf_tactile` (ubi-agni/tactile_toolbox); besides, a description states what the numbers mean: unit,
+range, sign and validity. All fingers of a description carry the same taxels.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.config import Settings, load_yaml, setting
+from foretouch.errors import ConfigError, nearest, none_of, shown
+from foretouch.tactile.field_path import FieldPath
+from foretouch.tactile.layout import ArrayConfig, Layout, read_layout, require_length
+
+STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
+"""Nanoseconds of each unit of a stamp that is a number."""
+
+_UNITS: Final = ("counts", "N", "Pa", "T", "V", "Ohm", "K", "degC", "m")
+_DTYPES: Final = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FingerConfig(Settings):
+    """One finger that carries the sensor."""
+
+    name: str = setting("", "Name of the finger, such as TH")
+    parent: str = setting("", "Link of the robot that carries the sensor; empty if it is not known")
+    xyz: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Origin of the sensor's frame in its parent link", unit="m")
+    rpy: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Its angles about the link's x, y and z, as in URDF", unit="rad")
+    field: str = setting("", "Field path of the finger in a message; empty for the message itself")
+    dead: tuple[int, ...] = setting((), "Indices of the taxels of this finger that have failed", minimum=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_names_and_paths(self)
+        require_length(self, 3, "xyz", "rpy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelConfig(Settings):
+    """A number that is read: of each taxel (`values`), or of the finger (`scalars`)."""
+
+    name: str = setting("", "Name of the channel, such as PDC")
+    field: str = setting("", "Field path in the finger; for `values` a series, in order of the indices")
+    unit: str = setting("counts", "Unit of the number", choices=_UNITS)
+    dtype: str = setting("float32", "Type of the number in the message", choices=_DTYPES)
+    range: tuple[float, ...] = setting(
+        (), "Lowest and highest number of a working sensor; others are invalid. By default those of the type"
+    )
+    saturation: tuple[float, ...] = setting((), "Lowest and highest number that still follows the contact")
+    contact: str = setting("both", "What the number does in contact", choices=("rise", "fall", "both", "none"))
+    rest: str = setting(
+        "tare",
+        "What it is compared with: a reading without contact, zero, or nothing",
+        choices=("tare", "zero", "none"),
+    )
+    noise: float | None = setting(None, "Standard deviation at rest; none if it is not known", minimum=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_names_and_paths(self)
+        outer = _limits_of(self.dtype)
+        for name in ("range", "saturation"):
+            inner = getattr(self, name) or outer
+            if len(inner) != 2 or not outer[0] <= inner[0] < inner[1] <= outer[1]:
+                raise ConfigError(f"{name}: {list(inner)} is not [low, high] within {list(outer)}")
+            outer = inner
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest number of a working sensor."""
+        low, high = self.range or _limits_of(self.dtype)
+        return low, high
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceConfig(Settings):
+    """The messages that the numbers are read from."""
+
+    type: str = setting("", "Type of the messages, as package/Name")
+    stamp: str = setting("", "Field path of the time of measurement; empty if a message has none")
+    stamp_unit: str = setting("s", "Unit of a stamp that is a number", choices=STAMP_UNITS)
+    invalid: tuple[str, ...] = setting(
+        (), "Scalars that mark a finger that was not read by a number out of their range"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        FieldPath(self.stamp, "stamp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorConfig(Settings):
+    """A taxel sensor on one or several fingers."""
+
+    name: str = setting("", "Name of the sensor")
+    summary: str = setting("", "What it is, in one line")
+    group: str = setting("", "Group of sensors that it belongs to, such as fingertips")
+    update_rate: float = setting(100.0, "Readings per second", unit="Hz", minimum=0.01, maximum=1e5)
+    fingers: tuple[FingerConfig, ...] = ()
+    grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2; by default the first two")
+    array: ArrayConfig | None = None
+    taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
+    pixels: tuple[int, ...] = setting(
+        (), "Rows and columns of an image of the taxels: columns row, col in `taxels`", minimum=1
+    )
+    pad: tuple[float, ...] = setting(
+        (-0.2, -0.2, -0.2, 0.2, 0.2, 0.2), "Box that holds all taxels: lowest x, y, z, then highest", unit="m"
+    )
+    values: tuple[ChannelConfig, ...] = ()
+    scalars: tuple[ChannelConfig, ...] = ()
+    source: SourceConfig = SourceConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_names_and_paths(self)
+        if (self.array is None) == (not self.taxels):
+            raise ConfigError("array, taxels: give exactly one of them")
+        if self.array is not None and self.pixels:
+            raise ConfigError("pixels: those of an array are its rows and columns")
+        if Path(self.taxels).name != self.taxels:
+            raise ConfigError(f"taxels: {self.taxels!r} is no name of a file beside the description")
+        require_length(self, 6, "pad")
+        require_length(self, 2, *(name for name in ("pixels", "grasp") if getattr(self, name)))
+        if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
+            raise ConfigError(f"source.type: {self.source.type!r} is no type of messages, as package/Name")
+        scalars = [channel.name for channel in self.scalars]
+        _check_list("fingers", [finger.name for finger in self.fingers])
+        _check_list("values", [channel.name for channel in self.values])
+        _check_list("values, scalars", [*(channel.name for channel in self.values), *scalars])
+        _check_list("grasp", [finger.name for finger in self.chosen_fingers()])
+        if unknown := set(self.source.invalid) - set(scalars):
+            raise ConfigError(f"source.invalid: {none_of(unknown.pop(), scalars)}")
+
+    def chosen_fingers(self, names: Sequence[str] = ()) -> list[FingerConfig]:
+        """The fingers of some names, by default those that grasp; a `ConfigError` if there is no such finger."""
+        known = {finger.name: finger for finger in self.fingers}
+        chosen = names or self.grasp or list(known)[:2]
+        unknown = [name for name in chosen if name not in known]
+        if unknown:
+            raise ConfigError(f"fingers: {none_of(unknown[0], known)}")
+        return [known[name] for name in chosen]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A description and its taxels."""
+
+    config: SensorConfig
+    layout: Layout
+    path: Path
+
+    @property
+    def size(self) -> int:
+        """Number of taxels of a finger."""
+        return len(self.layout.positions)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of all settings and taxels; empty ones do not count, so that later versions may add some."""
+        stated = _stated(self.config.to_mapping())
+        if self.config.taxels:
+            stated["taxels"] = [None if one is None else one.tolist() for one in vars(self.layout).values()]
+        return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
+
+
+def sensor_files() -> dict[str, Path]:
+    """The descriptions that come with the package, by name."""
+    folder = Path(str(resources.files("foretouch.tactile"))) / "sensors"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_sensor(sensor: str | Path) -> Sensor:
+    """Read a description and its taxels.
+
+    Args:
+        sensor: A YAML file, or the name of a description that comes with the package, such as `biotac_sp`.
+
+    Raises:
+        ConfigError: If there is none, or it breaks a rule; names file, field and rule.
+        FileError: If the CSV file breaks a rule; names file, line and rule.
+    """
+    path, known = Path(sensor), sensor_files()
+    if not path.is_file() and not path.suffix and len(path.parts) == 1:
+        if str(sensor) not in known:
+            raise ConfigError(f"{shown(path)}: is no file and none of {', '.join(known)}{nearest(sensor, known)}")
+        path = known[str(sensor)]
+    config = SensorConfig.from_mapping(load_yaml(path), str(path))
+    layout = config.array.layout() if config.array else read_layout(path.parent / config.taxels, config.pixels)
+    outside = ((layout.positions < config.pad[:3]) | (layout.positions > config.pad[3:])).any(axis=1)
+    if outside.any():
+        index = int(outside.argmax())
+        place = ", ".join(f"{value:g}" for value in layout.positions[index])
+        raise ConfigError(f"{shown(path)}: pad: taxel {index} at ({place}) m is outside; {outside.sum()} taxels are")
+    for finger in config.fingers:
+        if max(finger.dead, default=-1) >= len(layout.positions):
+            raise ConfigError(f"{shown(path)}: dead: {finger.name} has no taxel {max(finger.dead)}")
+    return Sensor(config, layout, path)
+
+
+packaged_sensor = cache(load_sensor)
+"""As `load_sensor`, of a description that comes with the package, which is read once."""
+
+
+def _check_names_and_paths(settings: Any) -> None:
+    """Refuse a `name` that is no identifier, and a `field` that is no field path or is empty where it is required."""
+    name = getattr(settings, "name", "a")
+    if not re.fullmatch(r"[A-Za-z]\w{0,63}", name, re.ASCII):
+        raise ConfigError(f"name: {name!r} is not a letter, followed by letters, digits and '_'")
+    if hasattr(settings, "field"):
+        FieldPath(settings.field, "field")
+        if not settings.field and not isinstance(settings, FingerConfig):
+            raise ConfigError("field: is empty")
+
+
+def _limits_of(dtype: str) -> tuple[float, float]:
+    kind = np.dtype(dtype)
+    return (-np.inf, np.inf) if kind.kind == "f" else (float(np.iinfo(kind).min), float(np.iinfo(kind).max))
+
+
+def _check_list(what: str, names: Sequence[str]) -> None:
+    if not names:
+        raise ConfigError(f"{what}: there is none")
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ConfigError(f"{what}: {twice} occurs twice")
+
+
+def _stated(value: Any) -> Any:
+    """A mapping without what is left out: empty texts, lists and groups, and None."""
+    if isinstance(value, dict):
+        found = {key: _stated(one) for key, one in value.items()}
+        return {key: one for key, one in found.items() if one not in (None, "", [], {})}
+    return [_stated(one) for one in value] if isinstance(value, list) else value

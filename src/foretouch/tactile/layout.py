@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the taxels of a sensor are: in an array, or by a CSV file with a line for each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from foretouch.checked_files import read_bytes
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError, FileError, quoted
+from foretouch.types import Bool, Float64, Int64
+
+COLUMNS: Final = ("index", "x", "y", "z", "nx", "ny", "nz")
+PIXEL_COLUMNS: Final = ("row", "col")
+
+_MOST: Final = 65_536  # taxels of a finger
+_BYTES: Final = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The taxels of a finger in order of their index, in the sensor's frame."""
+
+    positions: Float64  # (N, 3) [m]
+    normals: Float64  # (N, 3), outward, of unit length
+    pixels: Int64 | None  # (N, 2) row and column of each taxel in an image; None without one
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayConfig(Settings):
+    """A flat array of equal taxels in the plane z = 0 with the normal z: rows follow each other along x, columns along y."""
+
+    rows: int = setting(1, "Number of rows", minimum=1, maximum=_MOST)
+    cols: int = setting(1, "Number of columns", minimum=1, maximum=_MOST)
+    order: str = setting("row-major", "Order of the taxels in a message", choices=("row-major", "column-major"))
+    size: tuple[float, ...] = setting((0.0, 0.0), "Size of a taxel along x and y", unit="m", minimum=0.0)
+    spacing: tuple[float, ...] = setting(
+        (), "From a taxel to the next along x and y, negative to flip; by default the size", unit="m"
+    )
+    offset: tuple[float, ...] = setting(
+        (0.0, 0.0), "The sensor's origin along x and y, from the centre of the first taxel", unit="m"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_length(self, 2, "size", *(["spacing"] if self.spacing else []), "offset")
+        if self.rows * self.cols > _MOST:
+            raise ConfigError(f"rows, cols: {self.rows} x {self.cols} taxels exceed {_MOST}")
+        along_x, along_y = self.spacing or self.size
+        if (self.rows > 1 and not along_x) or (self.cols > 1 and not along_y):
+            raise ConfigError("size, spacing: 0 m from a taxel to the next")
+
+    def layout(self) -> Layout:
+        """The taxels, in the order of a message."""
+        grid = np.indices((self.rows, self.cols)).transpose((1, 2, 0) if self.order == "row-major" else (2, 1, 0))
+        pixels = grid.reshape(-1, 2)
+        positions = np.zeros((len(pixels), 3))
+        positions[:, :2] = pixels * np.array(self.spacing or self.size) - self.offset
+        return Layout(positions, np.tile((0.0, 0.0, 1.0), (len(pixels), 1)), pixels)
+
+
+def require_length(settings: Settings, length: int, *names: str) -> None:
+    """Refuse lists of another length by a `ConfigError`."""
+    for name in names:
+        if len(getattr(settings, name)) != length:
+            raise ConfigError(f"{name}: {list(getattr(settings, name))} are not {length} numbers")
+
+
+def read_layout(path: Path, image: Sequence[int]) -> Layout:
+    """Read the taxels from a CSV file: index, x, y, z, nx, ny, nz [m], and row, col in an image; `#` begins a comment.
+
+    Args:
+        path: The file.
+        image: Rows and columns of the image; empty without one.
+
+    Returns:
+        The taxels; normals that were rounded are of unit length, others are as written, to the bit.
+
+    Raises:
+        FileError: Names the file, the line and the rule.
+    """
+    columns = (*COLUMNS, *PIXEL_COLUMNS) if image else COLUMNS
+    text = read_bytes(path, _BYTES).decode("utf-8", "replace").splitlines()
+    lines = {f"line {n}": line for n, line in enumerate(text, 1) if line.strip() and not line.startswith("#")}
+    if next(iter(lines.values()), None) != ",".join(columns):
+        raise FileError(path, f"does not begin with the line {','.join(columns)}")
+    numbered = list(lines.items())[1:]
+    if not 0 < len(numbered) <= _MOST:
+        raise FileError(path, f"holds {len(numbered)} taxels, not 1 to {_MOST}")
+    table = np.array([_numbers(path, name, line, len(columns)) for name, line in numbered])
+    index, normals, pixels = table[:, 0], table[:, 4:7], table[:, 7:]
+    length = np.linalg.norm(normals, axis=1)
+    inside = (pixels >= 0) & (pixels < (image or 0)) & (pixels % 1 == 0)
+    for rule, wrong in (
+        (f"index: not each of 0 to {len(table) - 1} once", ~np.isin(index, np.arange(len(table))) | _repeats(index)),
+        ("nx, ny, nz: the normal is zero", length == 0.0),
+        ("nx, ny, nz: the normal is not of unit length", np.abs(length - 1.0) > 0.01),
+        (f"row, col: not one of {list(image)} pixels for each", ~inside.all(axis=1) | (_repeats(pixels) & bool(image))),
+    ):
+        if wrong.any():
+            raise FileError(path, rule, field=numbered[wrong.argmax()][0])
+    rounded = np.abs(length - 1.0) > 1e-9
+    normals[rounded] /= length[rounded, None]
+    table = table[np.argsort(index)]
+    return Layout(table[:, 1:4], table[:, 4:7], table[:, 7:].astype(np.int64) if image else None)
+
+
+def _numbers(path: Path, name: str, line: str, count: int) -> list[float]:
+    try:
+        values = [float(cell) for cell in line.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise FileError(path, f"{quoted(line)} is not {count} finite numbers", field=name)
+    return values
+
+
+def _repeats(rows: Float64) -> Bool:
+    """Which rows of a table with columns occurred before."""
+    return ~np.isin(np.arange(len(rows)), np.unique(rows, axis=0, return_index=True)[1])

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a recording to predictions of a model of one's own: four commands, and what they say where grasps are missing."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from every_case import every_case
+from experiment_samples import make_samples
+from recording_builders import IDENTITY, QUICK
+
+from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.grasp.pose import hand_rotation
+from foretouch.models.registry import load_model
+
+QUICKLY = "contact.trees=3"
+
+
+def write_recording(path: Path, counts: tuple[int, ...]) -> None:
+    """So many grasps of each object, in one session each."""
+    samples = make_samples(len(counts), max(counts))
+    for k, count in enumerate(counts):
+        with RecordingWriter(path, IDENTITY, QUICK) as writer:
+            for one in samples[k * max(counts) :][:count]:
+                rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 1.0, 0.0]))
+                one.grasp.__dict__["rotation"] = rotation
+                writer.append(SampleRecord(sample=one))
+
+
+def test_four_commands_lead_from_a_recording_to_predictions_of_an_own_model(tmp_path: Path, call) -> None:
+    recording, model = tmp_path / "grasps", tmp_path / "mymodel"
+    write_recording(recording, (8, 8, 8))
+    (info,) = call("dataset", "info", recording, "--json").records
+    assert (info["labelled"], info["objects"]) == (24, {"campbells": 8, "cheezit": 8, "coffee": 8})
+    trained = call("train", "contact-v2", f"data={recording}", "release=true", QUICKLY, "-o", model, "--json")
+    assert (trained.status, trained.records[-1]["calibrated"]) == (0, True)
+    (scores,) = call("evaluate", model, recording, "--json").records
+    assert scores["scored"] == "cross_validation"
+    assert all(np.isfinite(scores[name]["skill"]) for name in ("PDC_TH", "PDC_MF", "E_TH", "E_MF"))
+    predicted = call("predict", recording, "--model", model, "--json")
+    assert len(predicted.records) == 24
+    assert all(one["model"]["name"] == "mymodel" for one in predicted.records)
+    value = predicted.records[0]["predictions"][0]["PDC_TH"]
+    assert value["lower"] < value["value"] < value["upper"]
+    found = load_model(str(model))  # as the parameter `model` of the node
+    assert found.card["data"]["samples"] == 24
+    assert json.loads((model / "mymodel.json").read_text())["calibration"]
+
+
+def test_a_model_of_too_few_grasps_has_a_card_that_says_how_many_are_missing(tmp_path: Path, call) -> None:
+    def check(counts: tuple[int, ...], sentence: str) -> None:
+        folder = tmp_path / "-".join(map(str, counts))
+        write_recording(folder / "grasps", counts)
+        done = call("train", "contact-v2", f"data={folder / 'grasps'}", QUICKLY, "-o", folder / "model", "--json")
+        assert (done.status, done.records[-1]["calibrated"]) == (0, False)
+        assert done.records[-1]["limits"][0] == f"No calibration: {sentence} more of other objects are needed."
+        card = load_model(str(folder / "model")).card
+        assert card["limits"][0] == done.records[-1]["limits"][0]
+
+    every_case(
+        [
+            ((12,), "12 of 12 grasps are of campbells; at least 5"),
+            ((5, 4), "5 of 9 grasps are of campbells; at least 1"),
+            ((6, 1, 1), "6 of 8 grasps are of campbells; at least 3"),
+        ],
+        check,
+    )
+    write_recording(tmp_path / "enough", (5, 5))
+    done = call("train", "contact-v2", f"data={tmp_path / 'enough'}", QUICKLY, "-o", tmp_path / "model", "--json")
+    assert done.records[-1]["calibrated"]
+    write_recording(tmp_path / "few", (3,))
+    done = call("train", "contact-v2", f"data={tmp_path / 'few'}", QUICKLY, "-o", tmp_path / "none", "--json")
+    assert done.status == 1
+    assert "3 samples are fewer than 5: 2 more grasps are needed" in done.err
+
+
+def test_a_model_of_all_samples_says_how_it_can_be_scored(tmp_path: Path, call) -> None:
+    write_recording(tmp_path / "grasps", (6, 6))
+    call("train", "contact-v2", f"data={tmp_path / 'grasps'}", QUICKLY, "-o", tmp_path / "model", "--json")
+    done = call("evaluate", tmp_path / "model", tmp_path / "grasps")
+    assert done.status == 1
+    assert "none is held out; train with release=true (scores by cross-validation) or split='random/" in done.err

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples made in chunks: equal to those of one process, continued after a loss, refused by name."""
+
+import shutil
+from collections import Counter
+from functools import partial
+from pathlib import Path
+
+import pytest
+from chunk_makers import make
+from recording_builders import write_dataset
+
+from foretouch.cli.main import main
+from foretouch.dataset import chunks
+from foretouch.dataset.chunks import made_in_chunks
+from foretouch.dataset.store import Store, content_sha256
+from foretouch.errors import DatasetError, FileError, SimulationError
+
+
+@pytest.fixture
+def trace(tmp_path) -> Path:
+    folder = tmp_path / "trace"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def here(monkeypatch) -> None:
+    """Chunks of four samples, made in this process."""
+
+    def results(function, items, *_):
+        for item in items:
+            try:
+                yield item, function(item), ""
+            except SimulationError as err:
+                yield item, None, str(err)
+
+    monkeypatch.setattr(chunks, "CHUNK_SAMPLES", 4)
+    monkeypatch.setattr(chunks, "ray_results", results)
+
+
+def begun(trace: Path) -> dict[int, int]:
+    """How often each chunk was begun, by its first slot."""
+    return Counter(int(path.name.split(".")[0]) for path in trace.iterdir())
+
+
+def test_missing_and_damaged_chunks_are_made_again_and_no_others(here, tmp_path, trace) -> None:
+    folder, plan = tmp_path / "ds.chunks", {"samples": 10, "scene": "a"}
+    whole = [*made_in_chunks(folder, plan, 10, partial(make, trace, 0.0, -1), "", 1)]
+    samples = [sample for store in whole for sample in store]
+    assert [len(store) for store in whole] == [4, 4, 2]
+    assert whole[2].manifest["about"] == {"first": 8, "mean": 8.5}
+    assert begun(trace) == {0: 1, 4: 1, 8: 1}
+    shutil.rmtree(folder / "chunk-00000")
+    shard = folder / "chunk-00001" / "shard-00000.arrow"
+    shard.write_bytes(shard.read_bytes()[:-100])
+    there = []
+    again = made_in_chunks(folder, plan, 10, partial(make, trace, 0.0, -1), "", 1, there.append)
+    assert content_sha256(sample for store in again for sample in store) == content_sha256(samples)
+    assert begun(trace) == {0: 2, 4: 2, 8: 1}
+    assert sorted(there) == [2, 4, 4]
+    with pytest.raises(FileError, match=r"plan\.json: is of other samples \(scene\); remove .*ds\.chunks"):
+        next(made_in_chunks(folder, plan | {"scene": "b"}, 10, partial(make, trace, 0.0, -1), "", 1))
+    stores = made_in_chunks(folder, plan, 10, partial(make, trace, 0.0, -1), "", 1)
+    next(stores)
+    shutil.rmtree(folder / "chunk-00001")
+    with pytest.raises(FileError, match="chunk-00001"):
+        next(stores)
+
+
+def test_a_chunk_that_cannot_be_made_is_named_and_the_others_are_kept(here, tmp_path, trace) -> None:
+    folder = tmp_path / "ds.chunks"
+    with pytest.raises(DatasetError, match=r"1 of 3 chunks could not be made; chunk 1: slot 5: is broken"):
+        next(made_in_chunks(folder, {}, 10, partial(make, trace, 0.0, 5), "", 1))
+    assert sorted(path.name for path in folder.iterdir()) == ["chunk-00000", "chunk-00002", "plan.json"]
+    assert len([*made_in_chunks(folder, {}, 10, partial(make, trace, 0.0, -1), "", 1)]) == 3
+    assert begun(trace) == {0: 1, 4: 2, 8: 1}
+    shutil.rmtree(folder)
+    with pytest.raises(DatasetError, match=r"does not see .*ds\.chunks, which all nodes must share"):
+        chunks._make_chunk(folder, partial(make, trace, 0.0, -1), (0, range(4)))
+
+
+def test_a_store_built_in_chunks_is_that_of_one_process(here, tmp_path) -> None:
+    sources = [tmp_path / "a", tmp_path / "b"]
+    write_dataset(sources[0], 10, points=20)
+    write_dataset(sources[1], 3, points=20, first=10)
+    assert main(["dataset", "edit", str(sources[0]), "--drop", "--id", "ball/000002", "--json"]) == 0
+    words = ["dataset", "build", *map(str, sources), "--json", "-o"]
+    assert main([*words, str(tmp_path / "one")]) == 0
+    assert main([*words, str(tmp_path / "many"), "--address", "local"]) == 0
+    one, many = Store(tmp_path / "one"), Store(tmp_path / "many")
+    assert len(one) == 12
+    assert one.manifest == many.manifest
+    assert not (tmp_path / "many.chunks").exists()
+
+
+def test_simulated_in_chunks_is_as_simulated_in_one_process(here, tmp_path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("objects: [{name: can, shape: can, size_m: [0.07, 0.07, 0.1], pose: {rest: side}}]\n")
+    words = ["simulate", str(scene), "-n", "6", "--no-sheet", "--workers", "1", "-o"]
+    assert main([*words, str(tmp_path / "one")]) == 0
+    assert main([*words, str(tmp_path / "many"), "--address", "local"]) == 0
+    assert Store(tmp_path / "one").manifest == Store(tmp_path / "many").manifest
+    assert not (tmp_path / "many.chunks").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)  # starting nodes and processes takes a minute or two on a busy machine
+def test_a_lost_node_costs_its_chunks_alone(tmp_path, trace, ray_cluster, monkeypatch) -> None:
+    monkeypatch.setattr(chunks, "CHUNK_SAMPLES", 8)
+    lost, _ = ray_cluster.add_node(num_cpus=1), ray_cluster.add_node(num_cpus=1)
+    made = []
+
+    def report(count: int) -> None:
+        made.append(count)
+        if len(made) == 3:
+            ray_cluster.remove_node(lost, allow_graceful=False)
+
+    maker = partial(make, trace, 1.0, -1)
+    stores = made_in_chunks(tmp_path / "ds.chunks", {}, 96, maker, ray_cluster.address, 1, report)
+    found = content_sha256(sample for store in stores for sample in store)
+    starts = begun(trace)
+    assert sorted(starts) == [*range(0, 96, 8)]
+    assert sum(starts.values()) <= 12 + 2  # what the lost node ran, and what was handed to it
+    alone = made_in_chunks(tmp_path / "alone.chunks", {}, 96, partial(make, trace, 0.0, -1), "local", 1)
+    assert content_sha256(sample for store in alone for sample in store) == found

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LeRobotDataset v3 by pyarrow alone, read by pyarrow, by Rerun, and by `lerobot` in an environment of its own."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from every_case import every_case
+from other_tools import run_rerun
+from recording_builders import IDENTITY, QUICK, record, write_dataset
+
+from foretouch.dataset.lerobot import DATASET_FORMAT
+from foretouch.dataset.record import DISCARDED
+from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.samples import export_samples, open_samples
+from foretouch.errors import FileError
+
+OWN = ["timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns"]
+
+
+@pytest.fixture
+def exported(tmp_path: Path) -> Path:
+    """Four grasps of two objects, of six frames each; a fifth without a touch, and one that was dropped."""
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number, name in enumerate(("ball", "ball", "cup", "ball")):
+            writer.append(with_all_channels(number, name))
+        writer.append(record(4, "cup", labelled=False))
+        writer.append(replace(with_all_channels(5, "cup"), flags=(DISCARDED,)))
+    result = export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
+    assert (result.written, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1})
+    return tmp_path / "out"
+
+
+def with_all_channels(number: int, name: str) -> Any:
+    """A record whose fingers have the same channels, and whose cloud has more points than an export keeps."""
+    made = record(number, name, 1500 + 100 * number)
+    assert made.series is not None
+    others = {f"TDC_{finger}": np.arange(6, dtype=np.float32) + number for finger in ("TH", "MF")}
+    return replace(made, series=replace(made.series, others=others))
+
+
+def expected_frames() -> dict[str, np.ndarray]:
+    """What the frames of `exported` must hold, computed from the records."""
+    made = [with_all_channels(number, name) for number, name in enumerate(("ball", "ball", "cup", "ball"))]
+    rows: dict[str, list[np.ndarray]] = {}
+    for number, one in enumerate(made):
+        counts, sample = one.series.counts, one.sample
+        cloud = sample.cloud.xyz[[k * len(sample.cloud.xyz) // 1024 for k in range(1024)]]
+        own = {
+            "observation.tactile.thumb": np.c_[counts[:, 0], counts[:, 2:26], one.series.others["TDC_TH"]],
+            "observation.tactile.middle_finger": np.c_[counts[:, 1], counts[:, 26:], one.series.others["TDC_MF"]],
+            "action": np.tile(np.r_[sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()], (6, 1)),
+            "observation.pointcloud": np.tile(cloud.ravel(), (6, 1)),
+            "timestamp": np.arange(6) / 100_000_000,
+            "frame_index": np.arange(6),
+            "episode_index": np.full(6, number),
+            "index": 6 * number + np.arange(6),
+            "task_index": np.full(6, int(sample.object == "cup")),
+            "stamp_ns": one.series.stamps_ns,
+        }
+        for name, values in own.items():
+            rows.setdefault(name, []).append(values if name in OWN[1:] else values.astype(np.float32))
+    return {name: np.concatenate(values) for name, values in rows.items()}
+
+
+def test_frames_and_episodes_have_the_layout_of_version_3(exported: Path) -> None:
+    info = json.loads((exported / "meta/info.json").read_text())
+    known = {"codebase_version": "v3.0", "total_episodes": 4, "total_frames": 24, "total_tasks": 2, "chunks_size": 1000}
+    assert known.items() <= info.items()
+    assert info["splits"] == {"train": "0:4"}
+    assert info["data_path"] == "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+    assert [name for name, one in info["features"].items() if one["shape"] == [1]] == OWN
+    assert not [name for name in info["features"] if "image" in name]
+    frames = pq.read_table(exported / "data/chunk-000/file-000.parquet")
+    for name, expected in expected_frames().items():
+        found = np.array(frames[name].to_pylist())
+        np.testing.assert_array_equal(found.astype(expected.dtype), expected, err_msg=name)
+        assert info["features"][name]["shape"] == [1 if expected.ndim == 1 else expected.shape[1]]
+        assert info["features"][name]["dtype"] == expected.dtype.name
+    names = info["features"]["observation.tactile.thumb"]["names"]
+    assert (names[0], names[1], names[24], names[25]) == ("pdc", "electrode_1", "electrode_24", "tdc")
+    episodes = pq.read_table(exported / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [one["episode_index"] for one in episodes] == [0, 1, 2, 3]
+    assert [(one["dataset_from_index"], one["dataset_to_index"]) for one in episodes] == [
+        (6 * k, 6 * k + 6) for k in range(4)
+    ]
+    assert [one["tasks"] for one in episodes] == [["grasp the ball"]] * 2 + [["grasp the cup"]] + [["grasp the ball"]]
+    assert [one["sample_id"] for one in episodes] == ["ball/000001", "ball/000002", "cup/000003", "ball/000004"]
+
+
+def test_statistics_are_those_of_the_frames(exported: Path) -> None:
+    stats = json.loads((exported / "meta/stats.json").read_text())
+    for name, values in expected_frames().items():
+        wide = values.reshape(24, -1).astype(np.float64)
+        for what, value in (("min", wide.min(0)), ("max", wide.max(0)), ("mean", wide.mean(0)), ("std", wide.std(0))):
+            # Stamps of 1.7e18 ns have 61 bits, float64 has 53: a quarter of a microsecond.
+            np.testing.assert_allclose(stats[name][what], value, rtol=1e-9, atol=2000.0 if name == "stamp_ns" else 1e-9)
+        assert stats[name]["count"] == [24]
+        episodes = np.quantile(wide.reshape(4, 6, -1), 0.9, axis=1)
+        np.testing.assert_allclose(stats[name]["q90"], episodes.mean(axis=0), rtol=1e-9, atol=1e-9)
+
+
+def test_what_cannot_be_exported_or_read_is_refused_and_leaves_nothing(exported: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="exists already"):
+        export_samples(tmp_path / "ds", exported, "lerobot")
+    with RecordingWriter(tmp_path / "untouched", IDENTITY, QUICK) as writer:
+        writer.append(record(0, labelled=False))
+    with pytest.raises(FileError, match="untouched: holds no executed grasp with a touch to export"):
+        export_samples(tmp_path / "untouched", tmp_path / "none", "lerobot")
+    assert not (tmp_path / "none").exists()
+    shutil.rmtree(exported / "foretouch")
+    with pytest.raises(FileError, match="is a LeRobot dataset without the folder foretouch"):
+        open_samples(exported)
+    assert DATASET_FORMAT.recognise(exported)
+
+
+def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number in range(2):
+            writer.append(replace(record(number, points=5), series=None))  # fewer points than an export keeps
+    assert export_samples(tmp_path / "ds", tmp_path / "out", "lerobot").written == 2
+    frames = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    assert [(one["frame_index"], one["episode_index"], one["timestamp"]) for one in frames] == [
+        (0, 0, 0.0),
+        (0, 1, 0.0),
+    ]
+    touch = record(1, points=5).sample.touch
+    assert touch is not None
+    assert frames[1]["observation.tactile.thumb"] == [touch.pdc_th, *touch.e_th, 2100.5]
+    cloud = np.reshape(frames[0]["observation.pointcloud"], (1024, 3))
+    assert len(np.unique(cloud, axis=0)) == 5
+
+
+def test_frames_go_on_in_the_next_file_and_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foretouch.dataset.lerobot._FILE_MB", 0)
+    monkeypatch.setattr("foretouch.dataset.lerobot._FILES_A_CHUNK", 2)
+    write_dataset(tmp_path / "ds", 3)
+    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
+    names = ["chunk-000/file-000.parquet", "chunk-000/file-001.parquet", "chunk-001/file-000.parquet"]
+    for folder in (tmp_path / "out/data", tmp_path / "out/meta/episodes"):
+        assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.parquet")) == names
+    for number, name in enumerate(names):
+        (episode,) = pq.read_table(tmp_path / "out/meta/episodes" / name).to_pylist()
+        assert (episode["data/chunk_index"], episode["data/file_index"]) == divmod(number, 2)
+        assert (episode["meta/episodes/chunk_index"], episode["meta/episodes/file_index"]) == divmod(number, 2)
+        assert set(pq.read_table(tmp_path / "out/data" / name)["episode_index"].to_pylist()) == {number}
+
+
+def test_rerun_shows_every_episode(exported: Path, tmp_path: Path) -> None:
+    rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'foretouch[view]'")
+    out = tmp_path / "imported.rrd"
+    recording = rerun.RecordingStream("import")
+    recording.save(out)
+    recording.log_file_from_path(exported)
+    recording.flush()
+    recording.disconnect()
+    printed = run_rerun(tmp_path, "rrd", "print", out)
+    for name in (
+        "observation.tactile.thumb",
+        "observation.tactile.middle_finger",
+        "observation.pointcloud",
+        "action",
+        "task",
+    ):
+        lines = [line for line in printed.splitlines() if "with 6 rows" in line and f" - /{name} - " in line]
+        assert len(lines) == 4, name
+
+
+_READ = """
+import json, sys
+import numpy as np
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+data = LeRobotDataset("local/foretouch", root=sys.argv[1])
+frames = [data[k] for k in range(len(data))]
+tables = {name: np.stack([np.asarray(one[name]) for one in frames]) for name in data.features}
+np.savez(sys.argv[2], **tables)
+print(json.dumps([data.num_frames, data.num_episodes, [one["task"] for one in frames]]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_the_newest_lerobot_reads_equal_frames(exported: Path, tmp_path: Path) -> None:
+    python = lerobot_python()
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache"), "PYTHONPATH": ""}
+    command = [python, "-c", _READ, str(exported), str(tmp_path / "frames.npz")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300.0, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    frames, episodes, tasks = json.loads(done.stdout.splitlines()[-1])
+    assert (frames, episodes) == (24, 4)
+    assert tasks == ["grasp the ball"] * 12 + ["grasp the cup"] * 6 + ["grasp the ball"] * 6
+    with np.load(tmp_path / "frames.npz") as found:
+        assert set(found) == set(expected_frames())
+
+        def check(name: str, expected: np.ndarray) -> None:
+            np.testing.assert_array_equal(found[name], expected)
+
+        every_case(expected_frames().items(), check)
+
+
+def lerobot_python() -> str:
+    """A Python with the newest `lerobot` that pip installs, in an environment that is made once and kept in `build`."""
+    given = os.environ.get("FORETOUCH_LEROBOT_PYTHON")
+    if given:
+        return given
+    folder = Path(__file__).parents[2] / "build" / "lerobot"
+    python = folder / "bin" / "python"
+    for base in (*(shutil.which(f"python3.{minor}") for minor in (13, 12)), sys.executable):  # newer ones need 3.12
+        if (folder / "installed").exists():
+            break
+        if base is None or subprocess.run([base, "--version"], capture_output=True, check=False).returncode:
+            continue
+        shutil.rmtree(folder, ignore_errors=True)
+        subprocess.run([base, "-m", "venv", folder], check=True)
+        command = ["timeout", "1200", python, "-m", "pip", "install", "-q", "lerobot[dataset]"]  # 5 GB, most of it CUDA
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"lerobot cannot be installed: {(done.stderr.strip().splitlines() or ['time is up'])[-1]}")
+        (folder / "installed").touch()
+    return str(python)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings by description: XELA's messages as rosbags reads them, BioTac as its own decoder does, and every fault."""
+
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+from every_case import every_refusal
+from numpy.testing import assert_array_equal
+from sensor_builders import SMALL, write_sensor, xela_message
+
+from foretouch.errors import ConfigError, TactileError
+from foretouch.tactile.description import load_sensor
+from foretouch.tactile.messages.biotac_all import make_reader as biotac_reader
+from foretouch.tactile.messages.described import SensorReader
+from foretouch.tactile.messages.table import TactileConfig
+
+
+def header() -> Message:
+    return Message(stamp=Message(sec=1_700_000_000, nanosec=5))
+
+
+def test_xela_by_the_position_of_its_sensors(rng: np.random.Generator) -> None:
+    counts = rng.integers(0, 2**16, (3, 16, 3))
+    reading = SensorReader(load_sensor("xela_uskin_4x4")).read(xela_message(counts, (2, 3, 1)))
+    assert_array_equal(reading.values, counts[[2, 0]])  # thumb: position 1, taxel-major
+    assert reading.values.dtype == np.float32
+    assert (reading.valid.shape, reading.valid.all(), reading.invalid) == ((2, 16), True, {})
+    assert reading.stamp_ns == 1_700_000_000_250_000_000
+    assert reading.scalars.shape == (2, 0)
+    (only,) = SensorReader(load_sensor("xela_uskin_4x4"), ["FF"]).read(xela_message(counts, (2, 3, 1))).values
+    assert_array_equal(only, counts[0])
+
+
+def test_biotac_as_its_own_decoder_reads_it(rng: np.random.Generator) -> None:
+    counts = rng.integers(1, 4095, (5, 29))
+    names = ("pdc", "pac0", "pac1", "tac", "tdc")
+    message = Message(
+        header=header(),
+        tactiles=[Message(electrodes=row[5:], **dict(zip(names, row[:5].tolist(), strict=True))) for row in counts],
+    )
+    own, reader = biotac_reader(TactileConfig()).read(message), SensorReader(load_sensor("biotac_sp"))
+    reading = reader.read(message)
+    assert reading.stamp_ns == own.stamp_ns
+    assert_array_equal(np.r_[reading.scalars[:, 0], reading.values.ravel()], own.counts)
+    assert_array_equal(np.sort(reading.scalars[:, 1:], axis=None), np.sort(own.others))
+    unread = message.tactiles[4]
+    unread.electrodes, unread.pdc, unread.tac = np.zeros(24, np.int16), -9784, 32518
+    reading = reader.read(message)
+    assert reading.invalid == {"not_read": 24}
+    assert_array_equal(reading.valid.all(axis=1), [False, True])
+    assert np.isnan(reading.values[0]).all()
+    message.tactiles[1].electrodes[7] = 0
+    message.tactiles[1].tdc = 0  # of a driver without it
+    reading = reader.read(message)
+    assert reading.invalid == {"not_read": 24, "out_of_range": 1}
+    assert_array_equal(np.flatnonzero(~reading.valid[1]), [7])
+    assert np.isnan(reading.scalars[1, 4])
+
+
+def test_force_fields_and_magnetic_fields_by_file_alone(rng: np.random.Generator) -> None:
+    field = rng.standard_normal((500, 3)).astype(np.float32)
+    channels = [Message(name=name, values=field.ravel()) for name in ("right", "left")]
+    reading = SensorReader(load_sensor("tacsl_20x25")).read(Message(header=header(), sensors=channels))
+    assert_array_equal(reading.values, np.stack([field, field]))
+    names = [*(f"magnetic_induction_{axis}" for axis in "xyz"), "temperature"]
+    counts = rng.integers(-2048, 2048, (5, 7, 4))
+    counts[..., 3] = 300
+    fingers = [Message(sensors=[Message(**dict(zip(names, row, strict=True))) for row in one]) for one in counts]
+    reading = SensorReader(load_sensor("shadow_mst")).read(Message(header=header(), fingers=fingers))
+    assert_array_equal(reading.values, counts[[4, 1]])
+
+
+def test_taxels_that_fail_are_counted_by_reason(tmp_path) -> None:
+    fingers = [{**SMALL["fingers"][0], "dead": [1, 4]}, SMALL["fingers"][1]]
+    values = [{**SMALL["values"][0], "range": [0, 9]}]
+    reader = SensorReader(load_sensor(write_sensor(tmp_path, {"fingers": fingers, "values": values})))
+    pads = [[0, 99, 9, 9.5, 1, np.nan], [1, 2, 3, 4, 5, -1]]
+    reading = reader.read(Message(pads=[Message(pressures=one) for one in pads]))
+    assert_array_equal(reading.valid, [[True, False, True, False, False, False], [True] * 5 + [False]])
+    assert reading.invalid == {"dead": 2, "out_of_range": 3}
+    assert_array_equal(reading.values[..., 0], np.array(pads, np.float32))  # as sent
+    assert reading.stamp_ns is None
+
+
+def test_stamps_of_every_kind(tmp_path) -> None:
+    def stamp(value: object, unit: str = "s") -> int | None:
+        source = {"type": "a/B", "stamp": "time", "stamp_unit": unit}
+        reader = SensorReader(load_sensor(write_sensor(tmp_path, {"source": source})))
+        return reader.read(Message(time=value, pads=[Message(pressures=[0.0] * 6)] * 2)).stamp_ns
+
+    assert stamp(Message(sec=3, nanosec=7)) == 3_000_000_007
+    assert stamp(1.5) == 1_500_000_000
+    assert stamp(np.int32(1_700_000_000)) == 1_700_000_000 * 10**9
+    assert stamp(1_700_000_000_000_000_001, "ns") == 1_700_000_000_000_000_001
+    assert stamp(2500, "us") == 2_500_000
+    every_refusal(TactileError, [("time: nan is no time", float("nan")), ("is no time", "noon")], stamp)
+
+
+def test_messages_that_lack_something_are_refused_by_name() -> None:
+    reader = SensorReader(load_sensor("xela_uskin_4x4"))
+    full = np.zeros((2, 16, 3), int)
+    cases = (
+        ("xela_uskin_4x4: TH: taxels\\[\\].x: 8 numbers, not 16", xela_message(full[:, :8])),  # half the taxels
+        ("xela_uskin_4x4: TH: taxels\\[\\].x: 0 numbers", xela_message(full[:, :0])),
+        ("xela_uskin_4x4: FF: sensors\\[sensor_pos=2\\]: no element .*; known: 1, 3", xela_message(full, (1, 3))),
+        ("TH: sensors.*: SimpleNamespace has no field 'sensors' is none of tactiles", Message(tactiles=[])),
+        ("TH: taxels\\[\\].x: holds no numbers",
+         Message(sensors=[Message(sensor_pos=1, taxels=[Message(x="a", y=0, z=0)])])),
+        ("TH: taxels\\[\\].y: .* no field 'y' is none of x",
+         Message(sensors=[Message(sensor_pos=1, taxels=[Message(x=0)] * 16)])),
+    )  # fmt: skip
+    every_refusal(TactileError, cases, reader.read)
+    with pytest.raises(ConfigError, match="fingers: 'MF' is none of TH, FF"):
+        SensorReader(load_sensor("xela_uskin_4x4"), ["MF"])

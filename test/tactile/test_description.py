@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Descriptions of sensors: those of the package, places of taxels by hand, the hash, and everything that is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from every_case import every_case, every_refusal
+from numpy.testing import assert_allclose, assert_array_equal
+from sensor_builders import SMALL, TAXELS, write_sensor
+
+from foretouch.errors import ConfigError, FileError
+from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions
+from foretouch.tactile.description import SensorConfig, load_sensor, sensor_files
+from foretouch.types import ELECTRODES
+
+CONFIG = Path(__file__).parents[2] / "config" / "sensors"
+
+
+def test_the_sensors_of_the_package_are_found_by_name() -> None:
+    assert {path.stem for path in CONFIG.glob("*.yaml")} == set(sensor_files())
+
+    def check(name: str) -> None:
+        sensor = load_sensor(name)
+        assert sensor.config.name == name
+        assert sensor.config.summary
+        assert_allclose(np.linalg.norm(sensor.layout.normals, axis=1), 1.0, atol=1e-12)
+        assert load_sensor(CONFIG / f"{name}.yaml").sha256 == sensor.sha256
+        assert SensorConfig.from_mapping(sensor.config.to_mapping()) == sensor.config
+
+    every_case(sensor_files(), lambda path: check(path.stem))
+    assert len({load_sensor(name).sha256 for name in sensor_files()}) == len(sensor_files())
+
+
+def test_biotac_sp_is_described_to_the_bit() -> None:
+    sensor = load_sensor("biotac_sp")
+    assert sensor.size == ELECTRODES
+    assert_array_equal(sensor.layout.positions, electrode_positions())
+    assert_array_equal(sensor.layout.normals, electrode_normals())
+    assert sensor.config.values[0].limits == (1.0, FULL_SCALE)
+    assert [finger.name for finger in sensor.config.chosen_fingers()] == ["TH", "MF"]
+
+
+def test_arrays_as_urdf_tactile_places_them(tmp_path) -> None:
+    layout = load_sensor(write_sensor(tmp_path)).layout  # row-major, spaced by the size
+    assert_allclose(layout.positions[:, :2], [[0.004 * r, 0.002 * c] for r in range(2) for c in range(3)])
+    assert_array_equal(layout.normals, np.tile([0.0, 0.0, 1.0], (6, 1)))
+    array = {"rows": 2, "cols": 3, "order": "column-major", "spacing": [-0.01, 0.005], "offset": [0.001, 0.002]}
+    layout = load_sensor(write_sensor(tmp_path, {"array": array})).layout
+    assert_allclose(layout.positions[:, 0], [-0.01 * r - 0.001 for _ in range(3) for r in range(2)])
+    assert_allclose(layout.positions[:, 1], [0.005 * c - 0.002 for c in range(3) for _ in range(2)])
+    assert_array_equal(layout.pixels, [[r, c] for c in range(3) for r in range(2)])
+
+
+def test_taxels_of_a_file_are_in_order_of_their_index(tmp_path) -> None:
+    changes: dict[str, Any] = {"array": None, "taxels": "taxels.csv"}
+    layout = load_sensor(write_sensor(tmp_path, changes)).layout
+    assert_array_equal(layout.positions[:, 0], [0.0, 0.001])
+    assert_array_equal(layout.normals[0], [0.0, 0.6, 0.8])
+    assert layout.pixels is None
+    rounded = TAXELS.replace("0,0.6,0.8", "0.577,0.577,0.577")
+    assert_allclose(load_sensor(write_sensor(tmp_path, changes, rounded)).layout.normals[0], np.full(3, 3**-0.5))
+    image = "# DEX-01\nindex,x,y,z,nx,ny,nz,row,col\n\n1,0,0,0,0,0,1,3,0\n0,0.001,0,0,0,0,1,0,4\n"
+    layout = load_sensor(write_sensor(tmp_path, {**changes, "pixels": [4, 5]}, image)).layout
+    assert_array_equal(layout.pixels, [[0, 4], [3, 0]])
+
+
+def test_the_hash_is_that_of_the_content(tmp_path) -> None:
+    changes = {"array": None, "taxels": "taxels.csv"}
+    path = write_sensor(tmp_path, changes)
+    first = load_sensor(path).sha256
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    assert load_sensor(write_sensor(moved, changes, "# a comment\n" + TAXELS)).sha256 == first
+    assert load_sensor(write_sensor(moved, {**changes, "group": "", "scalars": []})).sha256 == first  # the defaults
+    others: list[tuple[dict[str, Any], str]] = [
+        ({**changes, "update_rate": 50.0}, TAXELS),
+        ({**changes, "values": [{**SMALL["values"][0], "contact": "rise"}]}, TAXELS),
+        ({**changes, "fingers": [{**SMALL["fingers"][0], "dead": [1]}, SMALL["fingers"][1]]}, TAXELS),
+        (changes, TAXELS.replace("0.001", "0.0010000001")),
+        (changes, TAXELS.replace("0.6,0.8", "0.8,0.6")),
+    ]
+    assert len({first, *(load_sensor(write_sensor(moved, *one)).sha256 for one in others)}) == len(others) + 1
+
+
+def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
+    value = SMALL["values"][0]
+    finger = SMALL["fingers"][0]
+    array = SMALL["array"]
+    cases: list[tuple[str, dict[str, Any]]] = [
+        ("name: '' is not a letter", {"name": None}),
+        ("name: '4x4' is not a letter", {"name": "4x4"}),
+        ("array, taxels: give exactly one", {"taxels": "taxels.csv"}),
+        ("array, taxels: give exactly one", {"array": None}),
+        (r"taxels: '\.\./taxels.csv' is no name of a file beside", {"array": None, "taxels": "../taxels.csv"}),
+        ("pixels: those of an array", {"pixels": [2, 3]}),
+        ("pixels: .* are not 2 numbers", {"array": None, "taxels": "taxels.csv", "pixels": [2]}),
+        ("fingers: there is none", {"fingers": None}),
+        ("fingers: left occurs twice", {"fingers": [finger, finger]}),
+        ("values: there is none", {"values": []}),
+        ("values: p occurs twice", {"values": [value, value]}),
+        ("values, scalars: p occurs twice", {"scalars": [value]}),
+        (r"values\[0\].name: 'p q' is not a letter", {"values": [{**value, "name": "p q"}]}),
+        (r"values\[0\].field: is empty", {"values": [{**value, "field": ""}]}),
+        (r"values\[0\].field: 'a\[' is no field path", {"values": [{**value, "field": "a["}]}),
+        (r"values\[0\].unit: 'newton' is none of counts", {"values": [{**value, "unit": "newton"}]}),
+        (r"values\[0\].range: .* is not \[low, high\] within \[0.0, 255.0\]",
+         {"values": [{**value, "dtype": "uint8", "range": [0, 256]}]}),
+        (r"values\[0\].range: .* is not \[low, high\]", {"values": [{**value, "range": [5, 5]}]}),
+        (r"values\[0\].saturation: .* within \[0.0, 9.0\]",
+         {"values": [{**value, "range": [0, 9], "saturation": [0, 10]}]}),
+        (r"values\[0\].contct: unknown setting.*did you mean contact", {"values": [{**value, "contct": "rise"}]}),
+        (r"fingers\[0\].xyz: .* are not 3 numbers", {"fingers": [{**finger, "xyz": [0.0, 1.0]}]}),
+        ("dead: left has no taxel 6", {"fingers": [{**finger, "dead": [6]}]}),
+        ("grasp: .* are not 2 numbers", {"grasp": ["left"]}),
+        ("grasp: left occurs twice", {"grasp": ["left", "left"]}),
+        ("fingers: 'lefd' is none of left, right; did you mean left", {"grasp": ["lefd", "right"]}),
+        ("array.size: .* are not 2 numbers", {"array": {**array, "size": [0.01]}}),
+        ("array.size, spacing: 0 m from a taxel", {"array": {"rows": 2, "cols": 1}}),
+        ("array.rows, cols: 300 x 300 taxels exceed", {"array": {**array, "rows": 300, "cols": 300}}),
+        (r"pad: taxel 1 at \(0, 0.002, 0\) m is outside; 4 taxels", {"pad": [0, 0, 0, 0.004, 0.001, 0.001]}),
+        (r"pad: taxel 3 at \(4, 0, 0\) m is outside", {"array": {**array, "size": [4, 0.002]}}),  # in millimetres
+        ("source.type: '' is no type of messages", {"source": None}),
+        ("source.type: 'SensStream' is no type", {"source": {"type": "SensStream"}}),
+        ("source.stamp: 'header.' is no field path", {"source": {"type": "a/B", "stamp": "header."}}),
+        ("source.invalid: 'T' is none of", {"source": {"type": "a/B", "invalid": ["T"]}}),
+    ]  # fmt: skip
+
+    def refuse(changes: dict[str, Any]) -> None:
+        with pytest.raises(ConfigError) as err:
+            load_sensor(write_sensor(tmp_path, changes))
+        assert str(err.value).startswith(f"{tmp_path / 'small.yaml'}: ")
+        raise err.value
+
+    every_refusal(ConfigError, cases, refuse)
+
+
+def test_taxels_that_break_a_rule_are_named_by_their_line(tmp_path) -> None:
+    head = "index,x,y,z,nx,ny,nz"
+    cases = (
+        ("does not begin with the line index,x", "", ()),
+        ("does not begin with the line index,x", "0,0,0,0,0,0,1\n", ()),
+        ("does not begin with the line .*,row,col", TAXELS, (2, 2)),
+        ("holds 0 taxels", f"{head}\n", ()),
+        ("line 2: '0,0,0,0,0,1' is not 7 finite numbers", f"{head}\n0,0,0,0,0,1\n", ()),
+        ("line 3: .* is not 7 finite numbers", f"{head}\n0,0,0,0,0,0,1\n1,x,0,0,0,0,1\n", ()),
+        ("line 2: .* is not 7 finite numbers", f"{head}\n0,nan,0,0,0,0,1\n", ()),
+        ("line 2: nx, ny, nz: the normal is zero", f"{head}\n0,0,0,0,0,0,0\n", ()),
+        ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,0,0,3\n", ()),
+        ("line 3: index: not each of 0 to 1 once", f"{head}\n0,0,0,0,0,0,1\n0,1,0,0,0,0,1\n", ()),
+        ("line 2: index: not each of 0 to 0 once", f"{head}\n1,0,0,0,0,0,1\n", ()),
+        ("line 2: index: not each", f"{head}\n0.5,0,0,0,0,0,1\n", ()),
+        ("line 3: row, col", f"{head},row,col\n0,0,0,0,0,0,1,1,1\n1,0,0,0,0,0,1,1,1\n", (2, 2)),
+        ("line 2: row, col", f"{head},row,col\n0,0,0,0,0,0,1,2,1\n", (2, 2)),
+        ("line 2: row, col", f"{head},row,col\n0,0,0,0,0,0,1,0.5,1\n", (2, 2)),
+    )
+
+    def refuse(text: str, pixels: tuple[int, ...]) -> None:
+        with pytest.raises(FileError) as err:
+            load_sensor(write_sensor(tmp_path, {"array": None, "taxels": "taxels.csv", "pixels": list(pixels)}, text))
+        assert str(tmp_path / "taxels.csv") in str(err.value)
+        raise err.value
+
+    every_refusal(FileError, cases, refuse)
+
+
+def test_what_is_no_description_is_refused(tmp_path) -> None:
+    (tmp_path / "taxels.yaml").mkdir()
+    cases = (
+        ("biotac: is no file and none of biotac_sp, .*did you mean biotac_sp", "biotac"),
+        ("absent.yaml: No such file", tmp_path / "absent.yaml"),
+        ("taxels.yaml: .*folder", tmp_path / "taxels.yaml"),
+    )
+    every_refusal(ConfigError, cases, load_sensor)
+    path = write_sensor(tmp_path, {"array": None, "taxels": "absent.csv"})
+    with pytest.raises(FileError, match=r"absent\.csv: No such file"):
+        load_sensor(path)
