@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import socket
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import redirect_stdout
 from typing import Any, Final, TypeVar
 
 from foretouch import __version__
@@ -60,7 +62,8 @@ def ray_results(
             while waiting and len(running) < limit:
                 item = waiting.pop()
                 running[task.remote(function, item, __version__)] = item
-            (done, *_), _ = ray.wait(list(running), num_returns=1)
+            with redirect_stdout(sys.stderr):  # where Ray, in a thread of its own, reports nodes that are lost
+                (done, *_), _ = ray.wait(list(running), num_returns=1)
             item = running.pop(done)
             try:
                 yield item, *ray.get(done)
