@@ -62,7 +62,7 @@ def ray_results(
             while waiting and len(running) < limit:
                 item = waiting.pop()
                 running[task.remote(function, item, __version__)] = item
-            with redirect_stdout(sys.stderr):  # where Ray, in a thread of its own, reports nodes that are lost
+            with redirect_stdout(sys.stderr):  # Ray, in a thread of its own, reports nodes that are lost
                 (done, *_), _ = ray.wait(list(running), num_returns=1)
             item = running.pop(done)
             try:
@@ -72,7 +72,8 @@ def ray_results(
     except (ray.exceptions.RayError, ConnectionError) as err:
         raise ConfigError(f"--address: {address}: the cluster was lost: {' '.join(str(err).split())[:200]}") from err
     finally:
-        ray.shutdown()
+        with redirect_stdout(sys.stderr):
+            ray.shutdown()
 
 
 def _call(function: Callable[[Any], Any], item: Any, version: str) -> tuple[Any, str]:
