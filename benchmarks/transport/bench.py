@@ -78,8 +78,9 @@ class Processes:
 
     def trace(self) -> list[dict[str, Any]]:
         """End the processes, and return the rows of their traces."""
-        for child in self._children:
-            end(child)
+        ended = [end(child) for child in self._children]
+        if not all(ended):
+            raise SystemExit("a process of nodes did not end within 20 s: its trace may be lost")
         return [row for path in self._traces for row in json.loads(path.read_text(encoding="utf-8"))]
 
 
