@@ -11,6 +11,7 @@ import io
 import json
 import os
 import shutil
+import struct
 import sys
 import zipfile
 from collections.abc import Callable
@@ -19,21 +20,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import torch
 import yaml
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
 from safetensors.numpy import load, save
 
 from benchmarks.fuzz import files
 from benchmarks.fuzz.driver import Case, Kind, main
+from foretouch.cli.answers import prediction_from_record, read_answers
 from foretouch.dataset.editing import drop
 from foretouch.dataset.files import sealed
+from foretouch.dataset.recording.chain import list_sessions
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ForetouchError
 from foretouch.experiments.framework.manifest import open_folder, read_results
+from foretouch.learning.data.splits import read_splits
 from foretouch.learning.training.run_folder import RunFolder, read_state, write_state
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
+from foretouch.simulation.objects.mesh import read_mesh_file
 from foretouch.tactile.description import load_sensor, sensor_files
 from foretouch.tactile.messages.described import SensorReader
 
@@ -41,6 +50,35 @@ VALUES = (
     None, True, 0, -1, 2**63, 10**400, 0.5, 1e308, float("inf"), float("nan"), "", "x", "../..", "a\x1b[2J\n", "é" * 500,
     [], [[]], ["x"], {}, {"": None}, [0] * 1000,
 )  # fmt: skip
+PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+3 0 2 1
+3 0 1 3
+3 0 3 2
+3 1 2 3
+"""
+INTERVAL = {"value": 1.0, "lower": 0.0, "upper": 2.0}
+ELECTRODES = {name: [1.0] * 24 for name in INTERVAL}
+GRASP = {"g1": [0, 0, 1], "g2": [0, 0.1, 1], "rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "score": 1.0}
+PREDICTION = {"grasp": GRASP, "PDC_TH": INTERVAL, "PDC_MF": INTERVAL, "E_TH": ELECTRODES, "E_MF": ELECTRODES}
+ANSWER = {
+    "sample": "a/1",
+    "predictions": [{**PREDICTION, "status": "ok", "reason": "", "reference": "none", "flags": []}],
+}
+PART = {"name": "a", "train": ["x"], "test": ["y"]}
+SPLITS = {"schema_version": 1, "splits": {"random": [PART]}, "omitted": {"time": "few"}}
+TEXTS = ("", "../..", "a\x1b[2J\n", "é" * 500)
 SETTINGS: dict[str, Any] = {"a": {"b": 1}, "c": [1, 2]}
 
 
@@ -88,8 +126,87 @@ def retype(file: Path, rng: np.random.Generator) -> None:
             content = io.BytesIO()
             np.save(content, np.zeros((int(3e6 ** rng.random()), 3)))
             archive.writestr("xyz.npy", content.getvalue())
+    elif file.suffix == ".arrow":
+        _retype_arrow(file, rng)
+    elif file.suffix == ".mcap":
+        _retype_mcap(file, rng)
+    elif file.suffix == ".ply":
+        words = file.read_text().split(" ")
+        words[int(rng.integers(len(words)))] = str(_pick(VALUES, rng))
+        file.write_text(" ".join(words))
     else:
         file.write_bytes(file.read_bytes()[::-1])
+
+
+def _pick(values: Any, rng: np.random.Generator) -> Any:
+    return values[int(rng.integers(len(values)))]
+
+
+def _retype_arrow(file: Path, rng: np.random.Generator) -> None:
+    """Nulls, values or a type in place of others in a column; other columns or rows; a compressed file."""
+    table = pa.ipc.open_file(pa.py_buffer(file.read_bytes())).read_all()
+    number, value = int(rng.integers(table.num_columns)), _pick(VALUES, rng)
+    field, rows = table.field(number), table.column(number).to_pylist()
+    inner = [value] * len(rows[0]) if isinstance(rows[0], list) else value
+    ways: tuple[Callable[[], Any], ...] = (
+        lambda: table.set_column(number, field, pa.nulls(len(rows), field.type)),
+        lambda: table.set_column(number, field, pa.array([None, *rows[1:]], field.type)),
+        lambda: table.set_column(number, field, pa.array([inner, *rows[1:]], field.type)),
+        lambda: table.set_column(number, field, pa.array([rows[0][:-1], *rows[1:]], field.type)),
+        lambda: table.set_column(number, field.name, pa.array([value] * len(rows))),
+        lambda: table.remove_column(number),
+        lambda: table.append_column(field, table.column(number)),
+        lambda: pa.concat_tables([table.slice(1), table.slice(0, 1)]),
+        lambda: pa.concat_tables([table, table]),
+        lambda: table.slice(0, 0),
+        lambda: table,
+    )
+    changed = _pick(ways, rng)()
+    packing = _pick((None, "zstd", "lz4"), rng) if changed is table else None
+    with pa.ipc.new_file(str(file), changed.schema, options=pa.ipc.IpcWriteOptions(compression=packing)) as writer:
+        writer.write_table(changed)
+
+
+def _retype_mcap(file: Path, rng: np.random.Generator) -> None:
+    """Other data, times, names and types in one record, or a message that unpacks to much more; listed as a session."""
+    found = StreamReader(io.BytesIO(file.read_bytes())).records
+    records: list[Any] = [one for one in found if isinstance(one, Schema | Channel | Message | Metadata)]
+    one, text, other = _pick(records, rng), _pick(TEXTS, rng), rng.random() < 0.5
+    if isinstance(one, Message) and other:
+        one.log_time = one.publish_time = _pick((0, 1, 2**63, 2**64 - 1), rng)
+    elif isinstance(one, Message):
+        messages = [message for message in records if isinstance(message, Message)]
+        one.data = _pick((b"", bytes(int(6e7 ** rng.random())), rng.bytes(60), _pick(messages, rng).data), rng)
+    elif isinstance(one, Metadata) and other:
+        name = _pick(list(one.metadata), rng)
+        with suppress(ValueError):
+            one.metadata[name] = json.dumps(retyped(json.loads(one.metadata[name]), rng))
+    elif isinstance(one, Channel):
+        one.topic, one.metadata = (text, one.metadata) if other else (one.topic, {"offered_qos_profiles": "[["})
+    elif isinstance(one, Schema) and other:
+        one.data = rng.bytes(20)
+    else:
+        one.name = text
+    _write_mcap(file, records, _pick((CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD), rng))
+    with suppress(Exception):
+        list_sessions(file.parent)
+
+
+def _write_mcap(file: Path, records: list[Any], packing: CompressionType) -> None:
+    writer = Writer(str(file), compression=packing)
+    writer.start("ros2")
+    schemas, channels = {0: 0}, {}
+    for one in records:
+        if isinstance(one, Schema) and one.id not in schemas:
+            schemas[one.id] = writer.register_schema(one.name, one.encoding, one.data)
+        elif isinstance(one, Channel) and one.id not in channels:
+            schema, encoding = schemas[one.schema_id], one.message_encoding
+            channels[one.id] = writer.register_channel(one.topic, encoding, schema, one.metadata)
+        elif isinstance(one, Message):
+            writer.add_message(channels[one.channel_id], one.log_time, one.data, one.publish_time, one.sequence)
+        elif isinstance(one, Metadata):
+            writer.add_metadata(one.name, one.metadata)
+    writer.finish()
 
 
 def replaced(file: Path, all_files: list[Path], victim: Path, rng: np.random.Generator) -> None:
@@ -126,7 +243,7 @@ def _reseal(folder: Path) -> None:
             manifest.write_text(sealed(json.loads(manifest.read_text()), "sha256"))
 
 
-def _kind(make: Callable[[Path], Path], read: Callable[[Path], object]) -> Kind:
+def _kind(make: Callable[[Path], Path], read: Callable[[Path], object], weight: float = 1.0) -> Kind:
     def prepare(folder: Path) -> Case:
         path = make(folder / "files")
         names = {file.relative_to(folder): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
@@ -142,7 +259,9 @@ def _kind(make: Callable[[Path], Path], read: Callable[[Path], object]) -> Kind:
             all_files = [folder / name for name in sorted(names)]
             file = all_files[int(rng.integers(len(all_files)))]
             left_over = file.with_name(f"{file.name}.part")
-            with suppress(ValueError, AttributeError, IndexError):  # it cannot be changed in this way
+            with suppress(
+                ValueError, AttributeError, IndexError, TypeError, OverflowError, struct.error
+            ):  # it cannot be changed in this way
                 if rng.random() < 0.5:
                     retype(file, rng)
                 elif rng.random() < 0.1:
@@ -159,7 +278,7 @@ def _kind(make: Callable[[Path], Path], read: Callable[[Path], object]) -> Kind:
 
         return case
 
-    return Kind(prepare)
+    return Kind(prepare, weight)
 
 
 def _dataset(folder: Path) -> Path:
@@ -233,6 +352,26 @@ def _read_sensor(path: Path) -> None:
     assert np.isfinite(sensor.layout.positions).all(), sensor.sha256
 
 
+def _text(name: str, text: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / name).write_text(text)
+        return folder / name
+
+    return _in(make)
+
+
+def _mesh(folder: Path) -> Path:
+    path = _text("mesh.ply", PLY)(folder)
+    read_mesh_file(str(path))  # starts Open3D's process before the memory is limited
+    return path
+
+
+def _read_answers(path: Path) -> None:
+    for record in read_answers(path):
+        for one in record.get("predictions", []):
+            prediction_from_record(one)
+
+
 def _in(make: Callable[[Path], Path]) -> Callable[[Path], Path]:
     def made(folder: Path) -> Path:
         folder.mkdir()
@@ -253,6 +392,9 @@ KINDS = {
     "history": _kind(_history, _read_history),
     "experiment": _kind(_experiment, _read_experiment),
     "sensor": _kind(_in(_sensor), _read_sensor),
+    "splits": _kind(_text("splits.json", json.dumps(SPLITS)), read_splits, 0.5),
+    "answers": _kind(_text("answers.json", json.dumps(ANSWER)), _read_answers, 0.5),
+    "mesh": _kind(_mesh, lambda path: read_mesh_file(str(path)), 0.02),
 }
 
 

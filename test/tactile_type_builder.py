@@ -12,7 +12,7 @@ MADE_UP_TYPE = "geometry_msgs/PolygonStamped"
 _FILE = """
 import numpy as np
 
-from foretouch.tactile.messages import TactileReader, TactileReading, stamp_ns
+from foretouch.tactile.messages.table import TactileReader, TactileReading, stamp_ns
 
 FINGERS = ("thumb", "middle")
 

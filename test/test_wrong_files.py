@@ -19,10 +19,12 @@ from foretouch.config import dump_yaml, load_yaml, parse_overrides
 from foretouch.dataset.editing import drop
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments.framework.manifest import read_results
+from foretouch.experiments.framework.manifest import open_folder, read_results, write_manifest
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.hand_history import HistoryFile
+from foretouch.report.panels import new_figure, save_small
+from foretouch.report.rerun_view import write_view
 from foretouch.ros.runtime.shared_memory import stale_bytes
 
 
@@ -36,6 +38,7 @@ def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_pa
         "run/log.jsonl": (tmp_path / "log.jsonl", lambda: RunFolder(tmp_path).log({})),
         "run/x.part": (tmp_path / "x.part", lambda: replace_files({tmp_path / "x": b"new"})),
         "history.lock": (tmp_path / "h.lock", lambda: HistoryFile(tmp_path / "h", "right")),
+        "view.rrd.part": (tmp_path / "view.rrd.part", lambda: write_view(tmp_path / "view.rrd", [], "x")),
     }
 
     def check(path: Path, write: Callable[[], object]) -> None:
@@ -48,6 +51,22 @@ def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_pa
         path.unlink(missing_ok=True)
 
     every_case(cases, check)
+
+
+def test_figures_and_cells_are_not_written_through_links(tmp_path: Path) -> None:
+    victim, folder = tmp_path / "victim.png", tmp_path / "outside"
+    victim.write_text("precious")
+    folder.mkdir()
+    (tmp_path / "figure.png").symlink_to(victim)
+    save_small(new_figure(1.0, 1.0), tmp_path / "figure.png")
+    assert victim.read_text() == "precious"
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    sweep, fixed = tmp_path / "sweep", {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}
+    write_manifest(sweep, open_folder(sweep, fixed, resume=False))
+    (sweep / "cells").rmdir()
+    (sweep / "cells").symlink_to(folder)
+    with pytest.raises(FileError, match="cells: is a link"):
+        open_folder(sweep, fixed, resume=True)
 
 
 def test_names_of_models_are_names_of_files() -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs nodes as their executable does, and writes when each cloud passed them: `traced OUT NODE... --ros-args ...`."""
 
-import atexit
 import json
 import sys
 import threading
@@ -79,8 +78,10 @@ def main() -> int:
     end = sys.argv.index("--ros-args")
     trace = Trace()
     trace.install()
-    atexit.register(trace.write, Path(sys.argv[1]))
-    return run(*sys.argv[2:end], args=[sys.argv[0], *sys.argv[end:]])
+    try:
+        return run(*sys.argv[2:end], args=[sys.argv[0], *sys.argv[end:]])
+    finally:
+        trace.write(Path(sys.argv[1]))  # not at exit, where a library that does not end would lose it
 
 
 if __name__ == "__main__":

@@ -17,8 +17,9 @@ import time
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import BufferedReader
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -36,7 +37,6 @@ _BLOCK: Final = 1 << 20
 _SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
 
 Version: TypeAlias = tuple[int, int, int, int, int]
-_hashes: dict[Path, tuple[Version, str]] = {}
 
 
 @contextmanager
@@ -166,36 +166,46 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
         FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is no file
             left by a crash, but a link or a folder.
     """
-    parts: dict[Path, Path] = {}
+    parts: dict[Path, int] = {}
     path = Path()
-    try:
-        for path, content in contents.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_name(path.name + ".part")
-            _remove_left_over(part)
-            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-            parts[path] = part
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-        for path, part in parts.items():
-            part.replace(path)
-    except (OSError, FileError) as err:
-        for part in parts.values():
-            with suppress(OSError):  # the error to report is the first one
-                part.unlink()
-        if isinstance(err, FileError):
-            raise
-        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
+    with ExitStack() as folders:
+        try:
+            for path, content in contents.items():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                folder = os.open(path.parent, os.O_DIRECTORY | os.O_CLOEXEC)  # the same one until all are renamed
+                folders.callback(os.close, folder)
+                _remove_left_over(path, folder)
+                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+                descriptor = os.open(f"{path.name}.part", flags, 0o666, dir_fd=folder)
+                parts[path] = folder
+                with os.fdopen(descriptor, "wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+            for path, folder in parts.items():
+                os.replace(f"{path.name}.part", path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except (OSError, FileError) as err:
+            for one, folder in parts.items():
+                with suppress(OSError):  # the error to report is the first one
+                    os.unlink(f"{one.name}.part", dir_fd=folder)
+            if isinstance(err, FileError):
+                raise
+            raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
 
 
-def _remove_left_over(part: Path) -> None:
-    """Remove a temporary file that a crash left; a `FileError` for anything else of this name."""
+def _remove_left_over(path: Path, folder: int) -> None:
+    """Remove a temporary file that a crash left; a `FileError` for anything else of its name."""
+    part = f"{path.name}.part"
     with suppress(FileNotFoundError):
-        if not stat.S_ISREG(part.lstat().st_mode):
-            raise FileError(part, "is a link or no regular file, and is in the way of a temporary file")
-        part.unlink()
+        if not stat.S_ISREG(os.stat(part, dir_fd=folder, follow_symlinks=False).st_mode):
+            raise FileError(f"{path}.part", "is a link or no regular file, and is in the way of a temporary file")
+        os.unlink(part, dir_fd=folder)
+
+
+def free_name(path: Path, addition: str) -> Path:
+    """The path with an addition to its name, and a number where there is a file of that name."""
+    names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
+    return next(path.with_name(name) for name in names if not os.path.lexists(path.with_name(name)))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -254,8 +264,12 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
 
 
 def read_json(path: str | Path) -> Any:
-    """The document in a JSON file; a `FileError` as `read_bytes`, or if it is no JSON that `parse_json` accepts."""
-    content = read_bytes(path, TEXT_LIMIT)
+    """The document in a JSON file; raises as `read_bytes` and `json_in`."""
+    return json_in(path, read_bytes(path, TEXT_LIMIT))
+
+
+def json_in(path: str | Path, content: bytes) -> Any:
+    """The document in the content of a file; a `FileError` if it is no JSON that `parse_json` accepts."""
     try:
         return parse_json(content.decode("utf-8"))
     except ValueError as err:
@@ -334,24 +348,9 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a regular file, hexadecimal; computed once a process for a file that has not changed since.
-
-    A file counts as unchanged while its inode, its size and its times of change are those of the last computation.
-
-    Raises:
-        FileError: As `open_regular`; also if reading fails.
-    """
-    path = Path(path).absolute()
-    with open_regular(path) as file:
-        version = version_of(file)
-        known = _hashes.get(path)
-        if known is not None and known[0] == version:
-            return known[1]
-        with _named(path):
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if version is not None:
-        _hashes[path] = (version, digest)
-    return digest
+    """SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
+    with open_regular(path) as file, _named(path):
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def version_of(file: BufferedReader) -> Version | None:

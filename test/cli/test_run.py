@@ -169,5 +169,6 @@ def test_ctrl_c_ends_a_recording_in_order(tmp_path, environment) -> None:
     last = json.loads(out.splitlines()[-1])
     assert (last["recording"], last["reason"], last["samples"]) == (False, "", 0)
     assert last["sensors"] == {"TH": "no data", "MF": "no data", "camera": "no data"}
+    assert err.count("keys are off without a terminal; the services edit_grasp, ") == 1
     (report,) = verify_dataset(tmp_path / "set")
     assert (report.finished, report.faults) == (True, [])

@@ -180,7 +180,7 @@ def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Pat
             (r"touch: shape \(3,\) is not \(50,\)", {"touch": np.zeros(3)}),
             (r"series.counts: shape \(6, 3\)", {"series": np.zeros((6, 3))}),
             (r"rotation: shape \(3,\) is not \(3, 3\)", {"rotation": np.zeros(3)}),
-            ("hand: is no list of named texts", {"hand": "[1]"}),
+            ("hand, camera: is no list of named texts", {"hand": "[1]"}),
             ("is no sample: .*JSON|is no sample: Expecting", {"hand": "{"}),
             ("is no sample: zip", {"extra_names": np.array(["a"])}),
         ],
@@ -257,6 +257,7 @@ def test_an_exported_bag_is_named_after_its_folder_and_read_by_others(dataset: P
     assert {path.name for path in (tmp_path / "grasps").iterdir()} == {"grasps.mcap", "metadata.yaml"}
     assert ".part" not in (tmp_path / "grasps" / "metadata.yaml").read_text()
     with Recording(tmp_path / "grasps") as recording:
+        assert recording.cloud_topic() == "/foretouch/object_cloud"  # taxels are no clouds of a camera
         topics = {topic.name: (topic.type, topic.count) for topic in recording.topics}
     cloud_type = "sensor_msgs/msg/PointCloud2"
     taxels = {f"/foretouch/taxels/{finger}": (cloud_type, 18) for finger in ("thumb", "middle_finger")}

@@ -22,20 +22,24 @@ from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.errors import FileError
+from foretouch.types import Cloud
 
 OWN = ["timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns"]
 
 
 @pytest.fixture
 def exported(tmp_path: Path) -> Path:
-    """Four grasps of two objects, of six frames each; a fifth without a touch, and one that was dropped."""
+    """Four grasps of two objects, of six frames each; others without a touch, dropped, or without a point."""
     with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         for number, name in enumerate(("ball", "ball", "cup", "ball")):
             writer.append(with_all_channels(number, name))
         writer.append(record(4, "cup", labelled=False))
         writer.append(replace(with_all_channels(5, "cup"), flags=(DISCARDED,)))
+        hollow = with_all_channels(6, "cup")
+        unseen = Cloud(np.full((3, 3), np.nan, np.float32))
+        writer.append(replace(hollow, sample=replace(hollow.sample, cloud=unseen)))
     result = export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
-    assert (result.written, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1})
+    assert (result.written, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1, "no points": 1})
     return tmp_path / "out"
 
 

@@ -62,6 +62,7 @@ def test_the_protocol_asks_for_a_tare_ten_grasps_with_a_repeat_the_next_object_a
         "10 grasps on can in this visit: next object",
         "few grasps: cup 0",
     ]
+    assert suggest(grasps[:3], (), "can", 3, tared=True) == ["grasp 4 of 10 on can"]
     grasps += [summarise(sample(number, "cup")) for number in range(11, 21)]
     assert "again on another day: can, cup" in suggest(grasps, plan, "cup", 0, tared=True)
     grasps.append(summarise(sample(21, "can", day=1)))

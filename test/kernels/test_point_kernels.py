@@ -89,13 +89,17 @@ def test_flying_points(rng: np.random.Generator) -> None:
         before = xyz + np.array([0.0, 0.0, 1.0], np.float32)  # the camera
         before[rng.random(len(xyz)) < 0.05] *= np.float32(0.97)
         for points in (xyz, before):
-            marked, radius = np.empty(len(points), np.uint8), np.empty(1)
-            flying._flying(points, len(points), flying._SETTINGS, marked, radius)
+            settings, marked, radius = (
+                np.array([20.0, 0.008, 2.0, 0.5, 1.0]),
+                np.empty(len(points), np.uint8),
+                np.empty(1),
+            )
+            flying._flying(points, len(points), settings, marked, radius)
             if radius[0] == 0.0:
                 assert not marked.any()
             else:
                 some = rng.permutation(len(points))[:100]
-                expected = reference.flying_points(points, some, radius[0], *flying._SETTINGS[1:])
+                expected = reference.flying_points(points, some, radius[0], *settings[1:])
                 np.testing.assert_array_equal(marked[some], expected)
             found[0] += radius[0] > 0.0
             found[1] += int(marked.sum())

@@ -127,8 +127,8 @@ def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
         history.add_touch(one.stamp_ns, one.cloud, one.grasp, dead)
     with pytest.raises(CloudError, match="fewer than 8"):
         history.add_touch(one.stamp_ns, Cloud(np.zeros((3, 3), np.float32)), one.grasp, one.touch)
-    with pytest.raises(TactileError, match="ahead of the clock"):
-        history.add_touch(one.stamp_ns + DAY, one.cloud, one.grasp, one.touch, now_ns=one.stamp_ns)
+    with pytest.raises(TactileError, match="years after"):
+        history.add_touch(one.stamp_ns + 5000 * DAY, one.cloud, one.grasp, one.touch)
     with pytest.raises(TactileError, match="tare"):
         history.add_tare(one.stamp_ns, dead)
     for name, value in history.to_tensors().items():

@@ -3,11 +3,11 @@
 
 import argparse
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from foretouch.cli.output import print_json, print_text, warn
+from foretouch.dataset.recording.folder import opened_to_write
 from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, store_check
 from foretouch.tactile.contact_detector import FINGER_COLUMNS
 
@@ -21,6 +21,17 @@ _SETTLE_S = 1.5  # until a finger that was released is at rest, and the detector
 
 def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
     """Check with an active recorder that records nothing; 1 if there is a fault."""
+    path = Path(arguments.output).resolve()
+    with opened_to_write(path, node.identity):
+        findings = _check(node, as_json=arguments.json)
+        store_check(path, findings, time.time_ns())
+    faults = sum(bool(one.fix) for one in findings)
+    warn(f"{len(findings)} checks, {faults} faults; stored in {path / CHECKS}")
+    return int(bool(faults))
+
+
+def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
+    """Print and return what is found."""
     from foretouch.ros.recorder.check_feed import CheckFeed
 
     assert node.input_topics is not None  # noqa: S101  an active node has them
@@ -31,11 +42,12 @@ def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
     def report(found: list[CheckFinding]) -> None:
         findings.extend(found)
         for one in found:
-            if arguments.json:
-                print_json(asdict(one))
+            if as_json:
+                print_json(one.record())
+            elif one.fix:
+                print_text(f"FAULT {one.name}: {one.found}; fix: {one.fix}", "red")
             else:
-                text = f"{'FAULT' if one.fault else 'ok   '} {one.name}: {one.found}{'; fix: ' * one.fault}{one.fix}"
-                print_text(text, "red" if one.fault else "")
+                print_text(f"ok    {one.name}: {one.found}")
 
     try:
         warn(f"keep the fingers open and still for {_REST_S:g} s")
@@ -50,8 +62,4 @@ def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
         report(check.presses())
     finally:
         feed.close()
-    path = Path(config.folder, arguments.output)
-    store_check(path, node.identity, findings, time.time_ns())
-    faults = sum(one.fault for one in findings)
-    warn(f"{len(findings)} checks, {faults} faults; stored in {path / CHECKS}")
-    return int(bool(faults))
+    return findings

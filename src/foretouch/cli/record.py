@@ -244,14 +244,15 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
 
     end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
     samples = math.inf if arguments.samples is None else arguments.samples
-    keys = RecordingKeys(node.act)
-    draw = None if arguments.json else partial(_panel, node, None)
+    keys, ended = RecordingKeys(node.act), partial(_ended, node, samples, end)
     report = partial(_print_status, node, arguments)
+    has_keys = has_keyboard() and not terminal().is_dumb_terminal and not arguments.json
     with suppress(KeyboardInterrupt), ExitStack() as stack:
-        _print_status(node, arguments)
-        if arguments.json or not has_keyboard():
+        if not has_keys:
             warn(f"keys are off without a terminal; the services {_SERVICES} of the recorder do the same")
-            watch(partial(_ended, node, samples, end), draw, report, every_s=1.0)
+        report()
+        if not has_keys:
+            watch(ended, None if arguments.json else partial(_panel, node, None), report, every_s=1.0)
             return
         keyboard = stack.enter_context(Keyboard())
 
@@ -260,7 +261,6 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
             keys.press(typed or "")
             return typed is not None
 
-        ended = partial(_ended, node, samples, end)
         watch(lambda: keys.quitted or ended(), partial(_panel, node, keys), report, every_s=1.0, wait=wait)
 
 

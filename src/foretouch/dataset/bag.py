@@ -18,6 +18,7 @@ from foretouch.checked_files import require_existing
 from foretouch.dataset.bag_limits import check_chunks, check_files, limit_decompression
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, FileError
+from foretouch.topics import TAXELS
 from foretouch.types import Cloud
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class Recording:
 
         Raises a `FileError` if the topic is absent, holds other messages or none, or if several qualify.
         """
-        clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE]
+        clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE and not t.name.startswith(TAXELS)]
         if topic is not None:
             clouds = [t for t in self.topics if t.name == topic]
             if not clouds:

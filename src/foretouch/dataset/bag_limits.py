@@ -13,7 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
-from foretouch.checked_files import open_regular
+from foretouch.checked_files import open_regular, require_schema
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, FileError, shown
 
@@ -34,11 +34,9 @@ def check_files(path: Path, files: list[Path]) -> None:
             content = load_yaml(path / "metadata.yaml", _METADATA_BYTES)
         except ConfigError as err:
             raise FileError(path, str(err)) from err
-        facts = content.get("rosbag2_bagfile_information")
-        names = facts.get("relative_file_paths") if isinstance(facts, dict) else None
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise FileError(path, "is no list of names", field="metadata.yaml: relative_file_paths")
-        files = [path / Path(name).name for name in names]
+        schema = {"rosbag2_bagfile_information": {"relative_file_paths": [str]}}
+        facts = require_schema(path / "metadata.yaml", content, schema)["rosbag2_bagfile_information"]
+        files = [path / Path(name).name for name in facts["relative_file_paths"]]
     for file in files:
         open_regular(file).close()
         if file.suffix == ".db3":

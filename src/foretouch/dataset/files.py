@@ -7,12 +7,11 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
+from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes
 from foretouch.errors import FileError, VersionError, shown
 
 
@@ -43,12 +42,6 @@ def new_folder(path: Path) -> Iterator[Path]:
             (part / path.name).rename(path)
     finally:
         shutil.rmtree(part, ignore_errors=True)
-
-
-def free_name(path: Path, addition: str) -> Path:
-    """The path with an addition to its name, and a number where there is a file of that name."""
-    names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
-    return next(path.with_name(name) for name in names if not os.path.lexists(path.with_name(name)))
 
 
 def sync_folder(path: Path) -> None:
@@ -82,10 +75,7 @@ def read_manifest(file: Path, kind: str, version: int, seal: str) -> dict[str, A
         FileError: If it is absent, no JSON, of another format or schema version, or changed.
     """
     text = read_bytes(file, TEXT_LIMIT)
-    try:
-        content = parse_json(text.decode("utf-8"))
-    except ValueError as err:
-        raise FileError(file, f"is no JSON: {' '.join(str(err).split())}") from err
+    content: Any = json_in(file, text)
     if not isinstance(content, dict) or content.get("format") != kind:
         raise FileError(file, f"is not {kind}", field="format")
     try:

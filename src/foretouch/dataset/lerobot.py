@@ -26,7 +26,7 @@ from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, open_samples
 from foretouch.errors import FileError
 from foretouch.tactile.channels import columns
-from foretouch.types import ELECTRODES, AnyArray, Cloud, Float32, Grasp
+from foretouch.types import ELECTRODES, AnyArray, Cloud, Float32
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
 _POINTS: Final = 1024  # of each cloud
@@ -52,31 +52,33 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
         for record in samples.records(discarded=True):
             progress()
             writer.append(record)
-            if record.sample.touch is None or DISCARDED in record.flags:
-                result.left_out["discarded" if DISCARDED in record.flags else "unlabelled"] += 1
-                continue
-            tables.add(record)
-            result.written += 1
+            if reason := _no_episode(record):
+                result.left_out[reason] += 1
+            else:
+                tables.add(record)
+                result.written += 1
     if not result.written:
         raise FileError(samples.path, "holds no executed grasp with a touch to export")
     tables.finish(samples.identity.hand.get("model", ""))
 
 
+def _no_episode(record: SampleRecord) -> str:
+    """Why a sample is no episode, or "" if it is one."""
+    if DISCARDED in record.flags or record.sample.touch is None:
+        return "discarded" if DISCARDED in record.flags else "unlabelled"
+    return "" if np.isfinite(record.sample.cloud.xyz).all(axis=-1).any() else "no points"
+
+
 def _survey(samples: SampleSet) -> tuple[list[str], float]:
     """Channels besides PDC and electrodes that all samples have, and the median period of their readings [ns], or 0."""
-    channels: set[str] | None = None
+    channels: list[set[str]] = []
     periods = []
     for record in samples.records():
-        series = readings(record)
-        if series is not None:
-            names = {name for name in series.others if all(_other(name, one) in series.others for one in _FINGERS)}
-            channels = names if channels is None else channels & names
+        if (series := readings(record)) is not None:
+            thumb, middle = ({name[:-3] for name in series.others if name.endswith(one)} for one in ("_TH", "_MF"))
+            channels = [thumb.intersection(middle, *channels)]
             periods += np.diff(series.stamps_ns)[:100].tolist()
-    return sorted({name.rpartition("_")[0] for name in channels or ()}), float(np.median(periods or [0]))
-
-
-def _other(name: str, finger: str) -> str:
-    return f"{name.rpartition('_')[0]}_{finger}"
+    return sorted(set().union(*channels)), float(np.median(periods or [0]))
 
 
 class _Rows:
@@ -134,8 +136,9 @@ class _Tables:
         assert series is not None  # noqa: S101  it has a touch
         count, task = len(series.stamps_ns), f"grasp the {sample.object}"
         numbers = np.arange(count)
+        action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()]).astype(np.float32)
         frames: dict[str, AnyArray] = {
-            "action": np.tile(_action(sample.grasp), (count, 1)),
+            "action": np.tile(action, (count, 1)),
             "observation.pointcloud": np.tile(_points(sample.cloud), (count, 1)),
             "timestamp": (numbers / self._fps).astype(np.float32),
             "frame_index": numbers,
@@ -181,8 +184,12 @@ class _Tables:
         meta = self._root / "meta"
         tasks = pa.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
         # Readers take the column `task` as the index of the rows, as pandas notes it.
-        tasks = tasks.replace_schema_metadata({"pandas": json.dumps(_pandas_index(tasks))})
-        pq.write_table(tasks, meta / "tasks.parquet")
+        described = [
+            {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": "object", "metadata": None}
+            for name, kind in (("task_index", "int64"), ("task", "unicode"))
+        ]
+        index = {"index_columns": ["task"], "columns": described, "column_indexes": []}
+        pq.write_table(tasks.replace_schema_metadata({"pandas": json.dumps(index)}), meta / "tasks.parquet")
         stats = {name: {what: value.tolist() for what, value in self._stats[name].items()} for name in self._features}
         info = {
             "codebase_version": "v3.0",
@@ -206,10 +213,6 @@ def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:
     if feature["shape"] == [1]:
         return pa.array(values)
     return pa.FixedSizeListArray.from_arrays(values.ravel(), feature["shape"][0])
-
-
-def _action(grasp: Grasp) -> Float32:
-    return np.concatenate([grasp.g1, grasp.g2, grasp.rotation.ravel()]).astype(np.float32)
 
 
 def _points(cloud: Cloud) -> Float32:
@@ -239,15 +242,6 @@ def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]
         "count": stacked["count"].sum(axis=0),
         **{what: (weights * stacked[what]).sum(axis=0) for what in _QUANTILES},
     }
-
-
-def _pandas_index(table: Any) -> dict[str, Any]:
-    kinds = {"task_index": "int64", "task": "unicode"}
-    described = [
-        {"name": name, "field_name": name, "pandas_type": kinds[name], "numpy_type": "object", "metadata": None}
-        for name in table.column_names
-    ]
-    return {"index_columns": ["task"], "column_indexes": [], "columns": described, "pandas_version": "2.0.0"}
 
 
 def _open(path: Path, unfinished: bool) -> SampleSet:

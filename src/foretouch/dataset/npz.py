@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples as NumPy archives: `<object>/<name>.npz`, one a sample; `foretouch.cloud.io.files` reads their clouds too."""
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.checked_files import parse_json
 from foretouch.cloud.io.files import CLOUD_ARRAYS, archived_cloud, read_arrays
 from foretouch.dataset.record import Identity, SampleRecord, TouchSeries, check_id
-from foretouch.dataset.recording.sample_codec import OUTCOMES
+from foretouch.dataset.recording.sample_codec import OUTCOMES, parse_properties, properties_text
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.types import AnyArray, Grasp, GraspSample, Touch
@@ -21,27 +19,25 @@ _GRASP: Final = ("g1", "g2", "rotation", "score")
 _TEXTS: Final = ("outcome", "note", "detector")
 _NUMBERS: Final = ("contact_ns", "pairing_error_ns")
 _SERIES: Final = ("series_stamps_ns", "series", "series_phases")
-_OPTIONAL: Final = (
-    *(
-        *CLOUD_ARRAYS,
-        "touch",
-        "tare",
-        "grasp_id",
-        "object_id",
-        "extra_names",
-        "extra_values",
-        "flags",
-        "hand",
-        "camera",
-    ),
-    *(*_TEXTS, *_NUMBERS, *_SERIES, "series_names", "series_others"),
-    *(f"candidates_{name}" for name in (*_GRASP, "grasp_id", "object_id")),
+_OTHERS: Final = (
+    "touch",
+    "tare",
+    "extra_names",
+    "extra_values",
+    "flags",
+    "hand",
+    "camera",
+    "series_names",
+    "series_others",
 )
+_GRASP_ARRAYS: Final = (*_GRASP, "grasp_id", "object_id")
+_CANDIDATES: Final = tuple(f"candidates_{name}" for name in _GRASP_ARRAYS)
+_OPTIONAL: Final = (*CLOUD_ARRAYS, *_GRASP_ARRAYS, *_CANDIDATES, *_TEXTS, *_NUMBERS, *_SERIES, *_OTHERS)
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     out.mkdir(parents=True)
-    facts = {name: json.dumps(dict(getattr(samples.identity, name))) for name in ("hand", "camera")}
+    facts = {name: properties_text(getattr(samples.identity, name)) for name in ("hand", "camera")}
     for record in samples.records():
         progress()
         check_id(record.sample.id, record.sample.object)
@@ -96,8 +92,8 @@ def _read(path: Path) -> tuple[SampleRecord, Identity]:
     """The sample in an archive, and hand and camera; a `FileError` if it is none."""
     arrays = read_arrays(path, _REQUIRED, _OPTIONAL)
     try:
-        facts = [_facts(arrays, name) for name in ("hand", "camera")]
-        return _record(path, arrays), Identity(hand=facts[0], camera=facts[1])
+        hand, camera = (parse_properties(str(arrays.get(name, "{}"))) for name in ("hand", "camera"))
+        return _record(path, arrays), Identity(hand=hand, camera=camera)
     except FileError:
         raise
     except (ForetouchError, ValueError, TypeError, IndexError, OverflowError) as err:
@@ -122,14 +118,14 @@ def _record(path: Path, arrays: Mapping[str, AnyArray]) -> SampleRecord:
         id=text("id"),
         object=text("object"),
         cloud=archived_cloud(path, arrays),
-        grasp=_grasp({name: arrays.get(name, np.array("")) for name in (*_GRASP, "grasp_id", "object_id")}),
+        grasp=_grasp({name: arrays.get(name, np.array("")) for name in _GRASP_ARRAYS}),
         touch=touch("touch"),
         tare=touch("tare"),
         stamp_ns=int(arrays["sample_stamp_ns"]),
         extra=dict(zip(texts("extra_names"), arrays.get("extra_values", np.empty(0)).tolist(), strict=True)),
     )
     contact_ns, error_ns = (int(arrays[name]) if name in arrays else None for name in _NUMBERS)
-    candidates = {name.partition("_")[2]: values for name, values in arrays.items() if name.startswith("candidates_")}
+    candidates = {name: arrays[key] for name, key in zip(_GRASP_ARRAYS, _CANDIDATES, strict=True) if key in arrays}
     count = len(candidates.get("score", ()))
     return SampleRecord(
         sample=sample,
@@ -153,13 +149,6 @@ def _series(arrays: Mapping[str, AnyArray], names: list[str]) -> TouchSeries:
     stamps_ns, counts, phases = (arrays[name] for name in _SERIES)
     others = dict(zip(names, arrays.get("series_others", np.empty((0, 0), np.float32)), strict=True))
     return TouchSeries(stamps_ns.astype(np.int64), counts.astype(np.float32), phases.astype(np.uint8), others)
-
-
-def _facts(arrays: Mapping[str, AnyArray], name: str) -> dict[str, str]:
-    facts = parse_json(str(arrays[name][()])) if name in arrays else {}
-    if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
-        raise DatasetError(f"{name}: is no list of named texts")
-    return facts
 
 
 def _files(path: Path) -> list[Path]:

@@ -9,10 +9,9 @@ import math
 import os
 from collections import defaultdict, deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,6 @@ from foretouch import __version__
 from foretouch.checked_files import open_own, parse_json
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.pairing.sensors import ALIVE, SensorHealth
-from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.folder import opened_to_write
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.tactile.readings import is_tdc, to_celsius
@@ -39,14 +36,16 @@ _POINTS: Final = 200  # of what is taken for a hand
 _NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckFinding:
-    """The result of one check."""
+class CheckFinding(NamedTuple):
+    """The result of one check; with a fix, it is a fault."""
 
     name: str  # what was checked
-    fault: bool
     found: str
     fix: str = ""
+
+    def record(self) -> dict[str, Any]:
+        """As it is stored and printed."""
+        return {"name": self.name, "fault": bool(self.fix), "found": self.found, "fix": self.fix}
 
 
 class SessionCheck:
@@ -89,26 +88,22 @@ class SessionCheck:
         events = self._contacts.update(received_ns, reading.counts)
         self.pressed += [event.finger for event in events if event.kind == "onset"]
 
-    def end_press(self, finger: str) -> bool:
-        """Take what was pressed since the last call for the answer to the press of a finger, `TH` or `MF`."""
+    def end_press(self, finger: str) -> None:
+        """Take what is `pressed` for the answer to the press of a finger, `TH` or `MF`."""
         self._answers[finger] = tuple(dict.fromkeys(self.pressed))
-        self.pressed.clear()
-        return bool(self._answers[finger])
 
     def at_rest(self) -> list[CheckFinding]:
         """What the messages so far show, while nothing was to be touched."""
         found = [
             self._rate("hand", HAND_HZ, "is the driver running, and --tactile-topic its topic?"),
             self._clock("hand", HAND_OFFSET_S),
-            self._rate(
-                "camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the load of the computer"
-            ),
+            self._rate("camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),
             self._clock("camera", CAMERA_OFFSET_S),
             *self._fingers_at_rest(),
         ]
-        plane = "found" if self.table is not None else "no table was found in the clouds"
-        fix = "" if self.table is not None else "is the graph running, and the table in view of the camera?"
-        return [*found, CheckFinding(name="table", fault=bool(fix), found=plane, fix=fix), self._view()]
+        missing = self.table is None
+        fix = "is the graph running, and the table in the camera's view?" * missing
+        return [*found, CheckFinding("table", "none in the clouds" if missing else "found", fix), self._view()]
 
     def presses(self) -> list[CheckFinding]:
         """Whether each pressed finger has answered."""
@@ -120,22 +115,24 @@ class SessionCheck:
                 fix = f"fingers are swapped: --thumb {self._fingers['MF']} --middle {self._fingers['TH']}"
             elif answers != (finger,):
                 fix = "press one finger alone, on its pad; else check its cable" if answers else "check its cable"
-            found.append(CheckFinding(name=f"press {_NAMES[finger]}", fault=bool(fix), found=text, fix=fix))
+            found.append(CheckFinding(f"press {_NAMES[finger]}", text, fix))
         return found
 
     def _rate(self, what: str, least_hz: float, fix: str) -> CheckFinding:
-        times = self._received[what]
-        rate = (len(times) - 1) / max(1e-9 * (times[-1] - times[0]), 1e-9) if len(times) > 1 else 0.0
+        times = [time for received in self._received.values() for time in received]
+        rate = len(self._received[what]) / max(1e-9 * (max(times) - min(times)), 1.0) if times else 0.0
         low = rate < least_hz
         found = f"{rate:.1f} Hz" + f", at least {least_hz:g} are needed" * low
-        return CheckFinding(name=f"{what} rate", fault=low, found=found, fix=fix * low)
+        return CheckFinding(f"{what} rate", found, fix * low)
 
     def _clock(self, what: str, most_s: float) -> CheckFinding:
-        offset = min(self._behind[what], default=0) * 1e-9
+        if not self._behind[what]:
+            return CheckFinding(f"{what} clock", "there are no messages with a stamp")
+        offset = min(self._behind[what]) * 1e-9
         far = abs(offset) > most_s
         found = f"{abs(offset):.2f} s {'behind' if offset > 0.0 else 'ahead of'} this computer"
         fix = "synchronise the clocks (chrony, PTP)" + ", or reduce the load" * (offset > 0.0)
-        return CheckFinding(name=f"{what} clock", fault=far, found=found, fix=fix * far)
+        return CheckFinding(f"{what} clock", found, fix * far)
 
     def _fingers_at_rest(self) -> list[CheckFinding]:
         counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, 50)
@@ -149,33 +146,32 @@ class SessionCheck:
                 state = f"electrodes {', '.join(map(str, still))} never change"
             elif state == ALIVE and restless[k]:
                 state, fix = "is touched: no tare", "keep the fingers open and still"
-            good = state == ALIVE
-            found.append(CheckFinding(name=_NAMES[finger], fault=not good, found=state, fix="" if good else fix))
+            found.append(CheckFinding(_NAMES[finger], state, fix * (state != ALIVE)))
         return [*found, *(self._temperature(finger) for finger in FINGER_COLUMNS)]
 
     def _temperature(self, finger: str) -> CheckFinding:
         name = f"{_NAMES[finger]} temperature"
         if (channel := f"TDC_{finger}") not in self._others or not self._readings:
-            return CheckFinding(name=name, fault=False, found="this type of message has none")
+            return CheckFinding(name, "this type of message has none")
         tdc = float(np.median([one.others[self._others.index(channel)] for one in self._readings]))
         if not is_tdc(np.array([tdc]))[0]:
-            return CheckFinding(name=name, fault=False, found=f"TDC is {tdc:g}: the driver sends none")
+            return CheckFinding(name, f"TDC is {tdc:g}: the driver sends none")
         celsius = to_celsius(tdc)
         odd = not CELSIUS[0] <= celsius <= CELSIUS[1]
         fix = f"{CELSIUS[0]:g} to {CELSIUS[1]:g} are plausible: let it warm up or cool down, or check the finger" * odd
-        return CheckFinding(name=name, fault=odd, found=f"{celsius:.1f} °C", fix=fix)
+        return CheckFinding(name, f"{celsius:.1f} °C", fix)
 
     def _view(self) -> CheckFinding:
         """Whether the hand, or another thing, stands where the object is."""
         name = "hand in view"
         if self.table is None or self.scene is None or not self.targets:
             fix = "lay an object on the table and start the graph (foretouch run, or perception.launch.py)"
-            return CheckFinding(name=name, fault=True, found="no object was found, so this is not known", fix=fix)
+            return CheckFinding(name, "no object was found, so this is not known", fix)
         gap_m = _nearest_other(self.scene, self.targets, self.table)
         near = gap_m < _NEAR_M
         found = f"something stands {100.0 * gap_m:.0f} cm from the object" if near else "no"
         fix = "move the hand and other things aside while the camera looks" * near
-        return CheckFinding(name=name, fault=near, found=found, fix=fix)
+        return CheckFinding(name, found, fix)
 
 
 def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> float:
@@ -192,14 +188,10 @@ def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> 
     return float(distances[_POINTS]) if len(distances) > _POINTS else math.inf
 
 
-def store_check(path: Path, identity: Identity, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
-    """Append a report to those of a dataset, which is created if needed (raises as `RecordingWriter`)."""
-    report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [asdict(one) for one in findings]}
-    with (
-        opened_to_write(path, identity),
-        disk_errors(path / CHECKS),
-        os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log,
-    ):
+def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
+    """Append a report to those of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written."""
+    report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [one.record() for one in findings]}
+    with disk_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
         log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())
         log.flush()
         os.fsync(log.fileno())

@@ -112,7 +112,7 @@ def suggest(
         days[one.object].append(one.day)
     if few := sorted((len(n), name) for name, n in days.items() if len(n) < VISIT_GRASPS and name != current):
         steps.append(f"few grasps: {_listed([f'{name} {count}' for count, name in few])}")
-    elif once := [name for name, found in days.items() if len(set(found)) == 1]:
+    elif once := [name for name, found in days.items() if len(found) >= VISIT_GRASPS and len(set(found)) == 1]:
         steps.append(f"again on another day: {_listed(once)}")
     return steps
 

@@ -18,9 +18,10 @@ from foretouch.dataset.record import SampleRecord, TouchSeries, readings
 from foretouch.dataset.recording.sample_codec import sample_types
 from foretouch.grasp.pose import electrodes_at
 from foretouch.tactile import columns
+from foretouch.topics import TAXELS
 from foretouch.types import AnyArray, Float32
 
-TAXEL_TOPICS: Final = {"TH": "/foretouch/taxels/thumb", "MF": "/foretouch/taxels/middle_finger"}
+TAXEL_TOPICS: Final = {"TH": f"{TAXELS}thumb", "MF": f"{TAXELS}middle_finger"}
 _FLOAT32: Final = 7  # of sensor_msgs/PointField
 
 

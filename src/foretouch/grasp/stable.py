@@ -21,7 +21,6 @@ to have an axis or a sign of its own, one direction of the camera's frame decide
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
@@ -364,6 +363,8 @@ def _dot(a: Float64, b: Float64) -> Float64:
 
 def _distances(a: Float64, b: Float64) -> Float64:
     """(A, B) float64 distances of (A, 3) and (B, 3) places."""
+    from scipy.spatial.distance import cdist
+
     return np.asarray(cdist(a, b), np.float64)
 
 

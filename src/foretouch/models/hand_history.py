@@ -15,7 +15,6 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Final, Self
 
@@ -23,7 +22,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
-from foretouch.checked_files import open_own, read_bytes, replace_files
+from foretouch.checked_files import free_name, open_own, read_bytes, replace_files
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models.files import packed
@@ -85,9 +84,7 @@ class HandHistory:
         """Touches of the current object."""
         return self.tracker.touches
 
-    def add_tare(
-        self, stamp_ns: int, tare: Touch, *, now_ns: int | None = None, tdc: Float64 | None = None
-    ) -> tuple[str, ...]:
+    def add_tare(self, stamp_ns: int, tare: Touch, *, tdc: Float64 | None = None) -> tuple[str, ...]:
         """Add a reading without contact; one within a minute of the last is left out, since their errors are the same.
 
         Arguments, result and errors are as of `SensorTracker.add_tare`, for the reading itself [counts]; one that is not of
@@ -95,7 +92,7 @@ class HandHistory:
         """
         if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             return ()
-        restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(tare), now_ns=now_ns, tdc=tdc)
+        restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(tare), tdc=tdc)
         self._tare_ns = stamp_ns
         return self._counted(restarted)
 
@@ -107,7 +104,6 @@ class HandHistory:
         reading: Touch,
         *,
         new_object: bool = False,
-        now_ns: int | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         estimate: Estimate | None = None,
         tdc: Float64 | None = None,
@@ -120,7 +116,6 @@ class HandHistory:
             grasp: As executed.
             reading: Both fingers in contact [counts].
             new_object: Whether it is another object than before.
-            now_ns: Wall clock [ns].
             limits: Range and size of objects.
             estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
             tdc: (2,) [counts].
@@ -136,7 +131,7 @@ class HandHistory:
         estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
-        restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns, tdc=tdc)
+        restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], tdc=tdc)
         self.signature = ObjectSignature.of(cloud)
         return self._counted(restarted)
 
@@ -271,7 +266,8 @@ class HistoryFile:
         """
         if self.path.is_symlink() or self.path.exists():
             return read_history(self.path, model, self._hand)
-        for kept in sorted(self._set_aside(), key=lambda one: -one.lstat().st_mtime_ns):
+        set_aside = self.path.parent.glob(f"{self.path.name}.unused*")
+        for kept in sorted(set_aside, key=lambda one: -one.lstat().st_mtime_ns):
             with suppress(FileError, OSError):
                 history = read_history(kept, model, self._hand)
                 kept.rename(self.path)
@@ -292,18 +288,12 @@ class HistoryFile:
         Raises:
             FileError: If it cannot be renamed.
         """
-        taken = {path.name for path in self._set_aside()}
-        names = (f"{self.path.name}.unused{'' if number == 1 else f'-{number}'}" for number in count(1))
-        kept = self.path.with_name(next(name for name in names if name not in taken))
+        kept = free_name(self.path, "unused")
         try:
             self.path.rename(kept)
         except OSError as err:
             raise FileError(self.path, f"cannot be renamed: {err.strerror or err}") from err
         return kept
-
-    def _set_aside(self) -> list[Path]:
-        start = f"{self.path.name}.unused"
-        return [path for path in self.path.parent.iterdir() if path.name.startswith(start)]
 
 
 def _content(history: HandHistory, hand: str) -> bytes:

@@ -156,15 +156,12 @@ class SensorTracker:
         self.start_object()
         return f"the clock was set back: {aside} readings that are ahead of it are set aside"
 
-    def add_tare(
-        self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None, tdc: Float64 | None = None
-    ) -> tuple[str, ...]:
+    def add_tare(self, stamp_ns: int, offset: Float64, *, tdc: Float64 | None = None) -> tuple[str, ...]:
         """Add a tare.
 
         Args:
             stamp_ns: When it was taken [ns].
             offset: (50,) tare minus rest level of the model [counts].
-            now_ns: Wall clock [ns]; a stamp more than 60 s ahead of it is refused. None: not checked.
             tdc: (2,) TDC of thumb and middle finger [counts]; NaN or None where it was not read.
 
         Returns:
@@ -174,7 +171,7 @@ class SensorTracker:
             TactileError: If the stamp or a value cannot be used; nothing is changed then.
         """
         _check_counts("tare", offset)
-        stamp = self._checked_stamp(stamp_ns, now_ns)
+        stamp = self._checked_stamp(stamp_ns)
         self._filter.advance(self._seconds_to(stamp))
         x = self._add_tdc(tdc, stamp)
         mean, variance = self._filter.predicted(parts=1, x=x)
@@ -188,13 +185,7 @@ class SensorTracker:
         return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
 
     def add_touch(
-        self,
-        stamp_ns: int,
-        reading: Float64,
-        expected: Float64,
-        *,
-        now_ns: int | None = None,
-        tdc: Float64 | None = None,
+        self, stamp_ns: int, reading: Float64, expected: Float64, *, tdc: Float64 | None = None
     ) -> tuple[str, ...]:
         """Add the (50,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
 
@@ -202,7 +193,7 @@ class SensorTracker:
         """
         _check_counts("reading", reading, 0.0, FULL_SCALE)
         _check_counts("expected", expected)
-        stamp = self._checked_stamp(stamp_ns, now_ns)
+        stamp = self._checked_stamp(stamp_ns)
         self._filter.advance(self._seconds_to(stamp))
         self._newest_ns = stamp
         x = self._add_tdc(tdc, stamp)
@@ -348,17 +339,11 @@ class SensorTracker:
     def _seconds_to(self, stamp_ns: int) -> float:
         return max(0, int(stamp_ns) - self._newest_ns) / 1e9 if self._newest_ns >= 0 else 0.0
 
-    def _checked_stamp(self, stamp_ns: int, now_ns: int | None) -> int:
-        """The stamp, not before the newest one.
-
-        Raises:
-            TactileError: If it is no stamp, far ahead, or too late.
-        """
+    def _checked_stamp(self, stamp_ns: int) -> int:
+        """The stamp, not before the newest one; a `TactileError` if it is no stamp, far ahead, or too late."""
         if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
             raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
         stamp = int(stamp_ns)
-        if now_ns is not None and stamp - now_ns > _AHEAD_NS:
-            raise TactileError(f"stamp: is {(stamp - now_ns) / 1e9:.1f} s ahead of the clock, 60 s are allowed")
         if self._newest_ns >= 0 and self._newest_ns - stamp > _LATE_NS:
             late = (self._newest_ns - stamp) / 1e9
             raise TactileError(f"stamp: is {late:.1f} s before that of the newest reading, 60 s are allowed")

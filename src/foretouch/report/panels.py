@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+from foretouch.checked_files import replace_files
 from foretouch.errors import FileError
 from foretouch.types import Float64, Touch
 
@@ -40,11 +42,12 @@ def save(figure: Figure, path: Path, dpi: int = 120) -> Path:
 
     A `FileError` if the format is unknown, or the file cannot be written.
     """
+    content = io.BytesIO()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=dpi)
-    except (OSError, ValueError) as err:
-        raise FileError(path, f"cannot be written: {getattr(err, 'strerror', None) or err}") from err
+        figure.savefig(content, dpi=dpi, format=path.suffix[1:])
+    except ValueError as err:
+        raise FileError(path, f"cannot be written: {err}") from err
+    replace_files({path: content.getvalue()})
     return path
 
 
@@ -52,9 +55,10 @@ def save_small(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG with a palette of 128 colours, less than half as large."""
     from PIL import Image
 
-    save(figure, path)
-    with Image.open(path) as image:
-        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+    content = io.BytesIO()
+    with Image.open(save(figure, path)) as image:
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(content, "PNG", optimize=True)
+    replace_files({path: content.getvalue()})
     return path
 
 

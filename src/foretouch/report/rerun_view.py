@@ -8,6 +8,7 @@
 /answer                                         the same as text, with flags and reasons
 """
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,7 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import FileError, ForetouchError, MissingDependencyError
+from foretouch.checked_files import open_own
+from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts
 from foretouch.simulation.contact.pad import PadConfig
@@ -67,10 +69,7 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
     except ImportError as err:
         raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'") from err
     part = path.with_name(f"{path.name}.part")
-    try:
-        part.open("wb").close()
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
+    os.close(open_own(part, os.O_WRONLY))
     try:
         recording = rerun.RecordingStream("foretouch")
         recording.save(part)

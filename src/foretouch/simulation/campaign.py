@@ -165,13 +165,8 @@ class Campaign:
                 old = mounted[-1]
                 new = draw_finger(kind, stream)
                 electrodes = new.electrode_rest - new.electrode_rest.mean() + old.electrode_rest.mean()
-                mounted.append(
-                    replace(
-                        new,
-                        pdc_rest=old.pdc_rest + exchange.pdc_counts,
-                        electrode_rest=np.clip(electrodes + exchange.electrode_counts, 1.0, FULL_SCALE - 1.0),
-                    )
-                )
+                electrodes = np.clip(electrodes + exchange.electrode_counts, 1.0, FULL_SCALE - 1.0)
+                mounted.append(replace(new, pdc_rest=old.pdc_rest + exchange.pdc_counts, electrode_rest=electrodes))
         return thumbs, middles
 
     @cached_property

@@ -136,7 +136,8 @@ def test_every_message_is_counted_and_losses_outlive_a_repair(tmp_path: Path) ->
         assert report.messages == {TACTILE: 6, SAMPLE_TOPIC: 1}
         writer.file.write_bytes(writer.file.read_bytes()[:-20])
         assert repair_dataset(tmp_path / "ds")[0].changed
-    for text in ('{"received": "many"}', '{"received": 7, "written": 5, "dropped": {}}', "[]", "{"):
+    infinite = '{"received": 1e999, "written": 5, "lost": 0, "dropped": {}}'
+    for text in ('{"received": "many"}', '{"received": 7, "written": 5, "dropped": {}}', "[]", "{", infinite):
         with pytest.raises(DatasetError, match="holds no counts"):
             MessageCounts.from_mapping({TACTILE: text})
     with RecordingWriter(tmp_path / "other", IDENTITY, QUICK) as writer:

@@ -86,7 +86,18 @@ def test_an_id_on_two_sides_and_other_files_are_refused(tmp_path: Path) -> None:
         (tmp_path / SPLITS_FILE).write_text(text)
         read_splits(tmp_path)
 
-    cases = (("is no list of", "{"), ("is no list", "[]"), ("schema_version: 2 is not 1", '{"schema_version": 2}'))
+    cases = [
+        ("is no JSON", "{"),
+        (r"\[\] is not a mapping", "[]"),
+        ("schema_version: 2 is not 1", '{"schema_version": 2}'),
+        ("splits.a: 3 is not a list", '{"schema_version": 1, "splits": {"a": 3}}'),
+        (r"splits.a\[0\].name: is missing", '{"schema_version": 1, "splits": {"a": [{}]}}'),
+        (
+            r"splits.a\[0\].train\[0\]: 7 is not a text",
+            '{"schema_version": 1, "splits": {"a": [{"name": "", "train": [7]}]}}',
+        ),
+        ("omitted.a: .* is not a text", '{"schema_version": 1, "splits": {}, "omitted": {"a": null}}'),
+    ]
     every_refusal(FileError, cases, read)
     with pytest.raises(FileError, match="No such file"):
         read_splits(tmp_path / "none.json")

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The operator's actions over real DDS, by service and joystick: in the log of the dataset, undone, refused, or waiting."""
 
+import errno
+import os
 import time
+from pathlib import Path
 
 import pytest
 from pair_builders import level
@@ -100,7 +103,7 @@ def test_what_is_pressed_during_a_grasp_is_for_that_grasp_and_is_told_if_it_make
     assert edit(note="odd") == (True, "note odd: waits for the grasp that is being recorded")
     assert graph.call(Trigger, "undo_edit").message == "undone: note odd"
     graph.until(lambda: sum(outcomes(node.status()).values()) == 2)  # without readings it is rejected
-    graph.until(lambda: not node.session_status().operator.replies[-1].done)
+    graph.until(lambda: [one.done for one in node.session_status().operator.replies][-1:] == [False])
     assert node.session_status().operator.replies[-1].text.startswith("not done: failure: ")
     assert edit(grasp_id="g-1", outcome=SUCCESS)[1].startswith("grasp g-1: no sample: ")
     assert [one.outcome for one in samples(tmp_path / "set")] == ["success"]
@@ -161,6 +164,36 @@ def test_buttons_of_a_joystick_act_once_when_they_are_pressed(graph, tmp_path):
     press(0)
     time.sleep(0.2)
     assert len(read_edits(tmp_path / "set").edits) == 2
+
+
+def test_an_action_on_a_full_disk_is_not_done_and_is_told_and_can_be_repeated_until_the_session_has_ended(
+    graph, tmp_path, edit, monkeypatch
+):
+    node, robot, _ = start(graph, tmp_path / "set", writing__min_free_mb=0.0)
+    robot.record("g-0", 0)
+    real, full = os.fsync, [True]
+
+    def fsync(fd):
+        if full[0] and Path(f"/proc/self/fd/{fd}").readlink().name == "edits.jsonl":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(fd)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    done, text = edit(outcome=FAILURE)
+    assert (done, text.endswith("edits.jsonl: No space left on device (errno 28)")) == (False, True)
+    graph.until(lambda: f"not done: {text}" in [one.text for one in node.session_status().operator.replies])
+    assert (node.recording, samples(tmp_path / "set")[0].outcome) == (True, "success")
+    assert edit(outcome=SUCCESS)[0] is False
+    full[0] = False
+    assert edit(outcome=FAILURE) == (True, "can/000001: failure")
+    assert samples(tmp_path / "set")[0].outcome == "failure"
+    node._session.writer.config = node._session.writer.config.replace(min_free_mb=1e9)
+    robot.feel(level(0), 30)
+    graph.until(lambda: not node.recording)
+    graph.until(lambda: node._session is None)
+    done, text = edit(outcome=SUCCESS)
+    assert (done, text.startswith("nothing is being recorded: "), "disk almost full" in text) == (False, True, True)
+    assert len(read_edits(tmp_path / "set").edits) == 1
 
 
 def test_actions_are_acknowledged_within_a_fifth_of_a_second_while_messages_are_recorded(graph, tmp_path):

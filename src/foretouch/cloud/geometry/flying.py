@@ -15,9 +15,9 @@ _flying = Kernel("flying_points", np.float32, int, np.float64, np.uint8, np.floa
 _NEIGHBOURS = 20.0  # that a point has on average, of all whose rays are near
 _GAP_M = 0.008  # in depth, up to which neighbours support each other, as `ClusterConfig.gap_m`,
 _SLOPE = 2.0  # or so many times their lateral distance
-_SHARE = 0.5  # of the neighbours, at least, that are behind it, or before it
-_SUPPORT = 1.0  # neighbours that support it, at most: the end of a wire has two
-_SETTINGS = np.array([_NEIGHBOURS, _GAP_M, _SLOPE, _SHARE, _SUPPORT])
+# Of the neighbours, at least this share is behind it, or before it, and at most so many support it: the end of a wire has two.
+# Where points fly, some of them are near each other by chance.
+_FIRST, _AGAIN = (0.5, 1.0), (0.75, 3.0)
 
 
 def flying_mask(xyz: Float32, least_share: float) -> Bool:
@@ -35,17 +35,18 @@ def flying_mask(xyz: Float32, least_share: float) -> Bool:
     Raises:
         MemoryError: If there is too little memory.
     """
-    flying = _alone(xyz)
+    flying = _alone(xyz, *_FIRST)
     if np.count_nonzero(flying) < max(least_share * len(xyz), 1.0):
         return np.zeros(len(xyz), np.bool_)
     rest = np.flatnonzero(~flying)
-    flying[rest[_alone(xyz[rest])]] = True  # those that were together, or hid each other
+    flying[rest[_alone(xyz[rest], *_AGAIN)]] = True
     return flying
 
 
-def _alone(xyz: Float32) -> Bool:
+def _alone(xyz: Float32, share: float, support: float) -> Bool:
     flying, radius = np.empty(len(xyz), np.uint8), np.empty(1)
-    _flying(np.ascontiguousarray(xyz), len(xyz), _SETTINGS, flying, radius)
+    settings = np.array([_NEIGHBOURS, _GAP_M, _SLOPE, share, support])
+    _flying(np.ascontiguousarray(xyz), len(xyz), settings, flying, radius)
     if radius[0] < 0.0:
         raise MemoryError("flying_points")
     return flying.view(np.bool_)

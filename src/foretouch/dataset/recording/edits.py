@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
-from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema
-from foretouch.dataset.files import disk_errors, free_name, require_version, sync_folder
+from foretouch.checked_files import TEXT_LIMIT, free_name, open_own, parse_json, read_bytes, require_schema
+from foretouch.dataset.files import disk_errors, require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
@@ -198,9 +198,7 @@ def _read(file: Path) -> tuple[list[Edit], list[str], int]:
     for number, line in enumerate(data[:size].split(b"\n")[:-1], 1):
         try:
             edit, digest = _edit(file, line, digests[-1] if digests else "", len(edits))
-        except FileError:
-            raise
-        except (DatasetError, ValueError, KeyError, TypeError, RecursionError) as err:
+        except (DatasetError, ValueError) as err:
             raise FileError(file, " ".join(str(err).split()), field=f"line {number}") from err
         edits.append(edit)
         digests.append(digest)
@@ -209,11 +207,10 @@ def _read(file: Path) -> tuple[list[Edit], list[str], int]:
 
 def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
     """The edit in a line, and the digest up to it."""
-    content: Any = parse_json(line)
-    if isinstance(content, dict):
-        version = content.get("schema_version")
-        require_version(version, 1 if version == 1 else _VERSION)
-    if not isinstance(content, dict) or content.pop("sha256", None) != _digest(before, content):
+    content = require_schema(file, parse_json(line), dict, f"line {known + 1}")
+    version = content.get("schema_version")
+    require_version(version, 1 if version == 1 else _VERSION)
+    if content.pop("sha256", None) != _digest(before, content):
         raise DatasetError("damaged: this line and those before it do not match their checksum")
     require_schema(file, content, _SCHEMA, f"line {known + 1}")
     if content["action"] not in _ACTIONS:

@@ -292,7 +292,7 @@ class MessageCounts:
                 counts = parse_json(text)
                 dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
                 received, written, lost = (int(counts[key]) for key in ("received", "written", "lost"))
-            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as err:
                 raise DatasetError(f"message counts: {name}: {text[:80]!r} holds no counts") from err
             result.topics[name] = TopicCounts(received, written, dropped, lost)
         return result

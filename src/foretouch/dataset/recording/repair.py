@@ -16,8 +16,8 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.checked_files import FileBytes
-from foretouch.dataset.files import disk_errors, free_name, sync_folder
+from foretouch.checked_files import FileBytes, free_name
+from foretouch.dataset.files import disk_errors, sync_folder
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits

@@ -91,8 +91,8 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         extra_names=list(extra),
         extra_values=np.array(list(extra.values()), np.float64),
         foretouch=__version__,
-        hand=_facts(identity.hand),
-        camera=_facts(identity.camera),
+        hand=properties_text(identity.hand),
+        camera=properties_text(identity.camera),
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
     for name in _FINITE:
@@ -145,11 +145,11 @@ def _stored(message: Any) -> StoredSample:
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
     )
-    return StoredSample(record, Identity(hand=_texts(message.hand), camera=_texts(message.camera)))
+    return StoredSample(record, Identity(hand=parse_properties(message.hand), camera=parse_properties(message.camera)))
 
 
-def _texts(text: str) -> dict[str, str]:
-    """The inverse of `_facts`."""
+def parse_properties(text: str) -> dict[str, str]:
+    """The inverse of `properties_text`; a `DatasetError` if the text is none."""
     facts = parse_json(text)
     if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
         raise DatasetError("hand, camera: is no list of named texts")
@@ -164,7 +164,8 @@ def sample_types() -> Definitions:
     return definitions
 
 
-def _facts(facts: Mapping[str, str]) -> str:
+def properties_text(facts: Mapping[str, str]) -> str:
+    """The properties of a hand or a camera as JSON; equal ones give equal text."""
     return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
 
 

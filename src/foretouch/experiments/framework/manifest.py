@@ -86,6 +86,8 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable:
         raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_manifest(file)
     _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
+    if (out / _CELLS).is_symlink():
+        raise FileError(out / _CELLS, "is a link, and nothing is written through links")
     (out / _CELLS).mkdir(exist_ok=True)
     return {**manifest, **fixed}
 

@@ -160,17 +160,11 @@ def load_dataset(path: str | Path) -> Dataset:
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-    splits = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts))
+    splits = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
     public = opened.kind == "vision2tactile"
-    return Dataset(
-        path.name,
-        samples,
-        content_sha256(samples),
-        splits.parts,
-        (folder_sha256(path),) if public else (),
-        splits.omitted,
-        _VISION2TACTILE if public else _simulated(path) if opened.kind == "store" else {},
-    )
+    origin = _VISION2TACTILE if public else _simulated(path) if opened.kind == "store" else {}
+    aliases = (folder_sha256(path),) if public else ()
+    return Dataset(path.name, samples, content_sha256(samples), splits.parts, aliases, splits.omitted, origin)
 
 
 def _simulated(path: Path) -> dict[str, Any]:

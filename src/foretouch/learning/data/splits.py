@@ -18,9 +18,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
+from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes, require_schema
 from foretouch.dataset.store_writer import SampleFacts
-from foretouch.errors import DatasetError, FileError
+from foretouch.errors import DatasetError, FileError, shown
 from foretouch.learning.data.folds import Indices, group_folds, random_folds, time_folds
 
 SPLITS_FILE: Final = "splits.json"
@@ -30,6 +30,7 @@ _KINDS: Final = ("random", "object", "time", "labels")  # in this order, which s
 _TEST_PER_OBJECT: Final = 200  # of P2's 1000
 _TEST_SHARE: Final = 0.2
 _VERSION: Final = 1
+_PART: Final = {"name": str, "train?": [str], "test?": [str], "unlabelled?": [str]}
 
 
 @dataclass(frozen=True)
@@ -111,26 +112,22 @@ def read_splits(path: str | Path) -> DatasetSplits:
     """
     path = Path(path)
     file = path / SPLITS_FILE if path.is_dir() else path
-    try:
-        text = read_bytes(file, TEXT_LIMIT).decode("utf-8")
-    except UnicodeDecodeError as err:
-        raise FileError(file, f"is no text: {err}") from err
-    return parse_splits(text, file)
+    return parse_splits(read_bytes(file, TEXT_LIMIT), file)
 
 
-def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
+def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     """Parse the text of a `splits.json`; raises `FileError`, which names `file`, as `read_splits`."""
+    content = require_schema(file, json_in(file, text), dict)
+    if (version := content.get("schema_version")) != _VERSION:
+        raise FileError(file, f"{shown(version)} is not {_VERSION}", field="schema_version")
+    require_schema(file, content, {"splits": dict, "omitted?": dict})
+    kinds, omitted = content["splits"], content.get("omitted", {})
+    require_schema(file, kinds, {kind: [_PART] for kind in kinds}, "splits")
+    require_schema(file, omitted, dict.fromkeys(omitted, str), "omitted")
     try:
-        content = parse_json(text)
-        if content["schema_version"] != _VERSION:
-            raise FileError(file, f"{content['schema_version']} is not {_VERSION}", field="schema_version")
-        kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in content["splits"].items()}
-        omitted = {str(kind): str(reason) for kind, reason in content.get("omitted", {}).items()}
+        return DatasetSplits({kind: [_part(entry) for entry in entries] for kind, entries in kinds.items()}, omitted)
     except DatasetError as err:
         raise FileError(file, str(err)) from err
-    except (ValueError, KeyError, TypeError, AttributeError) as err:
-        raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
-    return DatasetSplits(kinds, omitted)
 
 
 def _parts(kind: str, samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
@@ -164,5 +161,4 @@ def _plain(part: SplitPart) -> dict[str, Any]:
 
 
 def _part(entry: Any) -> SplitPart:
-    sides = [tuple(map(str, entry.get(side, []))) for side in ("train", "test", "unlabelled")]
-    return SplitPart(str(entry["name"]), *sides)
+    return SplitPart(entry["name"], *(tuple(entry.get(side, ())) for side in ("train", "test", "unlabelled")))

@@ -151,13 +151,8 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
     scores = {
         who: {key: {"coverage90": None, **one} for key, one in table[kind].items()} for who, table in tables.items()
     }
-    return {
-        "scores": scores,
-        "samples": card["data"]["samples"],
-        "unfamiliar": None,
-        "split": kind,
-        "scored": "cross_validation",
-    }
+    facts = {"samples": card["data"]["samples"], "unfamiliar": None, "split": kind, "scored": "cross_validation"}
+    return {"scores": scores, **facts}
 
 
 def own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:

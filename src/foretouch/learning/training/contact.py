@@ -105,12 +105,13 @@ def fit_contact(
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
     ridge, gain = choose_ridge(inputs, scaled, objects)
+    forests, kernel = fit_forests(rows, labels, config, thinned), _kernel(inputs, scaled, objects, ridge)
     return ContactEstimator(
-        forests=fit_forests(rows, labels, config, thinned),
-        kernel=_kernel(inputs, scaled, objects, ridge),
-        novelty=NoveltyDetector.fit(rows, objects),
-        mean=mean,
-        deviation=deviation,
+        forests,
+        kernel,
+        NoveltyDetector.fit(rows, objects),
+        mean,
+        deviation,
         generalisation_gain=gain,
         ranges=config.ranges,
     )

@@ -79,16 +79,9 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
     slow, fast, lasting, slow_s, fast_s, tare, noise = np.exp(found)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
-    fitted = replace(
-        parameters,
-        slow=slow * replayed.lasting,
-        fast=fast * replayed.lasting,
-        object=objects,
-        slow_time_s=slow_s,
-        fast_time_s=fast_s,
-        noise=parameters.noise * noise,
-        tare_noise=tare,
-    )
+    states = {"slow": slow * replayed.lasting, "fast": fast * replayed.lasting, "object": objects}
+    times = {"slow_time_s": slow_s, "fast_time_s": fast_s}
+    fitted = replace(parameters, **states, **times, noise=parameters.noise * noise, tare_noise=tare)
     fitted = _with_intervals(fitted, recording)  # without slopes as yet, so that TDC changes no interval
     return fitted if recording.tdc is None else replayed.with_slopes(fitted)
 

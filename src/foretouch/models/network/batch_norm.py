@@ -118,13 +118,8 @@ class _BatchAffine(torch.autograd.Function):
         means, variances = (through + bias).to(weight.dtype), variance.to(weight.dtype)
         number = torch.tensor(count, dtype=torch.float64)
         ctx.mark_non_differentiable(means, variances, number)
-        return (
-            (w * scale[:, None]).to(weight.dtype),
-            (beta - scale * through).to(weight.dtype),
-            means,
-            variances,
-            number,
-        )
+        own, bias = (w * scale[:, None]).to(weight.dtype), (beta - scale * through).to(weight.dtype)
+        return own, bias, means, variances, number
 
     @staticmethod
     @once_differentiable

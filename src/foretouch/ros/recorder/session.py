@@ -139,6 +139,7 @@ class RecordingSession:
                 self._error = f"{self.writer.file}: was removed during the recording"
                 self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
+            self._operator.end_wait("the session has ended")
         except ForetouchError as err:
             self._error = str(err)
         except Exception as err:  # noqa: BLE001  a thread that ends silently would lose everything

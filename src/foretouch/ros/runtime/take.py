@@ -78,12 +78,12 @@ class _Bytes:
 
 
 def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
-    """The next message and what rclpy passes beside it; None where there is none.
+    """The next message and what rclpy passes beside it; None where there is none, or its bytes are damaged.
 
-    The `data` of a cloud are a read-only array. Its queue must not be taken from by two threads.
+    The `data` of a cloud are a read-only array. Damaged bytes show as a gap in the numbers of the publisher, as with rclpy.
 
     Raises:
-        RuntimeError: Or another of rclpy, if the message cannot be taken or read.
+        RuntimeError: Or another of rclpy, if the message cannot be taken.
         InvalidHandle: If the subscription was destroyed.
     """
     handle = subscription.handle
@@ -98,15 +98,19 @@ def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
     if status:
         _rcutils.rcutils_reset_error()
         raise RuntimeError(f"{subscription.topic_name}: a cloud cannot be taken: rcl's error {status}")
+    message = _read(np.asarray(content))
     known = {"publication_sequence_number": info.publication_sequence_number}
-    return _read(np.asarray(content)), {**known, "publisher_gid": {"data": bytes(info.publisher)}}
+    return None if message is None else (message, {**known, "publisher_gid": {"data": bytes(info.publisher)}})
 
 
-def _read(content: UInt8) -> PointCloud2:
-    """A serialised cloud, whose points stay where they are."""
-    start, length = _points_at(content)
-    rest = content[start + length :]
-    message = deserialize_message(content[: start - 4].tobytes() + bytes(4) + rest.tobytes(), PointCloud2)
+def _read(content: UInt8) -> PointCloud2 | None:
+    """A serialised cloud, whose points stay where they are; None if its bytes are damaged."""
+    try:
+        start, length = _points_at(content)
+        rest = content[start + length :]
+        message = deserialize_message(content[: start - 4].tobytes() + bytes(4) + rest.tobytes(), PointCloud2)
+    except (struct.error, IndexError, RuntimeError):
+        return None
     message._data = content[start : start + length]  # noqa: SLF001  its setter copies, byte by byte
     return message
 

@@ -96,14 +96,9 @@ def _fit(problem: ContactProblem) -> _Paraboloid:
     if small <= 0.0:
         raise ContactError(f"Hertz: the gap about first touch is flat or hollow, curvature {2.0 * small:.3g} 1/m")
     x0, y0 = -np.linalg.solve(2.0 * hessian, np.array([gx, gy]))
-    middle = (n - 1) / 2.0
-    return _Paraboloid(
-        float(small),
-        float(large),
-        math.atan2(vectors[1, 0], vectors[0, 0]),
-        (float(column) - middle) * problem.step_m + float(x0),
-        (float(row) - middle) * problem.step_m + float(y0),
-    )
+    middle, axis = (n - 1) / 2.0, math.atan2(vectors[1, 0], vectors[0, 0])
+    x, y = ((float(cell) - middle) * problem.step_m + float(rest) for cell, rest in ((column, x0), (row, y0)))
+    return _Paraboloid(float(small), float(large), axis, x, y)
 
 
 @lru_cache(maxsize=1)

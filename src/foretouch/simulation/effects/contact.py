@@ -30,13 +30,10 @@ def _weight(job: Job, state: SampleState) -> None:
 
 def _solve(level: str, job: Job, state: SampleState) -> None:
     scene, item = job.scene, job.item
-    state.contacts = solve_grip(
-        [contact_problem(scene, item, pad, height) for pad, height in zip(state.pads, state.relief, strict=True)],
-        [command_of(scene, float(target)) for target in state.targets],
-        balanced=scene.grasps.balanced,
-        axial_load_n=state.axial_load_n,
-        level=level,
-    )
+    pairs, balanced = zip(state.pads, state.relief, strict=True), scene.grasps.balanced
+    problems = [contact_problem(scene, item, pad, height) for pad, height in pairs]
+    commands = [command_of(scene, float(target)) for target in state.targets]
+    state.contacts = solve_grip(problems, commands, balanced=balanced, axial_load_n=state.axial_load_n, level=level)
 
 
 def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[Layer, ...]:

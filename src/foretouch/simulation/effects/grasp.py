@@ -18,14 +18,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 def _plan(job: Job, state: SampleState) -> None:
     grasps, view = job.scene.grasps, job.world.view
-    plan = plan_grasps(
-        state.cloud,
-        job.world.plane,
-        grasps.geograsp,
-        rng=job.rng() if grasps.slide else None,
-        pixels=state.pixels,
-        image_shape=(view.height, view.width),
-    )
+    rng, shape = job.rng() if grasps.slide else None, (view.height, view.width)
+    plan = plan_grasps(state.cloud, job.world.plane, grasps.geograsp, rng=rng, pixels=state.pixels, image_shape=shape)
     if plan.status == "no_grasp":
         raise SimulationError(f"{job.item.name}: {plan.reason}", "no_grasp")
     grasp = plan.grasps[0]

@@ -8,6 +8,7 @@ All stand upright along z. Random superquadrics, vases and blobs serve to learn 
 
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -216,13 +217,7 @@ def _sphere() -> _Surface:
 def _hull_faces(vertices: Float64) -> Int64:
     """The 20 faces of an icosahedron: triples of corners one edge apart, turned outwards."""
     near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 1.1  # the edge is 1.05
-    triples = [
-        (i, j, k)
-        for i in range(12)
-        for j in range(i + 1, 12)
-        for k in range(j + 1, 12)
-        if near[i, j] and near[j, k] and near[i, k]
-    ]
+    triples = [(i, j, k) for i, j, k in combinations(range(12), 3) if near[i, j] and near[j, k] and near[i, k]]
     faces = np.array(triples, np.int64)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0.0
