@@ -2,6 +2,7 @@
 """From a recording to predictions of a model of one's own: four commands, and what they say where grasps are missing."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from every_case import every_case
 from experiment_samples import make_samples
 from recording_builders import IDENTITY, QUICK
 
-from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.grasp.pose import hand_rotation
 from foretouch.models.registry import load_model
@@ -17,11 +18,11 @@ from foretouch.models.registry import load_model
 QUICKLY = "contact.trees=3"
 
 
-def write_recording(path: Path, counts: tuple[int, ...]) -> None:
+def write_recording(path: Path, counts: tuple[int, ...], identity: Identity = IDENTITY, seed: int = 0) -> None:
     """So many grasps of each object, in one session each."""
-    samples = make_samples(len(counts), max(counts))
+    samples = make_samples(len(counts), max(counts), seed)
     for k, count in enumerate(counts):
-        with RecordingWriter(path, IDENTITY, QUICK) as writer:
+        with RecordingWriter(path, identity, QUICK) as writer:
             for one in samples[k * max(counts) :][:count]:
                 rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 1.0, 0.0]))
                 one.grasp.__dict__["rotation"] = rotation
@@ -81,3 +82,13 @@ def test_a_model_of_all_samples_says_how_it_can_be_scored(tmp_path: Path, call) 
     done = call("evaluate", tmp_path / "model", tmp_path / "grasps")
     assert done.status == 1
     assert "none is held out; train with release=true (scores by cross-validation) or split='random/" in done.err
+
+
+def test_datasets_of_two_hands_are_joined_with_a_warning(tmp_path: Path, call) -> None:
+    write_recording(tmp_path / "one", (2,))
+    write_recording(tmp_path / "other", (2, 2), replace(IDENTITY, hand={**IDENTITY.hand, "serial": "99"}), seed=1)
+    done = call("dataset", "build", tmp_path / "one", tmp_path / "other", "-o", tmp_path / "store")
+    assert done.status == 0
+    assert f"{tmp_path / 'other'}: is of another hand than {tmp_path / 'one'}" in done.err
+    assert "serial 99, not 1234" in done.err
+    assert "another hand" not in call("dataset", "build", tmp_path / "one", "-o", tmp_path / "again").err

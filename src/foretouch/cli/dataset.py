@@ -5,7 +5,7 @@ import argparse
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -312,7 +312,23 @@ def _edit(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _warn_of_other_hands(paths: Sequence[str]) -> None:
+    """Name the properties in which the hands of the datasets differ, as far as they are known."""
+    first, *others = (open_samples(path).identity.hand for path in paths)
+    for path, hand in zip(paths[1:], others, strict=True):
+        differing = [
+            f"{name} {hand[name]}, not {first[name]}"
+            for name in sorted(first.keys() & hand.keys())
+            if hand[name] != first[name]
+        ]
+        if differing:
+            warn(
+                f"{path}: is of another hand than {paths[0]}, whose readings have other levels: {'; '.join(differing)}"
+            )
+
+
 def _build(arguments: argparse.Namespace) -> int:
+    _warn_of_other_hands(arguments.sources)
     chunks = chunks_folder(arguments.out.absolute())
     on_ray = ReadOnRay(chunks, arguments.address, len(os.sched_getaffinity(0)))
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:

@@ -68,7 +68,7 @@ class Keyboard:
         self._guard = subprocess.Popen(["sh", "-c", _GUARD, saved], **pipes)  # noqa: S603, S607
         self._is_on = has_keyboard()
         if self._is_on:
-            tty.setcbreak(self._fd)
+            tty.setcbreak(self._fd, termios.TCSANOW)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -84,11 +84,13 @@ class Keyboard:
             time.sleep(timeout_s)
             return None
         if not self._is_on:
-            tty.setcbreak(self._fd)
+            tty.setcbreak(self._fd, termios.TCSANOW)
             self._is_on = True
             if self._was_suspended:
                 os.write(self._fd, _ENTER_SCREEN)
         ready = select.select([self._fd], [], [], timeout_s)[0]
+        if not self._is_on:  # it was suspended meanwhile
+            return None
         with suppress(OSError):  # it was closed
             return _SEQUENCE.sub("", self._decode(os.read(self._fd, 1024))) if ready else ""
         return None
