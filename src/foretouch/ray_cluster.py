@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import socket
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import redirect_stdout
 from typing import Any, Final, TypeVar
 
 from foretouch import __version__
@@ -60,7 +62,8 @@ def ray_results(
             while waiting and len(running) < limit:
                 item = waiting.pop()
                 running[task.remote(function, item, __version__)] = item
-            (done, *_), _ = ray.wait(list(running), num_returns=1)
+            with redirect_stdout(sys.stderr):  # Ray, in a thread of its own, reports nodes that are lost
+                (done, *_), _ = ray.wait(list(running), num_returns=1)
             item = running.pop(done)
             try:
                 yield item, *ray.get(done)
@@ -69,7 +72,8 @@ def ray_results(
     except (ray.exceptions.RayError, ConnectionError) as err:
         raise ConfigError(f"--address: {address}: the cluster was lost: {' '.join(str(err).split())[:200]}") from err
     finally:
-        ray.shutdown()
+        with redirect_stdout(sys.stderr):
+            ray.shutdown()
 
 
 def _call(function: Callable[[Any], Any], item: Any, version: str) -> tuple[Any, str]:
