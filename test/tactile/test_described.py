@@ -94,7 +94,11 @@ def test_stamps_of_every_kind(tmp_path) -> None:
     assert stamp(np.int32(1_700_000_000)) == 1_700_000_000 * 10**9
     assert stamp(1_700_000_000_000_000_001, "ns") == 1_700_000_000_000_000_001
     assert stamp(2500, "us") == 2_500_000
-    every_refusal(TactileError, [("time: nan is no time", float("nan")), ("is no time", "noon")], stamp)
+    every_refusal(
+        TactileError,
+        [("time: nan is no time", float("nan")), ("is no time", 1e300), ("is no time", -1), ("is no time", "noon")],
+        stamp,
+    )
 
 
 def test_messages_that_lack_something_are_refused_by_name() -> None:

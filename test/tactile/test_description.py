@@ -141,7 +141,8 @@ def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
         ("array.size, spacing: 0 m from a taxel", {"array": {"rows": 2, "cols": 1}}),
         ("array.rows, cols: 300 x 300 taxels exceed", {"array": {**array, "rows": 300, "cols": 300}}),
         (r"pad: taxel 1 at \(0, 0.002, 0\) m is outside; 4 taxels", {"pad": [0, 0, 0, 0.004, 0.001, 0.001]}),
-        (r"pad: taxel 3 at \(4, 0, 0\) m is outside", {"array": {**array, "size": [4, 0.002]}}),  # in millimetres
+        (r"pad: taxel 3 at \(0.5, 0, 0\) m is outside", {"array": {**array, "size": [0.5, 0.002]}}),
+        (r"array.size\[0\]: 4.0 is above 1.0 m", {"array": {**array, "size": [4, 2]}}),  # in millimetres
         ("source.type: '' is no type of messages", {"source": None}),
         ("source.type: 'SensStream' is no type", {"source": {"type": "SensStream"}}),
         ("source.stamp: 'header.' is no field path", {"source": {"type": "a/B", "stamp": "header."}}),
@@ -169,6 +170,7 @@ def test_taxels_that_break_a_rule_are_named_by_their_line(tmp_path) -> None:
         ("line 2: .* is not 7 finite numbers", f"{head}\n0,nan,0,0,0,0,1\n", ()),
         ("line 2: nx, ny, nz: the normal is zero", f"{head}\n0,0,0,0,0,0,0\n", ()),
         ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,0,0,3\n", ()),
+        ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,1e300,0,1e300\n", ()),
         ("line 3: index: not each of 0 to 1 once", f"{head}\n0,0,0,0,0,0,1\n0,1,0,0,0,0,1\n", ()),
         ("line 2: index: not each of 0 to 0 once", f"{head}\n1,0,0,0,0,0,1\n", ()),
         ("line 2: index: not each", f"{head}\n0.5,0,0,0,0,0,1\n", ()),

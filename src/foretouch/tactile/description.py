@@ -109,7 +109,7 @@ class SensorConfig(Settings):
     name: str = setting("", "Name of the sensor")
     summary: str = setting("", "What it is, in one line")
     group: str = setting("", "Group of sensors that it belongs to, such as fingertips")
-    update_rate: float = setting(100.0, "Readings per second", unit="Hz", minimum=0.01, maximum=1e5)
+    update_rate: float = setting(100.0, "Readings per second", unit="Hz", bounds=(0.01, 1e5))
     fingers: tuple[FingerConfig, ...] = ()
     grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2; by default the first two")
     array: ArrayConfig | None = None

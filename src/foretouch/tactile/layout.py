@@ -36,15 +36,15 @@ class Layout:
 class ArrayConfig(Settings):
     """A flat array of equal taxels in the plane z = 0 with the normal z: rows follow each other along x, columns along y."""
 
-    rows: int = setting(1, "Number of rows", minimum=1, maximum=_MOST)
-    cols: int = setting(1, "Number of columns", minimum=1, maximum=_MOST)
+    rows: int = setting(1, "Number of rows", bounds=(1, _MOST))
+    cols: int = setting(1, "Number of columns", bounds=(1, _MOST))
     order: str = setting("row-major", "Order of the taxels in a message", choices=("row-major", "column-major"))
-    size: tuple[float, ...] = setting((0.0, 0.0), "Size of a taxel along x and y", unit="m", minimum=0.0)
+    size: tuple[float, ...] = setting((0.0, 0.0), "Size of a taxel along x and y", unit="m", bounds=(0.0, 1.0))
     spacing: tuple[float, ...] = setting(
-        (), "From a taxel to the next along x and y, negative to flip; by default the size", unit="m"
+        (), "To the next taxel along x and y, negative to flip; by default the size", unit="m", bounds=(-1.0, 1.0)
     )
     offset: tuple[float, ...] = setting(
-        (0.0, 0.0), "The sensor's origin along x and y, from the centre of the first taxel", unit="m"
+        (0.0, 0.0), "The sensor's origin along x and y, from the first taxel's centre", unit="m", bounds=(-10.0, 10.0)
     )
 
     def __post_init__(self) -> None:
@@ -95,7 +95,8 @@ def read_layout(path: Path, image: Sequence[int]) -> Layout:
         raise FileError(path, f"holds {len(numbered)} taxels, not 1 to {_MOST}")
     table = np.array([_numbers(path, name, line, len(columns)) for name, line in numbered])
     index, normals, pixels = table[:, 0], table[:, 4:7], table[:, 7:]
-    length = np.linalg.norm(normals, axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(normals, axis=1)
     inside = (pixels >= 0) & (pixels < (image or 0)) & (pixels % 1 == 0)
     for rule, wrong in (
         (f"index: not each of 0 to {len(table) - 1} once", ~np.isin(index, np.arange(len(table))) | _repeats(index)),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of any sensor that has a description, by the field paths in it; no code of its own is needed for a message type."""
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -88,9 +87,10 @@ class SensorReader:
             return stamp_ns(found)
         if isinstance(found, np.generic):
             found = found.item()
-        if not isinstance(found, int | float) or not math.isfinite(found):
+        unit_ns = STAMP_UNITS[self.sensor.config.source.stamp_unit]
+        if not isinstance(found, int | float) or not 0 <= found < 2**63 / unit_ns:  # NaN is not either
             raise TactileError(f"{self._stamp.text}: {shown(found)} is no time")
-        whole, unit_ns = int(found // 1), STAMP_UNITS[self.sensor.config.source.stamp_unit]
+        whole = int(found // 1)
         return whole * unit_ns + round(float(found - whole) * unit_ns)
 
 
