@@ -109,7 +109,7 @@ def _parser(chosen: str | None) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=summary, description=f"{summary}.")
         if name == chosen:
             importlib.import_module(f"foretouch.cli.{name}").add_arguments(command)
-            if name not in {"dataset", "view"}:  # whose actions have it, and which prints nothing
+            if name not in {"dataset", "sensor", "view"}:  # whose actions have it, and which prints nothing
                 command.add_json()
     return parser
 

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("show", "Draw the taxels of a sensor with their normals", 1),
     ):
         action = actions.add_parser(name, help=summary, description=f"{summary}.")
-        action.add_argument("--json", action="store_true", help="print one JSON object for each sensor")
+        action.add_json()
         if count:
             about = "YAML file, or the name of a sensor of the package"
             action.add_argument("sensors", metavar="SENSOR", nargs=count, help=about)
