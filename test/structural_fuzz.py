@@ -43,6 +43,8 @@ from foretouch.learning.training.run_folder import RunFolder, read_state, write_
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
 from foretouch.simulation.objects.mesh import read_mesh_file
+from foretouch.tactile.description import load_sensor, sensor_files
+from foretouch.tactile.messages.described import SensorReader
 
 VALUES = (
     None, True, 0, -1, 2**63, 10**400, 0.5, 1e308, float("inf"), float("nan"), "", "x", "../..", "a\x1b[2J\n", "é" * 500,
@@ -338,6 +340,18 @@ def _read_experiment(path: Path) -> None:
     read_results(path / "results.csv")
 
 
+def _sensor(folder: Path) -> Path:
+    for file in sensor_files()["biotac_sp"].parent.glob("biotac_sp.*"):
+        shutil.copy(file, folder)
+    return folder / "biotac_sp.yaml"
+
+
+def _read_sensor(path: Path) -> None:
+    sensor = load_sensor(path)
+    SensorReader(sensor)
+    assert np.isfinite(sensor.layout.positions).all(), sensor.sha256
+
+
 def _text(name: str, text: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         (folder / name).write_text(text)
@@ -377,6 +391,7 @@ KINDS = {
     "run": _kind(_run, _read_run),
     "history": _kind(_history, _read_history),
     "experiment": _kind(_experiment, _read_experiment),
+    "sensor": _kind(_in(_sensor), _read_sensor),
     "splits": _kind(_text("splits.json", json.dumps(SPLITS)), read_splits, 0.5),
     "answers": _kind(_text("answers.json", json.dumps(ANSWER)), _read_answers, 0.5),
     "mesh": _kind(_mesh, lambda path: read_mesh_file(str(path)), 0.02),

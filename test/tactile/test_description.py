@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descriptions of sensors: those of the package, places of taxels by hand, the hash, and everything that is refused."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sensor_builders import SMALL, TAXELS, write_sensor
 
 from foretouch.errors import ConfigError, FileError
-from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions
+from foretouch.tactile import FULL_SCALE, MODALITIES, electrode_normals, electrode_positions
 from foretouch.tactile.description import SensorConfig, load_sensor, sensor_files
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER, FINGERS, OTHERS
 from foretouch.types import ELECTRODES
 
-CONFIG = Path(__file__).parents[2] / "config" / "sensors"
+ROOT = Path(__file__).parents[2]
+CONFIG = ROOT / "config" / "sensors"
 
 
 def test_the_sensors_of_the_package_are_found_by_name() -> None:
@@ -33,13 +36,31 @@ def test_the_sensors_of_the_package_are_found_by_name() -> None:
     assert len({load_sensor(name).sha256 for name in sensor_files()}) == len(sensor_files())
 
 
-def test_biotac_sp_is_described_to_the_bit() -> None:
+def test_biotac_sp_is_described_as_the_messages_and_the_counts_are() -> None:
     sensor = load_sensor("biotac_sp")
-    assert sensor.size == ELECTRODES
-    assert_array_equal(sensor.layout.positions, electrode_positions())
-    assert_array_equal(sensor.layout.normals, electrode_normals())
-    assert sensor.config.values[0].limits == (1.0, FULL_SCALE)
-    assert [finger.name for finger in sensor.config.chosen_fingers()] == ["TH", "MF"]
+    config = sensor.config
+    assert (sensor.size, config.values[0].limits) == (ELECTRODES, (1.0, FULL_SCALE))
+    assert tuple(finger.name for finger in config.fingers) == FINGER_ORDER
+    assert tuple(finger.name for finger in config.chosen_fingers()) == FINGERS
+    assert {channel.name for channel in config.scalars} == {"PDC", *OTHERS}
+    modalities = [f"{one.name}_{finger}" for one in (config.scalars[0], config.values[0]) for finger in FINGERS]
+    assert tuple(modalities) == MODALITIES
+    fields = re.findall(r"^int16(?:\[\])? (\w+)", (ROOT / "foretouch_msgs/msg/Biotac.msg").read_text(), re.MULTILINE)
+    assert {channel.field for channel in (*config.values, *config.scalars)} == {*fields} - {"pac"}
+
+
+def test_electrodes_are_those_in_common_use_to_the_bit() -> None:
+    """Computed as before they stood in a file; results and the hashes of simulated data depend on these bits."""
+    left = np.array(
+        [(9.82, -3.98, -2.77), (8.10, -3.07, -5.21), (2.22, -7.16, -3.27), (2.13, -5.12, -5.99), (-0.47, -2.41, -7.62),
+         (-2.33, -7.24, -3.06), (-3.47, -4.75, -6.03), (-5.68, -1.82, -6.88), (-8.15, -3.25, -5.07),
+         (-10.08, -3.85, -2.54)]
+    )  # fmt: skip
+    middle = np.array([(6.57, 0.0, -6.41), (4.32, -1.85, -6.97), (4.32, 1.85, -6.97), (1.91, 0.0, -7.57)])
+    expected = np.concatenate([left, left * (1.0, -1.0, 1.0), middle]) / 1000.0
+    radial = expected * (0.0, 1.0, 1.0)
+    assert electrode_positions().tobytes() == expected.tobytes()
+    assert electrode_normals().tobytes() == (radial / np.linalg.norm(radial, axis=1, keepdims=True)).tobytes()
 
 
 def test_arrays_as_urdf_tactile_places_them(tmp_path) -> None:

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 50 values of a reading: modalities and their columns, value ranges, and electrode positions.
+"""The 50 values of a reading: modalities and their columns, value ranges, and the electrodes of `config/sensors/biotac_sp.yaml`.
 
 P2 predicts four modalities: PDC_TH, PDC_MF (one value each), E_TH and E_MF (24 electrodes each). Their ranges are
 settings, not constants: the amount of liquid in a finger shifts its counts, so a range belongs to one pair of fingers.
-
-Electrode positions on the rigid core of a BioTac SP are those in common use, rounded to 0.01 mm; electrodes 11 to 20
-mirror 1 to 10 in y. Frame of the fingertip: x along the finger towards its tip, -z towards the pad, y completes it.
-Unverified: that this numbering is the order of the 24 columns of a recording, and that the core is a cylinder about x,
-on which the radial normals rest; at its rounded tip they are an approximation.
 """
 
 from collections.abc import Sequence
@@ -20,6 +15,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
+from foretouch.tactile.description import packaged_sensor
 from foretouch.types import ELECTRODES, Bool, Float64, Index
 
 MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
@@ -102,28 +98,11 @@ P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (s
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
 
 
-_LEFT_MM: Final = (
-    (9.82, -3.98, -2.77),
-    (8.10, -3.07, -5.21),
-    (2.22, -7.16, -3.27),
-    (2.13, -5.12, -5.99),
-    (-0.47, -2.41, -7.62),
-    (-2.33, -7.24, -3.06),
-    (-3.47, -4.75, -6.03),
-    (-5.68, -1.82, -6.88),
-    (-8.15, -3.25, -5.07),
-    (-10.08, -3.85, -2.54),
-)
-_MIDDLE_MM: Final = ((6.57, 0.0, -6.41), (4.32, -1.85, -6.97), (4.32, 1.85, -6.97), (1.91, 0.0, -7.57))
-
-
 def electrode_positions() -> Float64:
-    """(24, 3) float64 [m], fingertip frame; row k is electrode k + 1."""
-    left = np.array(_LEFT_MM)
-    return np.concatenate([left, left * (1.0, -1.0, 1.0), np.array(_MIDDLE_MM)]) / 1000.0
+    """(24, 3) float64 [m], fingertip frame; row k is electrode k + 1; read-only."""
+    return packaged_sensor("biotac_sp").layout.positions
 
 
 def electrode_normals() -> Float64:
-    """(24, 3) float64, outward unit normals, radial from the axis of the core (x)."""
-    radial = electrode_positions() * (0.0, 1.0, 1.0)
-    return np.asarray(radial / np.linalg.norm(radial, axis=1, keepdims=True), np.float64)
+    """(24, 3) float64, outward unit normals, radial from the axis of the core (x); read-only."""
+    return packaged_sensor("biotac_sp").layout.normals

@@ -27,12 +27,12 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.tactile import columns
-from foretouch.types import ELECTRODES, Float64, Int64
+from foretouch.tactile.description import packaged_sensor
+from foretouch.types import Float64, Int64
 
 #: Columns of PDC and the electrodes of each finger in a vector of 50 counts.
 FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_MF", "E_MF"))}
 
-_LEAST_NOISE: Final = np.array([0.4] + ELECTRODES * [4.4])  # measured without contact: PDC, electrodes [counts]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
 _SECOND_NS: Final = 1_000_000_000
@@ -161,7 +161,9 @@ class ContactDetector:
 def _resting_noise(readings: Float64) -> Float64:
     """(25,) standard deviation of each channel in (T, 25) readings without contact, at least what sensors showed."""
     spread = 1.4826 * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
-    return np.asarray(np.maximum(spread, _LEAST_NOISE), np.float64)
+    sensor = packaged_sensor("biotac_sp")
+    noise = {one.name: one.noise or 0.0 for one in (*sensor.config.scalars, *sensor.config.values)}
+    return np.asarray(np.maximum(spread, [noise["PDC"], *[noise["E"]] * sensor.size]), np.float64)
 
 
 def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None) -> Float64:

@@ -7,6 +7,7 @@ range, sign and validity. All fingers of a description carry the same taxels.
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +15,6 @@ from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, nearest, none_of, shown
@@ -26,7 +25,11 @@ STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of a stamp that is a number."""
 
 _UNITS: Final = ("counts", "N", "Pa", "T", "V", "Ohm", "K", "degC", "m")
-_DTYPES: Final = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+_DTYPES: Final = {
+    **{f"int{bits}": (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0) for bits in (8, 16, 32)},
+    **{f"uint{bits}": (0.0, 2.0**bits - 1.0) for bits in (8, 16, 32)},
+    **dict.fromkeys(("float32", "float64"), (-math.inf, math.inf)),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +72,7 @@ class ChannelConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_names_and_paths(self)
-        outer = _limits_of(self.dtype)
+        outer = _DTYPES[self.dtype]
         for name in ("range", "saturation"):
             inner = getattr(self, name) or outer
             if len(inner) != 2 or not outer[0] <= inner[0] < inner[1] <= outer[1]:
@@ -79,7 +82,7 @@ class ChannelConfig(Settings):
     @property
     def limits(self) -> tuple[float, float]:
         """Lowest and highest number of a working sensor."""
-        low, high = self.range or _limits_of(self.dtype)
+        low, high = self.range or _DTYPES[self.dtype]
         return low, high
 
 
@@ -158,7 +161,6 @@ class Sensor:
 
     config: SensorConfig
     layout: Layout
-    path: Path
 
     @property
     def size(self) -> int:
@@ -205,7 +207,7 @@ def load_sensor(sensor: str | Path) -> Sensor:
     for finger in config.fingers:
         if max(finger.dead, default=-1) >= len(layout.positions):
             raise ConfigError(f"{shown(path)}: dead: {finger.name} has no taxel {max(finger.dead)}")
-    return Sensor(config, layout, path)
+    return Sensor(config, layout)
 
 
 packaged_sensor = cache(load_sensor)
@@ -221,11 +223,6 @@ def _check_names_and_paths(settings: Any) -> None:
         FieldPath(settings.field, "field")
         if not settings.field and not isinstance(settings, FingerConfig):
             raise ConfigError("field: is empty")
-
-
-def _limits_of(dtype: str) -> tuple[float, float]:
-    kind = np.dtype(dtype)
-    return (-np.inf, np.inf) if kind.kind == "f" else (float(np.iinfo(kind).min), float(np.iinfo(kind).max))
 
 
 def _check_list(what: str, names: Sequence[str]) -> None:

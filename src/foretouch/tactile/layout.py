@@ -24,9 +24,12 @@ _BYTES: Final = 20_000_000
 class Layout:
     """The taxels of a finger in order of their index, in the sensor's frame."""
 
-    positions: Float64  # (N, 3) [m]
-    normals: Float64  # (N, 3), outward, of unit length
+    positions: Float64  # (N, 3) [m]; read-only
+    normals: Float64  # (N, 3), outward, of unit length; read-only
     pixels: Int64 | None  # (N, 2) row and column of each taxel in an image; None without one
+
+    def __post_init__(self) -> None:
+        self.positions.flags.writeable = self.normals.flags.writeable = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +108,7 @@ def read_layout(path: Path, image: Sequence[int]) -> Layout:
     rounded = np.abs(length - 1.0) > 1e-9
     normals[rounded] /= length[rounded, None]
     table = table[np.argsort(index)]
-    return Layout(table[:, 1:4], table[:, 4:7], table[:, 7:].astype(np.int64) if image else None)
+    return Layout(table[:, 1:4].copy(), table[:, 4:7].copy(), table[:, 7:].astype(np.int64) if image else None)
 
 
 def _numbers(path: Path, name: str, line: str, count: int) -> list[float]:

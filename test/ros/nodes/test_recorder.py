@@ -73,7 +73,7 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
         robot.feel(counts, readings)
     graph.until(lambda: node.status().samples == 1)
     late = graph.call(LabelGrasp, "label_grasp", LabelGrasp.Request(grasp_id="g-0"))
-    reason = "grasp g-0: is recorded already; a label comes before or with its grasp"
+    reason = "grasp g-0: is recorded already; `edit_grasp` changes it"
     assert (late.success, late.message) == (False, reason)
     node.end()
     record = stored(tmp_path / "set")[0].record

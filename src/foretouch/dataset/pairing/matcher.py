@@ -162,7 +162,7 @@ class GraspTouchMatcher:
             pending.label = label
             return name, "its touch is being recorded"
         if label.interval is None and name in self._finished_ids:
-            raise PairingError("too_late", f"grasp {name}: is recorded already; a label comes before or with its grasp")
+            raise PairingError("too_late", f"grasp {name}: is recorded already; `edit_grasp` changes it")
         if name not in self._stamp_of:
             raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording")
         self._labels[name] = label

@@ -139,7 +139,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
         self._duration_s = 0.0
-        self._pressed: tuple[int, ...] | None = None  # buttons of the joystick
+        self._pressed: tuple[int, ...] = ()  # buttons of the joystick
         super().__init__(name, RecorderConfig, **options)
 
     def _setup(self) -> None:
@@ -378,22 +378,19 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return "; ".join(self.act(action, text, request.grasp_id) for action, text in edits)
 
     def _pause(self, request: Any) -> str:
-        if request.data == self.session_status().operator.paused:
-            return "paused already" if request.data else "is being recorded already"
-        return self.act("pause")
+        return self.act("pause", "on" if request.data else "off")
 
     def _receive_buttons(self, message: Any) -> None:
-        """Do what the buttons stand for that were pressed since the last message."""
-        before, self._pressed = self._pressed, tuple(message.buttons)
-        for button, action in enumerate(self.config.joy_buttons[: len(before or ())]):
-            if action and not (before or ())[button] and any(self._pressed[button : button + 1]):
-                try:
-                    if action == "quit":
-                        self.end()
-                    else:
-                        self.act(cast("Action", action))
-                except ForetouchError as err:
-                    self.get_logger().warning(f"{self.config.joy_topic}: button {button}: {action}: {err}")
+        """Do what the buttons stand for that were pressed since the last message; those held at the first one are not."""
+        before, self._pressed = self._pressed or tuple(message.buttons), tuple(message.buttons)
+        for action, was_pressed, is_pressed in zip(self.config.joy_buttons, before, self._pressed, strict=False):
+            try:
+                if is_pressed and not was_pressed and action == "quit":
+                    self.end()
+                elif is_pressed and not was_pressed and action:
+                    self.act(cast("Action", action))
+            except ForetouchError as err:
+                self.get_logger().warning(f"{self.config.joy_topic}: {action}: {err}")
 
     def _tick(self) -> None:
         inputs = self.input_topics

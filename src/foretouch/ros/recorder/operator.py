@@ -105,7 +105,7 @@ class Operator:
         Args:
             action: `undo` reverts the latest one that is in force; `pause` during a pause ends it.
             text: Name of the object for `object` (by default the next of the plan) and `relabel` (the one on the table);
-                the remark for `note`.
+                the remark for `note`; `on` or `off` for `pause`, which by default changes between them.
             grasp_id: Of the grasp, of this session; "" for the latest.
 
         Raises:
@@ -161,6 +161,8 @@ class Operator:
             return self._next_object(text)
         if action == "pause":
             paused = self.paused
+            if text and (text == "on") == bool(paused):
+                return "paused already" if paused else "is being recorded already"
             self._write(Edit(action="undo", edit=paused) if paused else Edit(action="pause"))
             return "recording goes on" if paused else "paused: nothing is recorded"
         if action == "relabel":
