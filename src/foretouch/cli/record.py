@@ -110,7 +110,10 @@ def _objects(state: OperatorState) -> Text:
 
 
 def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics] | None) -> FittedTable:
-    common = commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"  # the first is the hand's
+    own = [
+        topic.topic for topic in topics[1:] if topic.topic.count("/") > 1
+    ]  # the first is the hand's, /tf the robot's
+    common = commonpath(own or ["/"]).rstrip("/") + "/"
     rows: list[list[str | Text]] = []
     for topic in topics:
         dropped = sum(topic.drop_counts)
