@@ -15,13 +15,17 @@ from foretouch.tactile.description import load_sensor, sensor_files
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """One action each."""
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions: Any = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     for name, summary, count in (
         ("list", "List the sensors of the package", 0),
         ("check", "Check descriptions of sensors", "+"),
         ("show", "Draw the taxels of a sensor with their normals", 1),
     ):
+<<<<<<< HEAD
         action: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
+=======
+        action = actions.add_parser(name, help=summary, description=f"{summary}.")
+>>>>>>> main
         action.add_json()
         if count:
             about = "YAML file, or the name of a sensor of the package"
