@@ -21,11 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("check", "Check descriptions of sensors", "+"),
         ("show", "Draw the taxels of a sensor with their normals", 1),
     ):
-<<<<<<< HEAD
         action: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
-=======
-        action = actions.add_parser(name, help=summary, description=f"{summary}.")
->>>>>>> main
         action.add_json()
         if count:
             about = "YAML file, or the name of a sensor of the package"
