@@ -8,6 +8,7 @@ from typing import Any
 from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import error_line
 from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
 from foretouch.tactile.description import load_sensor, sensor_files
 
@@ -20,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("check", "Check descriptions of sensors", "+"),
         ("show", "Draw the taxels of a sensor with their normals", 1),
     ):
-        action = actions.add_parser(name, help=summary, description=f"{summary}.")
+        action: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
         action.add_json()
         if count:
             about = "YAML file, or the name of a sensor of the package"
