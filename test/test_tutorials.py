@@ -160,7 +160,15 @@ def test_a_quoted_line_stands_for_numbers_that_are_near() -> None:
 
 
 def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
-    assert [page.stem for page in PAGES] == ["README", "collector", "operator", "own_model", "planner", "researcher", "sensor"]
+    assert [page.stem for page in PAGES] == [
+        "README",
+        "collector",
+        "operator",
+        "own_model",
+        "planner",
+        "researcher",
+        "sensor",
+    ]
     for page in PAGES:
         steps, _ = read_page(page.read_text(encoding="utf-8"))
         assert len([line for step in steps for line in step.quoted]) >= 4, page
