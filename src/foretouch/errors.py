@@ -61,6 +61,11 @@ def none_of(name: Any, known: Iterable[Any]) -> str:
     return f"{quoted(name)} is none of {', '.join(map(str, known))}{nearest(name, known)}"
 
 
+def described(err: Exception) -> str:
+    """Type and text of an exception in one line."""
+    return f"{type(err).__name__}: {' '.join(str(err).split())}"
+
+
 class ForetouchError(Exception):
     """A known failure, described in one line.
 

@@ -10,7 +10,7 @@ from contextlib import redirect_stdout
 from typing import Any, Final, TypeVar
 
 from foretouch import __version__
-from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
+from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError, described
 from foretouch.processes import ONE_THREAD
 
 LOCAL_CLUSTER: Final = "local"  # address that starts a Ray node on this machine
@@ -85,7 +85,7 @@ def _call(function: Callable[[Any], Any], item: Any, version: str) -> tuple[Any,
     except ForetouchError as err:
         return None, str(err)
     except Exception as err:  # noqa: BLE001 - a defect in one task must not end the others; it is reported
-        return None, f"{type(err).__name__}: {' '.join(str(err).split())}"
+        return None, described(err)
 
 
 def _require_server(address: str) -> None:

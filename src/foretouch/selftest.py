@@ -23,7 +23,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from foretouch.errors import ConfigError, ForetouchError, ModelError, none_of
+from foretouch.errors import ConfigError, ForetouchError, ModelError, described, none_of
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Grasp
 
 _CRASHED: Final = "foretouch doctor: a library that crashes is named there"
@@ -96,7 +96,7 @@ def _fault(name: str, bound: float, error: Callable[[], float]) -> str:
     except ForetouchError as err:
         return f"{name}: {err}"
     except Exception as err:  # noqa: BLE001 - any other error is what is searched for
-        return f"{name}: {type(err).__name__}: {' '.join(str(err).split())}"
+        return f"{name}: {described(err)}"
     return "" if found <= bound else f"{name}: the error {found:.3g} is not within {bound:g}"
 
 

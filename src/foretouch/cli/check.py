@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from foretouch.cli.output import print_json, print_text, warn
 from foretouch.dataset.recording.folder import opened_to_write
 from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, store_check
+from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.tactile.contact_detector import FINGER_COLUMNS
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
         report(check.at_rest())
         for finger, name in zip(FINGER_COLUMNS, config.tactile.fingers, strict=True):
             check.pressed.clear()
-            warn(f"press the {'thumb' if finger == 'TH' else 'middle finger'} ({name}) on its pad, and let it go")
+            warn(f"press the {FINGER_NAMES[finger]} ({name}) on its pad, and let it go")
             feed.receive(_PRESS_S, lambda: bool(check.pressed))
             feed.receive(_SETTLE_S)
             check.end_press(finger)

@@ -27,7 +27,7 @@ from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.store_writer import build_store, read_samples
+from foretouch.dataset.store_writer import ReadSamples, build_store, read_samples
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.ray_cluster import ADDRESS_HELP
@@ -330,14 +330,16 @@ def _warn_of_other_hands(paths: Sequence[str]) -> None:
 def _build(arguments: argparse.Namespace) -> int:
     _warn_of_other_hands(arguments.sources)
     chunks = chunks_folder(arguments.out.absolute())
-    on_ray = ReadOnRay(chunks, arguments.address, len(os.sched_getaffinity(0)))
+    read: ReadSamples = read_samples
+    if arguments.address is not None:
+        read = ReadOnRay(chunks, arguments.address, len(os.sched_getaffinity(0)))
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
             arguments.out,
             attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
             progress=advance,
-            read=read_samples if arguments.address is None else on_ray,
+            read=read,
         )
     shutil.rmtree(chunks, ignore_errors=True)
     splits = json.loads(make_splits(result.samples, arguments.seed))

@@ -23,10 +23,9 @@ from typing import Any, Final
 from foretouch import __version__
 from foretouch.checked_files import read_json, write_text
 from foretouch.dataset.files import disk_errors
-from foretouch.dataset.record import DISCARDED
-from foretouch.dataset.samples import SampleSet, only_finite, open_samples
+from foretouch.dataset.samples import SampleSet, open_samples
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import StoreWriter
+from foretouch.dataset.store_writer import StoreWriter, usable_sample
 from foretouch.errors import DatasetError, FileError
 from foretouch.ray_cluster import ray_results
 from foretouch.types import GraspSample
@@ -164,9 +163,9 @@ class ReadOnRay:
 def _read_chunk(path: Path, entries: range, write: Callable[[GraspSample], None]) -> dict[str, int]:
     samples, discarded = open_samples(path), 0
     for k in entries:
-        record = samples.record(k)
-        if DISCARDED in record.flags:
+        sample = usable_sample(samples.record(k))
+        if sample is None:
             discarded += 1
         else:
-            write(only_finite(record.sample))
+            write(sample)
     return {"discarded": discarded}

@@ -19,6 +19,7 @@ from foretouch import __version__
 from foretouch.checked_files import open_own, parse_json
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.pairing.sensors import ALIVE, SensorHealth
+from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.tactile.readings import is_tdc, to_celsius
@@ -33,7 +34,6 @@ CELSIUS: Final = (10.0, 60.0)  # of a working finger
 _NEAR_M: Final = 0.3  # how far from the object the hand is looked for
 _ABOVE_M: Final = 0.03  # above the table
 _POINTS: Final = 200  # of what is taken for a hand
-_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 
 
 class CheckFinding(NamedTuple):
@@ -115,7 +115,7 @@ class SessionCheck:
                 fix = f"fingers are swapped: --thumb {self._fingers['MF']} --middle {self._fingers['TH']}"
             elif answers != (finger,):
                 fix = "press one finger alone, on its pad; else check its cable" if answers else "check its cable"
-            found.append(CheckFinding(f"press {_NAMES[finger]}", text, fix))
+            found.append(CheckFinding(f"press {FINGER_NAMES[finger]}", text, fix))
         return found
 
     def _rate(self, what: str, least_hz: float, fix: str) -> CheckFinding:
@@ -146,11 +146,11 @@ class SessionCheck:
                 state = f"electrodes {', '.join(map(str, still))} never change"
             elif state == ALIVE and restless[k]:
                 state, fix = "is touched: no tare", "keep the fingers open and still"
-            found.append(CheckFinding(_NAMES[finger], state, fix * (state != ALIVE)))
+            found.append(CheckFinding(FINGER_NAMES[finger], state, fix * (state != ALIVE)))
         return [*found, *(self._temperature(finger) for finger in FINGER_COLUMNS)]
 
     def _temperature(self, finger: str) -> CheckFinding:
-        name = f"{_NAMES[finger]} temperature"
+        name = f"{FINGER_NAMES[finger]} temperature"
         if (channel := f"TDC_{finger}") not in self._others or not self._readings:
             return CheckFinding(name, "this type of message has none")
         tdc = float(np.median([one.others[self._others.index(channel)] for one in self._readings]))

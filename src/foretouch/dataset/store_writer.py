@@ -20,7 +20,7 @@ import pyarrow as pa
 from foretouch import __version__
 from foretouch.checked_files import file_sha256
 from foretouch.dataset.files import new_folder, sealed
-from foretouch.dataset.record import DISCARDED, id_number, numbered_id
+from foretouch.dataset.record import DISCARDED, SampleRecord, id_number, numbered_id
 from foretouch.dataset.samples import SampleSet, only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest
 from foretouch.errors import DatasetError
@@ -153,8 +153,12 @@ ReadSamples = Callable[[int, SampleSet], Iterable[GraspSample | None]]
 
 def read_samples(_number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
     """A `ReadSamples` for this process."""
-    for record in samples.records(discarded=True):
-        yield None if DISCARDED in record.flags else only_finite(record.sample)
+    yield from map(usable_sample, samples.records(discarded=True))
+
+
+def usable_sample(record: SampleRecord) -> GraspSample | None:
+    """The sample with finite points only; None if the operator discarded it."""
+    return None if DISCARDED in record.flags else only_finite(record.sample)
 
 
 def build_store(

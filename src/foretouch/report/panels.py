@@ -6,7 +6,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from foretouch.checked_files import replace_files
 from foretouch.errors import FileError
@@ -22,9 +22,6 @@ Axes: TypeAlias = "matplotlib.axes.Axes"
 
 Rows = Sequence[Mapping[str, Any]]
 """Rows of a `results.csv`."""
-
-FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
-"""In the order of g1, g2."""
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -21,9 +21,10 @@ import numpy as np
 from foretouch.checked_files import open_own
 from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.grasp.pose import fingertip_rotation
-from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts
+from foretouch.report.panels import electrode_levels, finger_parts
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.tactile import electrode_normals, electrode_positions
+from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.types import ELECTRODES, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
 _PAD: Final = PadConfig()

@@ -16,8 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts, new_figure, save
+from foretouch.report.panels import electrode_levels, finger_parts, new_figure, save
 from foretouch.tactile import electrode_positions
+from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 _FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger

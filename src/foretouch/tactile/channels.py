@@ -18,6 +18,9 @@ from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import ELECTRODES, Bool, Float64, Index
 
+FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
+"""Names of the fingers that touch g1 and g2, for people."""
+
 MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)
 _COLUMNS: Final = dict(zip(MODALITIES, np.split(np.arange(sum(_SIZES)), np.cumsum(_SIZES)[:-1]), strict=True))

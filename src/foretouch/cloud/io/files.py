@@ -21,7 +21,7 @@ from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.pcd import read_pcd, write_pcd
 from foretouch.cloud.io.ply import read_ply, write_ply
 from foretouch.cloud.io.records import SIZE_LIMIT, check_unpacked
-from foretouch.errors import CloudError, FileError
+from foretouch.errors import CloudError, FileError, described
 from foretouch.types import AnyArray, Cloud, Float32
 
 CLOUD_ARRAYS: Final = ("rgb", "frame_id", "stamp_ns")
@@ -142,7 +142,7 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
         }[np.lib.format.read_magic(stream)]
         shape, by_columns, dtype = read_header(stream, _NPY_HEADER_LIMIT)
     except _DAMAGE as err:
-        rule = f"is damaged or no .npy array: {type(err).__name__}: {' '.join(str(err).split())}"
+        rule = f"is damaged or no .npy array: {described(err)}"
         raise FileError(path, rule, field=field) from err
     if dtype.hasobject or dtype.itemsize == 0:
         raise FileError(path, f"is damaged or contains objects: dtype {dtype}", field=field)

@@ -29,7 +29,7 @@ from foretouch.checked_files import parse_json
 from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
-from foretouch.errors import DatasetError, ForetouchError, VersionError
+from foretouch.errors import DatasetError, ForetouchError, VersionError, described
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
 
@@ -120,7 +120,7 @@ def decode_sample(data: bytes | memoryview) -> StoredSample:
     except ForetouchError as err:
         raise DatasetError(str(err)) from err
     except Exception as err:  # the digest does not prove that foretouch wrote it: the parser may fail anywhere
-        raise DatasetError(f"damaged: {type(err).__name__}: {' '.join(str(err).split())}") from err
+        raise DatasetError(f"damaged: {described(err)}") from err
 
 
 def _stored(message: Any) -> StoredSample:

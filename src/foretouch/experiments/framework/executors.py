@@ -16,7 +16,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Self
 
-from foretouch.errors import DatasetError, ForetouchError
+from foretouch.errors import DatasetError, ForetouchError, described
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
 from foretouch.processes import one_thread_each, process_pool
 from foretouch.ray_cluster import DIED, ray_results
@@ -57,7 +57,7 @@ def run_cell(job: Job, cell: Cell) -> CellResult:
     except ForetouchError as err:
         error = str(err)
     except Exception as err:  # noqa: BLE001 - a defect in one cell must not end the sweep; it is reported
-        error = f"{type(err).__name__}: {' '.join(str(err).split())}"
+        error = described(err)
     return CellResult(cell, None, error, time.process_time() - start)
 
 

@@ -21,7 +21,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor, ExternalShutdownException
 
-from foretouch.errors import shown
+from foretouch.errors import described, shown
 from foretouch_msgs.msg import Status
 
 
@@ -45,7 +45,7 @@ class InternalErrors:
 
     def report(self, name: str, err: Exception) -> str:
         """Count and log an error of a callback; its type and text in one line, the reason for an answer with FAILED."""
-        reason = f"{type(err).__name__}: {' '.join(str(err).split())}"[:300]
+        reason = described(err)[:300]
         now = time.monotonic()
         with self._lock:
             self._counts[name] += 1
