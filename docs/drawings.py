@@ -22,6 +22,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from PIL import Image
 
 from foretouch.pipeline import Pipeline, PipelineResult
+from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, TouchPrediction
 
 FOLDER = Path(__file__).parent
@@ -89,8 +90,8 @@ def draw_touch(ax: Axes, prediction: TouchPrediction) -> None:
     value, lower, upper = prediction.value, prediction.lower, prediction.upper
     assert value is not None and lower is not None and upper is not None  # noqa: S101, PT018  contact-v2 is calibrated
     for shift, name, centre, low, high in (
-        (-0.15, "thumb", value.e_th, lower.e_th, upper.e_th),
-        (0.15, "middle finger", value.e_mf, lower.e_mf, upper.e_mf),
+        (-0.15, "thumb", value["E_TH"], lower["E_TH"], upper["E_TH"]),
+        (0.15, "middle finger", value["E_MF"], lower["E_MF"], upper["E_MF"]),
     ):
         ax.errorbar(
             np.arange(1, 25) + shift, centre, np.array([centre - low, high - centre]), fmt="o", ms=3, lw=1, label=name
@@ -135,7 +136,6 @@ def draw_recorded() -> None:
     from foretouch.learning.data import labels_of, load_dataset, make_folds
     from foretouch.learning.training.contact import ContactConfig, ContactPredictor
     from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-    from foretouch.types import Touch
 
     samples = load_dataset(Path(os.environ["FORETOUCH_DATA"]) / "vision2tactile").samples
     fold = make_folds(samples, "time", 0)[-1]
@@ -147,10 +147,10 @@ def draw_recorded() -> None:
     drawn = []
     for share, name in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
         k = ranked[round(share * (len(ranked) - 1))]
-        value, lower, upper = (Touch.from_vector(values[k] + sign * half[k]) for sign in (0.0, -1.0, 1.0))
+        value, lower, upper = (biotac_touch(values[k] + sign * half[k]) for sign in (0.0, -1.0, 1.0))
         prediction = TouchPrediction(test[k].grasp, value, lower=lower, upper=upper)
         title = f"{test[k].object}: {name} of the errors of {len(test)} grasps, predicted from the cloud alone"
-        rest = Touch.from_vector(model.rest)
+        rest = biotac_touch(model.rest)
         drawn.append(DrawnGrasp(prediction=prediction, read=test[k].touch, rest=rest, title=title))
     path = save_touch_picture(FOLDER / "touch_recorded.png", drawn)
     with Image.open(path) as image:

@@ -134,7 +134,7 @@ class Log:
         if executed is not None and executed is not self._seen:
             self._seen = executed
             message, cut = executed
-            self.add("reading", stamp_ns(message.header.stamp), float(cut.touch.vector()[VALUE]))
+            self.add("reading", stamp_ns(message.header.stamp), float(cut.touch.values[VALUE]))
 
     def add_history(self, path: Path) -> None:
         """Both parts of the level from the file of the hand, if there are new readings."""

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from foretouch.learning.data import labels_of
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Cloud, Float64, Grasp, GraspSample
 
 FEW_TREES = ContactConfig(trees=4, thinned=1.0)
 HAND = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -58,7 +59,7 @@ def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[
     level = dict(zip(names, np.random.default_rng(seed).normal(0.0, drift, len(names)), strict=True))
     shifts = [level[sample.object] for sample in samples]
     return [
-        replace(sample, touch=Touch.from_vector(sample.touch.vector() + shift), tare=Touch.from_vector(rest + shift))
+        replace(sample, touch=biotac_touch(sample.touch.values + shift), tare=biotac_touch(rest + shift))
         for sample, shift in zip(samples, shifts, strict=True)
     ]
 

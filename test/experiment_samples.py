@@ -8,7 +8,8 @@ import numpy as np
 
 from foretouch.experiments import Row, find_experiment
 from foretouch.learning.data import Dataset
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Cloud, Grasp, GraspSample
 
 OBJECTS = ("campbells", "cheezit", "coffee", "pringles", "rugby", "spam", "train", "wood")
 
@@ -31,11 +32,15 @@ def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> Gra
     along = rng.uniform(-0.4, 0.4) * size[1]
     grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), np.eye(3))
     offset = 20.0 * (place % 3) + number
-    touch = Touch(
-        2800.0 + offset + 1000.0 * along + rng.normal(),
-        1800.0 - offset + rng.normal(),
-        3000.0 + np.linspace(1.0, 5.0, 24) * offset + rng.normal(0.0, 4.0, 24),
-        3200.0 - np.linspace(500.0, 900.0, 24) * along + rng.normal(0.0, 4.0, 24),
+    touch = biotac_touch(
+        np.hstack(
+            [
+                2800.0 + offset + 1000.0 * along + rng.normal(),
+                1800.0 - offset + rng.normal(),
+                3000.0 + np.linspace(1.0, 5.0, 24) * offset + rng.normal(0.0, 4.0, 24),
+                3200.0 - np.linspace(500.0, 900.0, 24) * along + rng.normal(0.0, 4.0, 24),
+            ]
+        )
     )
     stamp = (1_562_000_000 + 86_400 * place + 60 * number) * 1_000_000_000
     return GraspSample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)

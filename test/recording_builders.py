@@ -20,6 +20,7 @@ from foretouch.dataset.source import Source
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
+from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 IDENTITY = Identity(
@@ -36,7 +37,7 @@ TH = [*range(2000, 2024), 2060, 2055, 2876, 2058, 2459]
 
 def touch(rng: np.random.Generator) -> Touch:
     """A plausible reading of a working sensor."""
-    return Touch.from_vector(rng.integers(500, 3500, 50).astype(np.float64))
+    return biotac_touch(rng.integers(500, 3500, 50).astype(np.float64))
 
 
 def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: bool = True) -> SampleRecord:
@@ -93,7 +94,7 @@ def write_dataset(
 
 def write_grasps(path: Path) -> None:
     """Record two sessions of grasps on two boxes: 8 samples with candidates, 6 of them with a touch, 1 discarded."""
-    samples = [replace(one, tare=Touch.from_vector(one.touch.vector() - 7.0)) for one in make_samples(2, 4)]
+    samples = [replace(one, tare=biotac_touch(one.touch.values - 7.0)) for one in make_samples(2, 4)]
     for session in (samples[:4], samples[4:]):
         with RecordingWriter(path, IDENTITY, QUICK) as writer:
             for number, one in enumerate(session):
@@ -157,7 +158,7 @@ def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
         one, other = getattr(a, name), getattr(b, name)
         assert (one is None) == (other is None)
         if one is not None:
-            np.testing.assert_array_equal(one.vector(), other.vector())
+            np.testing.assert_array_equal(one.values, other.values)
 
 
 def fail_writes(monkeypatch: pytest.MonkeyPatch, number: int, code: int, part: int | None = None) -> None:

@@ -51,7 +51,7 @@ def _check_predictions(predictions: list[TouchPrediction]) -> None:
             assert one.value is None
             assert one.reason
             continue
-        vectors = [touch.vector() for touch in (one.value, one.lower, one.upper) if touch is not None]
+        vectors = [touch.values for touch in (one.value, one.lower, one.upper) if touch is not None]
         assert np.isfinite(vectors).all()
 
 
@@ -167,4 +167,4 @@ def test_a_million_points_take_bounded_time_and_memory_and_an_answer_does_not_de
     together = model.predict(Cloud(cloud.xyz), [thin, across(1.0), fine, thin])
     assert [one.status for one in together] == ["ok", "bad_grasp", "ok", "ok"]
     for number, name in ((0, "thin"), (2, "fine"), (3, "thin")):
-        np.testing.assert_array_equal(alone[name].value.vector(), together[number].value.vector())
+        np.testing.assert_array_equal(alone[name].value.values, together[number].value.values)

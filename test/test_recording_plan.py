@@ -13,10 +13,11 @@ from foretouch.experiments.framework.executors import run_cell
 from foretouch.experiments.shared.tables import select
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.scene import load_scene
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Cloud, Grasp, GraspSample
 
 PROTOCOL = Path(__file__).parents[1] / "config" / "scenes" / "campaign_protocol.yaml"
-READING = Touch.from_vector(np.full(50, 2000.0))
+READING = biotac_touch(np.full(50, 2000.0))
 CLOUD, GRASP = Cloud(np.zeros((1, 3), np.float32)), Grasp(np.zeros(3), np.ones(3), np.eye(3))
 
 

@@ -36,7 +36,7 @@ def test_one_bit_in_each_coordinate_moves_answers_far_less_than_the_tolerance(rn
         moved = np.nextafter(xyz, np.where(rng.random(xyz.shape) < 0.5, np.float32(-9), np.float32(9)))
         one, other = (model.predict(Cloud(points), selftest.exact_grasps()) for points in (xyz, moved))
         for a, b in zip(one, other, strict=True):
-            assert np.abs(a.value.vector() - b.value.vector()).max() <= selftest._TOLERANCE_COUNTS / 10
+            assert np.abs(a.value.values - b.value.values).max() <= selftest._TOLERANCE_COUNTS / 10
 
     every_case(sorted(available_models()), check)
 

@@ -6,7 +6,8 @@ import pytest
 from every_case import every_case
 
 from foretouch.errors import CloudError, GraspError, TactileError
-from foretouch.types import Cloud, Grasp, Plane, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Cloud, Grasp, Plane
 
 
 def test_what_breaks_a_rule_is_refused() -> None:
@@ -30,8 +31,7 @@ def test_what_breaks_a_rule_is_refused() -> None:
         (r"g2: .* is not finite", GraspError, lambda: Grasp(zeros(3), np.array([np.inf, 0, 0]), eye)),
         ("both contacts", GraspError, lambda: Grasp(np.ones(3), np.ones(3), eye)),
         (r"g1: shape \(2,\)", GraspError, lambda: Grasp(zeros(2), np.ones(3), eye)),
-        (r"e_th: shape \(23,\)", TactileError, lambda: Touch(1.0, 1.0, zeros(23), zeros(24))),
-        (r"touch: shape \(49,\)", TactileError, lambda: Touch.from_vector(zeros(49))),
+        (r"touch: shape \(49,\)", TactileError, lambda: biotac_touch(zeros(49))),
     ]
     every_case(cases, check)
 
@@ -60,7 +60,7 @@ def test_a_normalised_plane_the_middle_and_width_of_a_grasp_and_the_vector_of_a_
     np.testing.assert_allclose(grasp.midpoint, [0.015, 0.02, 1.0])
     assert grasp.width_m == pytest.approx(0.05)
     vector = np.arange(50.0)
-    touch = Touch.from_vector(vector)
-    assert (touch.pdc_th, touch.pdc_mf) == (0.0, 1.0)
-    assert (touch.e_th[0], touch.e_mf[0], touch.e_mf[-1]) == (2.0, 26.0, 49.0)
-    np.testing.assert_array_equal(touch.vector(), vector)
+    touch = biotac_touch(vector)
+    assert (touch["PDC_TH"][0], touch["PDC_MF"][0]) == (0.0, 1.0)
+    assert (touch["E_TH"][0], touch["E_MF"][0], touch["E_MF"][-1]) == (2.0, 26.0, 49.0)
+    np.testing.assert_array_equal(touch.values, vector)

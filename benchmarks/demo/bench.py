@@ -20,7 +20,8 @@ from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.simulation.simulate import Simulation
-from foretouch.types import Float64, GraspSample, Touch, TouchPrediction
+from foretouch.tactile import biotac_touch
+from foretouch.types import Float64, GraspSample, TouchPrediction
 
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
 TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted
@@ -85,7 +86,7 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
         for touches in TOUCHES:
             k, _ = inside(run, name, touches)
             sample, value, half = run.samples[k], run.played.counts[k], run.played.half[k]
-            value, lower, upper = (Touch.from_vector(one) for one in (value, value - half, value + half))
+            value, lower, upper = (biotac_touch(one) for one in (value, value - half, value + half))
             cloud = maker.frame(int(sample.extra["slot"]), int(sample.extra["attempt"])).cloud()
             (target,) = pipeline.segment(cloud).targets
             knows = "knows" if known else "does not know (unfamiliar)"

@@ -71,7 +71,7 @@ def model_digest(path: Path) -> str:
     xyz = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32) * 0.03 + np.float32([0, 0, 0.5])
     grasp = Grasp(np.array([0.03, 0, 0.5]), np.array([-0.03, 0, 0.5]), np.eye(3))
     prediction = model.predict(Cloud(xyz), [grasp])[0]
-    values = None if prediction.value is None else prediction.value.vector()
+    values = None if prediction.value is None else prediction.value.values
     if values is not None and not np.isfinite(values).all():
         raise ArithmeticError("the prediction is not finite")
     return repr(values)

@@ -58,8 +58,9 @@ from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
+from foretouch.tactile import biotac_touch
 from foretouch.tactile.messages.table import TactileConfig, make_reader
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch, TouchPrediction
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import LabelGrasp, PredictTouch
@@ -150,7 +151,7 @@ def executed_message() -> Any:
 
 def touch_message() -> Any:
     """A `TouchPredictionArray`."""
-    touch, header = Touch.from_vector(np.full(50, 2000.0)), header_to_msg(FRAME, NOW_NS)
+    touch, header = biotac_touch(np.full(50, 2000.0)), header_to_msg(FRAME, NOW_NS)
     grasp = Grasp(np.array([0.03, 0, 0.6]), np.array([-0.03, 0, 0.6]), np.eye(3), 1.0, "1", "7")
     prediction = TouchPrediction(grasp=grasp, value=touch, lower=touch, upper=touch)
     return TouchPredictionArray(header=header, predictions=[prediction_to_msg(prediction, grasp_message(), header)])

@@ -150,7 +150,7 @@ def touch(model: str, count: int) -> Job:
     loaded, one, asked = load_model(model), target(), grasps()[:count]
 
     def run() -> Float64:
-        return np.array([found.value.vector() for found in loaded.predict(one.cloud, asked) if found.value])
+        return np.array([found.value.values for found in loaded.predict(one.cloud, asked) if found.value])
 
     return run
 
@@ -210,7 +210,7 @@ def simulator(name: str) -> Job:
     engine = Engine(made, EFFECTS, ("cloud", "touch"))
 
     def run() -> Float64:
-        return np.array([engine.run(SampleKey(made.seed, slot)).touch.vector() for slot in range(4)])
+        return np.array([engine.run(SampleKey(made.seed, slot)).touch.values for slot in range(4)])
 
     return run
 
@@ -220,7 +220,7 @@ def pipeline() -> Job:
     cloud, made = scene_cloud(seed=2), Pipeline()
 
     def run() -> Float64:
-        return np.asarray(made.run(cloud).targets[0].predictions[0].value.vector())
+        return np.asarray(made.run(cloud).targets[0].predictions[0].value.values)
 
     return run
 

@@ -26,7 +26,8 @@ from foretouch.simulation.depth_scene import random_scene
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.world import SampleKey
-from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.tactile import biotac_touch
+from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, TouchPrediction
 
 MODELS = (DEFAULT_MODEL, "touchnet-v1")
 HERE = Path(__file__).parent
@@ -296,13 +297,13 @@ def object_steps(
     compare("calibration after 3 touches", touched)
 
 
-_READING = Touch.from_vector(np.concatenate([[2850.0, 1850.0], np.full(24, 3000.0), np.full(24, 3400.0)]))
+_READING = biotac_touch(np.concatenate([[2850.0, 1850.0], np.full(24, 3000.0), np.full(24, 3400.0)]))
 
 
 def _vector(prediction: TouchPrediction) -> Float64:
     if prediction.value is None:
         raise ForetouchError(prediction.reason)
-    return prediction.value.vector()
+    return prediction.value.values
 
 
 def _best(method: str, points: Float32, _: Grasp | None, table: Plane) -> Float64:

@@ -78,7 +78,7 @@ _DROPS = {"TH": ((78, 176), (657, 1479)), "MF": ((48, 108), (461, 1037))}
 
 def counts(samples: list[GraspSample]) -> Iterator[Row]:
     """Spread of the counts over grasps of rigid objects."""
-    touches = np.array([s.touch.vector() for s in samples if s.touch is not None])
+    touches = np.array([s.touch.values for s in samples if s.touch is not None])
     for name, columns, pdc in _TH_MF:
         electrodes = touches[:, columns]
         drop = np.percentile(electrodes, 95, axis=0) - electrodes

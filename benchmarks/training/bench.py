@@ -17,7 +17,7 @@ from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.network.config import ModelConfig
-from foretouch.types import TOUCH_SIZE
+from foretouch.tactile import TOUCH_SIZE
 
 FULL = ModelConfig(channels="xyz+normals", outputs=("PDC_TH",))
 """P2's network: 750 points of six channels, T-Net, 1024 features."""

@@ -162,7 +162,7 @@ def check(bench: Bench, clouds: Sequence[Cloud], messages: Sequence[Any]) -> Non
     pipeline = Pipeline(PipelineConfig(grasp=LiveGeoGraspConfig()))
     for number, (cloud, message) in enumerate(zip(clouds, messages, strict=True)):
         predicted = [one.value for target in pipeline.run(cloud).targets for one in target.predictions]
-        expected = [float(np.float32(v)) for touch in predicted for v in (touch.pdc_th, touch.pdc_mf)]
+        expected = [float(np.float32(v)) for touch in predicted for v in touch.values[:2]]
         stamp = bench.send(message)
         if not bench.wait(lambda stamp=stamp: stamp in bench.answers, 30.0):
             raise SystemExit(f"cloud {number}: no answer")

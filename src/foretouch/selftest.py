@@ -159,7 +159,7 @@ def _answers(name: str) -> dict[str, Any]:
     for one in model.predict(exact_cloud(), exact_grasps()):
         if one.value is None or one.lower is None or one.upper is None:
             raise ModelError(f"{name}: {one.reason or 'has no bounds'}")
-        rows += [part.vector().round(3).tolist() for part in (one.value, one.lower, one.upper)]
+        rows += [part.values.round(3).tolist() for part in (one.value, one.lower, one.upper)]
     return {"sha256": model.sha256, "counts": rows}
 
 

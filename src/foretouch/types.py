@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data types shared by all packages: clouds, planes, grasps, tactile readings.
 
-All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in sensor counts. Clouds and
+All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in the unit of the sensor. Clouds and
 everything derived from them are in the camera's optical frame (x right, y down, z forward) unless `frame_id` differs.
 """
 
@@ -13,6 +13,7 @@ from typing import Any, Literal, Self, overload
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channels
 from foretouch.errors import CloudError, GraspError, TactileError
 
 AnyArray = npt.NDArray[Any]
@@ -26,9 +27,6 @@ Int64 = npt.NDArray[np.int64]
 Integer = npt.NDArray[np.integer]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches", "history"]
-
-ELECTRODES = 24  # per BioTac SP
-TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
 
 SQUARABLE = (1e-145, 1e150)
 """Numbers between these have squares of full precision.
@@ -186,33 +184,30 @@ def stacked(grasps: Sequence[Grasp]) -> tuple[Float64, Float64, Float64]:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """A tactile reading of both fingers [counts].
+    """A tactile reading of both fingers, in the unit of each channel.
 
     Raises:
-        TactileError: If a shape is wrong. Values are checked by `foretouch.tactile.touch_faults`.
+        TactileError: If the shape is wrong. Values are checked by `foretouch.tactile.touch_faults`.
     """
 
-    pdc_th: float  # static pressure of the thumb
-    pdc_mf: float  # static pressure of the middle finger
-    e_th: Float64  # (24,) float64, electrodes of the thumb
-    e_mf: Float64  # (24,) float64, electrodes of the middle finger
+    values: Float64  # (D,) float64, in the order of `channels`; for the BioTac SP (50,): PDC_TH, PDC_MF, E_TH, E_MF
+    channels: Channels  # what they are
 
     def __post_init__(self) -> None:
-        for name in ("e_th", "e_mf"):
-            if getattr(self, name).shape != (ELECTRODES,):
-                raise TactileError(f"{name}: shape {getattr(self, name).shape} is not ({ELECTRODES},)")
+        if self.values.shape != (self.channels.size,):
+            name = self.channels.sensor
+            raise TactileError(f"touch: shape {self.values.shape} is not ({self.channels.size},) of {name}")
+        if self.values.dtype != np.float64:
+            object.__setattr__(self, "values", self.values.astype(np.float64))
 
-    @classmethod
-    def from_vector(cls, vector: Floating) -> Self:
-        """A reading from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
-        if vector.shape != (TOUCH_SIZE,):
-            raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")
-        v = vector.astype(np.float64)
-        return cls(float(v[0]), float(v[1]), v[2 : 2 + ELECTRODES], v[2 + ELECTRODES :])
+    def __getitem__(self, modality: str) -> Float64:
+        """(M,) values of a modality, such as E_TH; a `TactileError` if there is none of that name."""
+        return self.values[self.channels.columns([modality])]
 
-    def vector(self) -> Float64:
-        """(50,) float64: PDC_TH, PDC_MF, E_TH, E_MF."""
-        return np.concatenate([[self.pdc_th, self.pdc_mf], self.e_th, self.e_mf])
+    def parts(self) -> dict[str, float | Float64]:
+        """Values by modality: a number where it has one, else (M,) float64."""
+        found = {name: self[name] for name in self.channels.modalities}
+        return {name: float(part[0]) if len(part) == 1 else part for name, part in found.items()}
 
 
 LATE = "late"
@@ -240,8 +235,8 @@ class TouchPrediction:
     """The predicted reading of both fingertips if `grasp` were executed."""
 
     grasp: Grasp
-    value: Touch | None  # prediction [counts]; None if `status` is not "ok"
-    lower: Touch | None = None  # lower bounds of the prediction intervals [counts]; None without calibration
+    value: Touch | None  # prediction; None if `status` is not "ok"
+    lower: Touch | None = None  # lower bounds of the prediction intervals; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
     flags: tuple[
@@ -257,8 +252,9 @@ class TouchPredictions(Sequence[TouchPrediction]):
 
     Args:
         grasps: (K,) grasps.
-        values: (K, 50) float64 predictions [counts].
-        bounds: (K, 50) lower and upper bounds [counts]; None without calibration.
+        channels: Of the model, D values of a touch.
+        values: (K, D) float64 predictions.
+        bounds: (K, D) lower and upper bounds; None without calibration.
         flags: (K,) flags of each.
         reference: Readings to which they were adapted.
         evidence: The readings behind `reference`.
@@ -268,6 +264,7 @@ class TouchPredictions(Sequence[TouchPrediction]):
     def __init__(
         self,
         grasps: Sequence[Grasp],
+        channels: Channels,
         values: Float64,
         bounds: tuple[Float64, Float64] | None,
         flags: Sequence[tuple[str, ...]],
@@ -276,6 +273,7 @@ class TouchPredictions(Sequence[TouchPrediction]):
         refused: Mapping[int, TouchPrediction],
     ) -> None:
         self._grasps, self._values, self._bounds, self._flags = grasps, values, bounds, flags
+        self.channels = channels
         self._shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
         self._made: list[TouchPrediction | None] = [refused.get(number) for number in range(len(grasps))]
 
@@ -302,11 +300,11 @@ class TouchPredictions(Sequence[TouchPrediction]):
         return (self[k] for k in range(len(self)))
 
     def _build(self, part: slice) -> list[TouchPrediction]:
-        values = _touches(self._values[part])
+        values = _touches(self._values[part], self.channels)
         lower: Sequence[Touch | None] = [None] * len(values)
         upper = lower
         if self._bounds is not None:
-            lower, upper = (_touches(bound[part]) for bound in self._bounds)
+            lower, upper = (_touches(bound[part], self.channels) for bound in self._bounds)
         built = []
         for grasp, value, low, high, flags in zip(
             self._grasps[part], values, lower, upper, self._flags[part], strict=True
@@ -317,13 +315,12 @@ class TouchPredictions(Sequence[TouchPrediction]):
         return built
 
 
-def _touches(rows: Float64) -> list[Touch]:
-    """As `Touch.from_vector` of each row of (K, 50), in a third of the time for many."""
-    copy, made = rows.copy(), []
-    pdc, e_th, e_mf = copy[:, :2].tolist(), copy[:, 2 : 2 + ELECTRODES], copy[:, 2 + ELECTRODES :]
-    for (pdc_th, pdc_mf), th, mf in zip(pdc, e_th, e_mf, strict=True):
+def _touches(rows: Float64, channels: Channels) -> list[Touch]:
+    """The `Touch` of each row of (K, D), in a third of the time for many."""
+    made = []
+    for row in rows.copy():
         one = Touch.__new__(Touch)
-        one.__dict__.update(pdc_th=pdc_th, pdc_mf=pdc_mf, e_th=th, e_mf=mf)
+        one.__dict__.update(values=row, channels=channels)
         made.append(one)
     return made
 

@@ -23,17 +23,18 @@ from foretouch.ros.nodes.monitor import NodeView, View
 from foretouch.ros.recorder.operator import OperatorState, Reply
 from foretouch.ros.recorder.session import SessionStatus
 from foretouch.ros.recorder.subscriptions import TopicStatistics
+from foretouch.tactile import biotac_touch
 from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import RecorderStatus, Status, TopicAccount, TouchPredictionArray
 
 HEIGHT = 24
 GRASP = Grasp(np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8]), np.eye(3), object_id="1")
 ELECTRODES = (np.linspace(2512.0, 3497.0, 24), np.linspace(2605.0, 3306.0, 24))
-TOUCH = Touch.from_vector(np.concatenate([[2779.0, 1676.0], *ELECTRODES]))
+TOUCH = biotac_touch(np.concatenate([[2779.0, 1676.0], *ELECTRODES]))
 
 
 def shifted(counts: float) -> Touch:
-    return Touch.from_vector(TOUCH.vector() + counts)
+    return biotac_touch(TOUCH.values + counts)
 
 
 def message(**fields: Any) -> Any:

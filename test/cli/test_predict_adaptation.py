@@ -22,7 +22,8 @@ from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
-from foretouch.types import GraspSample, Touch, TouchPrediction
+from foretouch.tactile import biotac_touch
+from foretouch.types import GraspSample, TouchPrediction
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +42,10 @@ def write_touches(path: Path, levels: Sequence[float], drift: float | None, **la
     with RecordingWriter(path, IDENTITY, QUICK) as writer:
         for number, level in enumerate(levels):
             one = record(label.get("first", 0) + number, points=300)
-            tare = None if drift is None else Touch.from_vector(REST + drift * number)
+            tare = None if drift is None else biotac_touch(REST + drift * number)
             stamp_ns = one.sample.stamp_ns - label.get("before_ns", 0)
             changes = {"object": label.get("object", one.sample.object), "stamp_ns": stamp_ns}
-            sample = replace(one.sample, touch=Touch.from_vector(REST + level), tare=tare, **changes)
+            sample = replace(one.sample, touch=biotac_touch(REST + level), tare=tare, **changes)
             writer.append(replace(one, sample=sample))
     return path
 
@@ -75,8 +76,13 @@ def hand_after(model: TouchModel, path: Path) -> HandHistory:
 
 
 def reading(number: int) -> dict[str, Any]:
-    touch = Touch.from_vector(REST + number)
-    return {"pdc_th": touch.pdc_th, "pdc_mf": touch.pdc_mf, "e_th": touch.e_th.tolist(), "e_mf": touch.e_mf.tolist()}
+    touch = biotac_touch(REST + number)
+    return {
+        "pdc_th": touch["PDC_TH"][0],
+        "pdc_mf": touch["PDC_MF"][0],
+        "e_th": touch["E_TH"].tolist(),
+        "e_mf": touch["E_MF"].tolist(),
+    }
 
 
 def flat(one: dict[str, Any], key: str) -> list[float]:
@@ -85,14 +91,14 @@ def flat(one: dict[str, Any], key: str) -> list[float]:
 
 def assert_reported(one: dict[str, Any], wanted: TouchPrediction) -> None:
     for key in ("value", "lower", "upper"):
-        np.testing.assert_array_equal(flat(one, key), getattr(wanted, key).vector())
+        np.testing.assert_array_equal(flat(one, key), getattr(wanted, key).values)
     assert one["reference"] == wanted.reference
 
 
 def test_a_tare_shifts_the_prediction_as_the_model_does(call, model, session, tmp_path) -> None:
     (tmp_path / "t.json").write_text(json.dumps([reading(k) for k in (30, 10, 20)]))
     answer = call("predict", session, "--model", model, "--tare", tmp_path / "t.json", "--json")
-    core, tare = load_model(model), Touch.from_vector(REST + 20)
+    core, tare = load_model(model), biotac_touch(REST + 20)
     for result, sample in zip(answer.records, samples_of(session), strict=True):
         (wanted,) = core.predict(sample.cloud, [sample.grasp], tare=tare)
         assert_reported(result["predictions"][0], wanted)
@@ -103,12 +109,12 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call, model, session, tm
 def test_a_tare_that_is_like_a_reading_in_contact_is_warned_of_by_file_and_channel(call, session, tmp_path) -> None:
     rest = load_model("contact-v2").calibration.rest
     for name, vector in (("rest", rest + 30.0), ("held", rest + np.r_[400.0, 0.0, np.zeros(24), np.full(24, -700.0)])):
-        touch = Touch.from_vector(vector)
+        touch = biotac_touch(vector)
         fields = {
-            "pdc_th": touch.pdc_th,
-            "pdc_mf": touch.pdc_mf,
-            "e_th": touch.e_th.tolist(),
-            "e_mf": touch.e_mf.tolist(),
+            "pdc_th": touch["PDC_TH"][0],
+            "pdc_mf": touch["PDC_MF"][0],
+            "e_th": touch["E_TH"].tolist(),
+            "e_mf": touch["E_MF"].tolist(),
         }
         (tmp_path / f"{name}.json").write_text(json.dumps(fields))
     words = ("predict", session, "--model", "contact-v2", "--json")

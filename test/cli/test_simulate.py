@@ -49,7 +49,7 @@ def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_pa
     again = call("simulate", scene, "--replay", "2", "--json").records[-1]
     touch = store[2].touch
     assert touch is not None
-    assert (again["status"], again["touch"]) == ("ok", touch.vector().tolist())
+    assert (again["status"], again["touch"]) == ("ok", touch.values.tolist())
     scene.write_text(SLIPPERY)
     failed = call("simulate", scene, "--replay", "0.3", "--json").records[-1]
     assert (failed["status"], failed["reason"], failed["attempt"]) == ("failed", "slips", 3)

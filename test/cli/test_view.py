@@ -99,7 +99,7 @@ def test_predictions_are_those_of_predict_and_readings_are_beside_them(view, dat
             assert [drawn[k][0] for k in range(len(records))] == [np.array(one[name][key])[index] for one in records]
     touches = {k: one.sample.touch for k, one in enumerate(records_of(dataset))}
     drawn = written.rows("/touch/PDC_TH/read", "Scalars:scalars")
-    assert drawn == {k: [touch.pdc_th] for k, touch in touches.items() if touch is not None}
+    assert drawn == {k: [touch["PDC_TH"][0]] for k, touch in touches.items() if touch is not None}
     sizes = written.rows("/electrodes/TH/read", "Points2D:positions")
     assert {k: len(points) for k, points in sizes.items()} == {k: 24 * (t is not None) for k, t in touches.items()}
     colours: dict[str, set[int]] = {}

@@ -32,8 +32,8 @@ from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud
-from foretouch.tactile import TactileRanges
-from foretouch.types import TOUCH_SIZE, Cloud, GraspSample, Touch
+from foretouch.tactile import TOUCH_SIZE, TactileRanges, biotac_touch
+from foretouch.types import Cloud, GraspSample
 
 Cases = Iterator[tuple[Any, ...]]
 
@@ -119,7 +119,7 @@ def _scores(predicted: Any, actual: Any, reference: Any) -> dict[str, list[float
 
 
 def _in_range(low: float, high: float) -> list[Any]:
-    return [TactileRanges(pdc_th=(low, high)).scale(np.full(TOUCH_SIZE, 2500.0))]
+    return [TactileRanges(pdc_th=(low, high)).ranges.scale(np.full(TOUCH_SIZE, 2500.0))]
 
 
 def preparation_cases() -> Cases:
@@ -192,14 +192,14 @@ def made_samples(objects: int = 3, each: int = 4, *, constant: float | None = No
     made = make_samples(objects, each, seed=8)
     if constant is None:
         return made
-    return [replace(one, touch=Touch.from_vector(np.full(TOUCH_SIZE, constant))) for one in made]
+    return [replace(one, touch=biotac_touch(np.full(TOUCH_SIZE, constant))) for one in made]
 
 
 def label_cases() -> Cases:
     """Readings at and beyond the ranges of a working sensor."""
     for value in (1.0, 5e-324, 4095.0, 0.0, -1.0, -22072.0, 4095.5, 4096.0, 1e300, math.inf, math.nan):
         samples = made_samples(1, 2, constant=value)
-        reason = None if 0.0 < value <= 4095.0 else "not between 0 and 4095|finite"
+        reason = None if 1.0 <= value <= 4095.0 else "not between 1 and 4095|finite"
         yield f"training: a reading of {value:g}", partial(_labels, samples), reason
     yield "training: no sample", lambda: _labels([]), "no sample"
 
@@ -293,4 +293,4 @@ def _run(method: str, samples: list[GraspSample], **train: Any) -> list[Any]:
         prediction = model.predict(samples[0].cloud, [samples[0].grasp])[0]
     if prediction.value is None:
         raise ModelError(prediction.reason)
-    return [part.vector() for part in (prediction.value, prediction.lower, prediction.upper) if part is not None]
+    return [part.values for part in (prediction.value, prediction.lower, prediction.upper) if part is not None]

@@ -198,6 +198,6 @@ def _sample(document: Mapping[str, Any]) -> list[Any]:
     for touch in (sample.touch, sample.tare):
         if touch is not None and scene.fingers.dead is None and (faults := touch_faults(touch)):
             raise TactileError("; ".join(faults))
-    touches = [touch.vector() for touch in (sample.touch, sample.tare) if touch is not None]
+    touches = [touch.values for touch in (sample.touch, sample.tare) if touch is not None]
     xyz = sample.cloud.xyz[np.isfinite(sample.cloud.xyz).all(axis=-1)]
     return [dict(sample.extra), sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation, *touches, xyz]

@@ -128,7 +128,7 @@ def test_info_counts_and_discarded_samples_are_left_out(dataset: Path, tmp_path:
     assert info.flags == {"arrival_stamped": 3, DISCARDED: 1}
     assert info.pairing_ms == [4, 0, 0, 0, 0, 0]
     assert info.points == (30, 30, 30)
-    vectors = [r.sample.touch.vector() for r in records(dataset) if r.sample.touch is not None]
+    vectors = [r.sample.touch.values for r in records(dataset) if r.sample.touch is not None]
     assert info.ranges["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
     assert (info.first_ns, info.last_ns) == (1_700_000_001 * NS, 1_700_000_022 * NS)
     result = build_store([dataset], tmp_path / "store")
@@ -151,7 +151,7 @@ def test_every_export_imported_again_is_equal(dataset: Path, tmp_path: Path) -> 
         for made, back in zip(map(record, range(3)), again, strict=True):
             for part in ("cloud.xyz", "cloud.rgb", "grasp.g1", "grasp.g2"):
                 np.testing.assert_array_equal(attrgetter(part)(back.sample), attrgetter(part)(made.sample))
-            np.testing.assert_array_equal(back.sample.touch.vector(), made.sample.touch.vector())
+            np.testing.assert_array_equal(back.sample.touch.values, made.sample.touch.values)
             assert back.sample.extra["TDC_TH"] == 2100.5
 
     every_case(export_formats(), check)

@@ -29,9 +29,9 @@ def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tm
     assert touched.sample.grasp.id == "a"
     assert [grasp.id for grasp in touched.candidates] == ["b"]
     assert (touched.outcome, touched.sample.object) == ("success", "sponge")
-    np.testing.assert_array_equal(touched.sample.touch.e_th, np.arange(24) + 2900)
-    np.testing.assert_array_equal(touched.sample.tare.e_mf, np.arange(24) + 3000)
-    assert touched.sample.touch.pdc_mf == 1800
+    np.testing.assert_array_equal(touched.sample.touch["E_TH"], np.arange(24) + 2900)
+    np.testing.assert_array_equal(touched.sample.tare["E_MF"], np.arange(24) + 3000)
+    assert touched.sample.touch["PDC_MF"][0] == 1800
     assert touched.pairing_error_ns <= NS // 100
     assert touched.contact_ns == 1_700_000_003 * NS
     assert touched.series.others.keys() == {f"{c}_{f}" for c in ("PAC0", "PAC1", "TAC", "TDC") for f in ("TH", "MF")}

@@ -138,7 +138,7 @@ def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> No
     ]
     touch = record(1, points=5).sample.touch
     assert touch is not None
-    assert frames[1]["observation.tactile.thumb"] == [touch.pdc_th, *touch.e_th, 2100.5]
+    assert frames[1]["observation.tactile.thumb"] == [touch["PDC_TH"][0], *touch["E_TH"], 2100.5]
     cloud = np.reshape(frames[0]["observation.pointcloud"], (1024, 3))
     assert len(np.unique(cloud, axis=0)) == 5
 

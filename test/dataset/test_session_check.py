@@ -78,7 +78,7 @@ def test_a_setup_without_a_fault_has_none_and_each_fault_is_named_alone(rng) -> 
         "late camera": ({"delay_ms": 800}, "camera clock", "0.80 s behind"),
         "hot": ({"tdc": 3300.0}, "thumb temperature", "°C; 10 to 60 are plausible"),
         "electrode": ({"counts": (one_still,)}, "thumb", "electrodes 5 never change"),
-        "absent": ({"counts": (absent,)}, "middle finger", "e_mf: all 24 electrodes"),
+        "absent": ({"counts": (absent,)}, "middle finger", "e_mf: all 24 values"),
         "touched": ({"counts": (REST, level(3))}, "thumb", "is touched: no tare; keep the fingers open and still"),
         "hand": ({"others": (ARM,)}, "hand in view", "something stands 1"),
     }

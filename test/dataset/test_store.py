@@ -20,7 +20,8 @@ from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
-from foretouch.types import TOUCH_SIZE, Cloud, GraspSample, Touch
+from foretouch.tactile import TOUCH_SIZE, biotac_touch
+from foretouch.types import Cloud, GraspSample
 
 
 def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = False) -> GraspSample:
@@ -92,7 +93,7 @@ def test_an_existing_path_is_refused_and_an_error_leaves_nothing_behind(tmp_path
         write_and_fail(tmp_path / "ds")
 
 
-_UNSET = Touch.from_vector(np.full(TOUCH_SIZE, np.nan))
+_UNSET = biotac_touch(np.full(TOUCH_SIZE, np.nan))
 
 
 def test_bad_samples_are_refused_by_name(tmp_path: Path) -> None:
@@ -122,7 +123,7 @@ def test_files_that_disagree_with_the_manifest_are_never_used(tmp_path: Path) ->
             writer.write(sample(k))
         writer.attach("splits.json", "{}")
     cloud = np.ascontiguousarray(sample(1).cloud.xyz).tobytes()[:16]
-    label, changed_label = sample(1).touch.vector()[:1].tobytes(), np.float64(999.0).tobytes()
+    label, changed_label = sample(1).touch.values[:1].tobytes(), np.float64(999.0).tobytes()
 
     def check(name: str, change: Callable[[bytes], bytes], rule: str, resealed: bool = False) -> None:
         file = tmp_path / "ds" / name

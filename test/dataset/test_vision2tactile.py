@@ -24,9 +24,9 @@ def test_fields_are_where_the_recordings_hold_them(folder: Path) -> None:
     (sample,) = read_folder(folder / "mug" / "1562000000")
     assert (sample.id, sample.object) == ("mug/1562000000", "mug")
     assert sample.stamp_ns == sample.cloud.stamp_ns == 1_562_000_000_000_000_000
-    assert (sample.touch.pdc_mf, sample.touch.pdc_th) == (1894.0, 2876.0)
-    assert_allclose(sample.touch.e_mf, np.arange(3000, 3024))
-    assert_allclose(sample.touch.e_th, np.arange(2000, 2024))
+    assert (sample.touch["PDC_MF"][0], sample.touch["PDC_TH"][0]) == (1894.0, 2876.0)
+    assert_allclose(sample.touch["E_MF"], np.arange(3000, 3024))
+    assert_allclose(sample.touch["E_TH"], np.arange(2000, 2024))
     assert sample.extra == {
         "PAC0_MF": 2048, "PAC1_MF": 2052, "TAC_MF": 2257, "TDC_MF": 2636,
         "PAC0_TH": 2060, "PAC1_TH": 2055, "TAC_TH": 2058, "TDC_TH": 2459,
@@ -89,9 +89,9 @@ def test_real_samples_lie_in_the_measured_bounds(real_data: Path) -> None:
     samples = [sample for sample in everything if sample.object == "rugby"]
     assert len(samples) == 50
     for sample in samples:
-        assert 1637 <= sample.touch.pdc_mf <= 2246
-        assert 2546 <= sample.touch.pdc_th <= 3360
-        assert sample.touch.e_mf.min() >= 569
+        assert 1637 <= sample.touch["PDC_MF"][0] <= 2246
+        assert 2546 <= sample.touch["PDC_TH"][0] <= 3360
+        assert sample.touch["E_MF"].min() >= 569
         assert 0.026 <= sample.grasp.width_m <= 0.121
         gap = np.linalg.norm(sample.cloud.xyz - sample.grasp.g1, axis=1).min()
         assert gap < 1e-4  # contacts are points of the cloud

@@ -30,7 +30,7 @@ def test_means_and_deviations_by_hand() -> None:
     errors = (("pointnet", 0, 81.0), ("pointnet", 1, 121.0), ("srgan", 0, 64.0), ("srgan", 1, 100.0))
     rows = [row(model, seed, {"a": [one, one], "b": [one]}) for model, seed, one in errors]
     rows.append(row("srgan", 2, {"a": [1.0, 2.0], "b": [3.0]}))  # a run without its partner is left out
-    (told,) = compare_models(rows, P2_RANGES, draws=200)
+    (told,) = compare_models(rows, P2_RANGES.ranges, draws=200)
     assert (told["pointnet_rmse"], told["srgan_rmse"], told["change"]) == (10.0, 9.0, -10.0)
     assert told["pointnet_sd"] == pytest.approx(np.sqrt(2.0), abs=1e-4)
     assert told["pointnet_percent"] == pytest.approx(100.0 * 10.0 / 900.0, abs=1e-4)
@@ -41,7 +41,7 @@ def test_means_and_deviations_by_hand() -> None:
 
 def test_a_single_run_is_no_verdict_and_trees_and_mean_stand_beside_on_the_same_samples() -> None:
     networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
-    (told,) = compare_models(networks, P2_RANGES, draws=200)
+    (told,) = compare_models(networks, P2_RANGES.ranges, draws=200)
     assert told["change"] == pytest.approx(50.0)
     assert told["verdict"] is told["change_low"] is told["srgan_sd"] is None
     found, errors, changes = summarise_models([{"srgan": "chosen", **told}, {"srgan": "other", **told}])
@@ -58,12 +58,12 @@ def test_a_single_run_is_no_verdict_and_trees_and_mean_stand_beside_on_the_same_
         "difference in 0; lower mean error in 0 (P2: 12 of 20), below the mean of the labels in 1"
     )
     assert found.notes[2].startswith("PointNet: below the mean of the labels in 1 of 1 cells; trees on geometry")
-    (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES, draws=200)
+    (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES.ranges, draws=200)
     assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
     others = [row("pointnet", 0, {"a": [1.0, 2.0]}), row("srgan", 0, {"a": [1.0], "b": [2.0]})]
     for rows in ([row(TREES, 0, {"b": [2.25]}), *networks], others):
         with pytest.raises(DatasetError, match="not tested on the same samples"):
-            compare_models(rows, P2_RANGES, draws=200)
+            compare_models(rows, P2_RANGES.ranges, draws=200)
 
 
 def test_the_interval_holds_no_difference_in_19_of_20_worlds(rng) -> None:
@@ -77,7 +77,7 @@ def test_the_interval_holds_no_difference_in_19_of_20_worlds(rng) -> None:
             for model in ("pointnet", "srgan")
             for seed, luck in enumerate(rng.normal(1.0, 0.1, 3))
         ]
-        (told,) = compare_models(rows, P2_RANGES, draws=400)
+        (told,) = compare_models(rows, P2_RANGES.ranges, draws=400)
         held += told["verdict"] == "tie"
     assert held >= (0.95 - 4.0 * np.sqrt(0.95 * 0.05 / worlds)) * worlds  # four standard errors
 

@@ -75,8 +75,8 @@ def test_repeats_follow_from_the_sample_alone_and_are_the_sample_without_a_cause
     assert not np.array_equal(Repeater(CONFIG, EVERYTHING).repeat(1, 0, 3).touches, first.touches)
     made = Repeater(CONFIG, frozenset()).repeat(0, 0, 3)
     sample = Engine(CONFIG, EFFECTS, ("touch", "tare")).run(SampleKey(CONFIG.seed, 0))
-    np.testing.assert_array_equal(made.touches, np.tile(sample.touch.vector(), (3, 1)))
-    np.testing.assert_array_equal(made.tares, np.tile(sample.tare.vector(), (3, 1)))
+    np.testing.assert_array_equal(made.touches, np.tile(sample.touch.values, (3, 1)))
+    np.testing.assert_array_equal(made.tares, np.tile(sample.tare.values, (3, 1)))
 
 
 def test_each_cause_moves_the_touch_and_only_the_sensor_the_tare() -> None:

@@ -14,7 +14,7 @@ from foretouch.experiments.prequential import _recordings
 from foretouch.experiments.prequential.results import CONSTANT, EVERYTHING
 from foretouch.experiments.shared.tables import select, unique
 from foretouch.learning.data import labels_of
-from foretouch.types import Touch
+from foretouch.tactile import biotac_touch
 
 
 def left_out(rows: list) -> list:
@@ -40,7 +40,7 @@ def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
 
 def test_tares_and_temperatures_are_joined_with_their_grasps() -> None:
     data = make_collection(3, 4)
-    tare = Touch.from_vector(labels_of(data.samples).mean(axis=0))
+    tare = biotac_touch(labels_of(data.samples).mean(axis=0))
     samples = [
         replace(one, tare=tare if k % 4 == 0 else None, extra={"TDC_TH": 2400.0 + k} if k % 2 else {})
         for k, one in enumerate(data.samples)

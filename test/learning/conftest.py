@@ -10,7 +10,8 @@ from run_builders import write_store
 
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.models.network.config import ModelConfig
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Cloud, Grasp, GraspSample
 
 torch.set_num_threads(1)  # networks this small only lose time to more
 
@@ -23,11 +24,15 @@ def make_sample(rng: np.random.Generator, name: str, number: int) -> GraspSample
     xyz = rng.uniform(-0.5, 0.5, (120, 3)) * size + [0.0, 0.0, 1.2]
     along = rng.uniform(-0.4, 0.4) * size[1]
     grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), np.eye(3))
-    touch = Touch(
-        pdc_th=2800.0 + 4000.0 * (size[2] - 0.06) + rng.normal(0.0, 1.0),
-        pdc_mf=1800.0 + 2000.0 * along + rng.normal(0.0, 1.0),
-        e_th=3000.0 + np.linspace(1000, 5000, 24) * along + rng.normal(0.0, 4.0, 24),
-        e_mf=3200.0 - np.linspace(1000, 5000, 24) * (size[0] - 0.06) + rng.normal(0.0, 4.0, 24),
+    touch = biotac_touch(
+        np.hstack(
+            [
+                2800.0 + 4000.0 * (size[2] - 0.06) + rng.normal(0.0, 1.0),
+                1800.0 + 2000.0 * along + rng.normal(0.0, 1.0),
+                3000.0 + np.linspace(1000, 5000, 24) * along + rng.normal(0.0, 4.0, 24),
+                3200.0 - np.linspace(1000, 5000, 24) * (size[0] - 0.06) + rng.normal(0.0, 4.0, 24),
+            ]
+        )
     )
     stamp = (1_562_000_000 + 60 * number) * 1_000_000_000
     return GraspSample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)

@@ -48,11 +48,11 @@ def test_levels_of_the_default_model_descend_to_the_mean() -> None:
         found = level.model.predict(cloud, grasps)[0]
         assert level.model.sha256 == model.sha256
         assert found.status == "ok"
-        width = found.upper.pdc_th - found.lower.pdc_th
-        assert width >= 0.999 * (first.upper.pdc_th - first.lower.pdc_th)  # never narrower than the model's
+        width = found.upper["PDC_TH"][0] - found.lower["PDC_TH"][0]
+        assert width >= 0.999 * (first.upper["PDC_TH"][0] - first.lower["PDC_TH"][0])  # never narrower than the model's
     mean = levels[-1].model.predict(cloud, grasps)[0]
     assert mean.flags == ("unfamiliar",)
-    np.testing.assert_allclose(mean.value.vector(), model.estimator.mean)
+    np.testing.assert_allclose(mean.value.values, model.estimator.mean)
     assert [(level.name, level.skill) for level in levels_of(load_model("touchnet-v1"))] == [("touchnet-v1", None)]
 
 

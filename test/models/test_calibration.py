@@ -16,7 +16,7 @@ from foretouch.errors import ModelError
 from foretouch.models import load_model
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 from foretouch.models.tracker import SensorTracker
-from foretouch.types import Touch
+from foretouch.tactile import biotac_touch
 
 SIZE = 50
 Change = Callable[[np.ndarray], np.ndarray | None]
@@ -146,7 +146,7 @@ def test_readings_in_contact_are_found_and_what_drifts_at_rest_is_not(rng: np.ra
     assert calibration is not None
     tracker = calibration.tracker_parameters
     drift = (rng.normal(size=(500, SIZE)) * np.sqrt(tracker.slow + tracker.fast)) @ tracker.basis.T
-    found = [bool(calibration.contact_signs(Touch.from_vector(row))) for row in calibration.rest + drift]
+    found = [bool(calibration.contact_signs(biotac_touch(row))) for row in calibration.rest + drift]
     assert np.mean(found) < 0.02
     paths = sorted((request.getfixturevalue("real_data") / "vision2tactile").rglob("*.tac"))
     touched = [bool(calibration.contact_signs(read_touch(path)[0])) for path in paths]

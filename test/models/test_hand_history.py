@@ -20,6 +20,7 @@ from foretouch.errors import CloudError, FileError, TactileError
 from foretouch.models.hand_history import HandHistory, HistoryFile, ObjectSignature, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.ros.touch.history_keeper import HistoryKeeper
+from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, GraspSample, Touch, TouchPrediction
 
 CARD = {"name": "small", "sha256": "0" * 64}
@@ -56,29 +57,29 @@ def test_readings_of_another_object_move_predictions_and_narrow_them(model: Touc
     assert (after.evidence.touches, after.evidence.readings) == (0, 6)
     assert after.evidence.reading_age_s == pytest.approx((sample.stamp_ns - FIRST[-1].stamp_ns) / S)
     assert (half(after) < half(unread)).all()
-    assert not np.allclose(after.value.vector(), unread.value.vector())
+    assert not np.allclose(after.value.values, unread.value.values)
     own = predict(read(HandHistory(model), FIRST), FIRST[0], FIRST[-1].stamp_ns, same=True)
     assert (own.reference, own.evidence.touches, own.evidence.touch_age_s) == ("touches", 6, 0.0)
 
 
 def half(prediction: TouchPrediction) -> np.ndarray:
-    return prediction.upper.vector() - prediction.lower.vector()
+    return prediction.upper.values - prediction.lower.values
 
 
 def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
-    sample, tare = SECOND[0], Touch.from_vector(REST + 40.0)
+    sample, tare = SECOND[0], biotac_touch(REST + 40.0)
     (unread,), (tared,) = (model.predict(sample.cloud, [sample.grasp], tare=one) for one in (None, tare))
     assert tared.reference == "tare"
-    shift = tared.value.vector() - unread.value.vector()
+    shift = tared.value.values - unread.value.values
     assert (shift > 0.0).all()
     assert 10.0 < shift.mean() < 40.0  # part of its way from rest
     assert (half(tared) < half(unread)).mean() > 0.9
     history = HandHistory(model)
     history.add_tare(sample.stamp_ns, tare)
-    history.add_tare(sample.stamp_ns + 30 * S, Touch.from_vector(REST - 40.0))  # within a minute of the last one
+    history.add_tare(sample.stamp_ns + 30 * S, biotac_touch(REST - 40.0))  # within a minute of the last one
     at = history.snapshot(sample.stamp_ns, same_object=False, tare=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=at)
-    assert_array_equal(found.value.vector(), tared.value.vector())
+    assert_array_equal(found.value.values, tared.value.values)
 
 
 def test_later_readings_do_not_change_a_prediction_under_way(model: TouchModel) -> None:
@@ -87,7 +88,7 @@ def test_later_readings_do_not_change_a_prediction_under_way(model: TouchModel) 
     before = model.predict(sample.cloud, [sample.grasp], history=at)
     read(history, FIRST[3:])
     after = model.predict(sample.cloud, [sample.grasp], history=at)
-    assert_array_equal(before[0].value.vector(), after[0].value.vector())
+    assert_array_equal(before[0].value.values, after[0].value.values)
 
 
 def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
@@ -121,7 +122,7 @@ def test_position_and_size_of_a_large_cloud_are_computed_in_double() -> None:
 def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
     history = read(HandHistory(model), FIRST[:2])
     before = history.to_tensors()
-    dead = Touch.from_vector(np.zeros(50))
+    dead = biotac_touch(np.zeros(50))
     one = FIRST[2]
     with pytest.raises(TactileError, match="touched: pdc_th: 0 is not between"):
         history.add_touch(one.stamp_ns, one.cloud, one.grasp, dead)
@@ -136,7 +137,7 @@ def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
 
 
 def test_a_restart_in_the_middle_changes_no_bit(model: TouchModel, tmp_path: Path) -> None:
-    tare = Touch.from_vector(REST + 15.0)
+    tare = biotac_touch(REST + 15.0)
     whole = read(HandHistory(model), FIRST, tare=tare)
     file = HistoryFile(tmp_path / "right.safetensors", "right")
     assert file.read(model) is None
@@ -226,7 +227,7 @@ def test_readings_come_back_with_the_model_that_they_are_of_and_no_file_is_overw
 def test_readings_ahead_of_a_clock_that_was_set_back_are_set_aside_and_the_state_is_that_before_them(
     model: TouchModel,
 ) -> None:
-    history, tare = read(HandHistory(model), FIRST), Touch.from_vector(REST + 40.0)
+    history, tare = read(HandHistory(model), FIRST), biotac_touch(REST + 40.0)
     now = FIRST[-1].stamp_ns
     before = history.copy()
     assert history.keep_to_clock(now - 50 * S) == history.keep_to_clock(0) == ""  # of jitter, and before `/clock`

@@ -50,7 +50,7 @@ def test_each_kind_loads_and_predicts(contact: Path, make_net, tmp_path: Path) -
         model = load_model(card)
         (prediction,) = model.predict(SAMPLE.cloud, [SAMPLE.grasp])
         assert (model.name, prediction.status, prediction.lower) == (card.stem, "ok", None)
-        assert np.isfinite(prediction.value.vector()).all()
+        assert np.isfinite(prediction.value.values).all()
 
 
 def begin_run(folder: Path) -> Path:

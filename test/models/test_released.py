@@ -45,7 +45,7 @@ def test_the_default_is_first_all_load_and_cards_hold_what_they_must(can, make_g
         assert len(files) == 2  # weights and calibration
         assert sum(path.stat().st_size for path in files) <= 3_000_000
         values = [one.value for one in model.predict(can, make_grasps(3))]
-        assert all(1600 < value.pdc_mf < 2300 and 2500 < value.pdc_th < 3400 for value in values)
+        assert all(1600 < value["PDC_MF"][0] < 2300 and 2500 < value["PDC_TH"][0] < 3400 for value in values)
 
 
 def test_the_simulated_model_knows_its_scene() -> None:
@@ -89,7 +89,7 @@ def test_objects_of_sizes_far_from_those_of_training_are_flagged_and_get_the_mea
             ]
             predictions = model.predict(cloud, grasps)
             assert all("unfamiliar" in p.flags for p in predictions), (name, factor)
-            assert generalises or np.ptp([p.value.vector() for p in predictions], axis=0).max() < 1.0
+            assert generalises or np.ptp([p.value.values for p in predictions], axis=0).max() < 1.0
 
 
 @pytest.mark.real_data
@@ -98,13 +98,13 @@ def test_it_predicts_its_training_data(real_data: Path) -> None:
     samples = read_folder(real_data / "vision2tactile")[::5]
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert np.mean(["unfamiliar" in prediction.flags for prediction in predictions]) < 0.1
-    predicted = np.array([p.value.vector() for p in predictions])
-    actual = np.array([sample.touch.vector() for sample in samples])
+    predicted = np.array([p.value.values for p in predictions])
+    actual = np.array([sample.touch.values for sample in samples])
     skill = 1.0 - ((predicted - actual) ** 2).mean(axis=0) / actual.var(axis=0)
     for modality in MODALITIES:
         assert skill[columns([modality])].mean() > 0.1, modality
     other = model.predict(samples[0].cloud, [samples[1].grasp])[0]
-    assert not np.array_equal(other.value.vector(), predicted[0])  # it looks at the grasp
+    assert not np.array_equal(other.value.values, predicted[0])  # it looks at the grasp
 
 
 @pytest.mark.real_data

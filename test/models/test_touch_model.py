@@ -19,11 +19,12 @@ from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.touch_model import History, TouchModel
+from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, Touch
 
 CARD = {"name": "toy", "sha256": "0" * 64}
 SAMPLES = make_samples(5, 10)
-TARE = Touch.from_vector(REST + np.linspace(-30.0, 60.0, 50))
+TARE = biotac_touch(REST + np.linspace(-30.0, 60.0, 50))
 
 
 @pytest.fixture
@@ -49,11 +50,11 @@ def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History
 
 def bounds(predictions) -> np.ndarray:
     """(2, K, 50): lower and upper."""
-    return np.array([[getattr(p, end).vector() for p in predictions] for end in ("lower", "upper")])
+    return np.array([[getattr(p, end).values for p in predictions] for end in ("lower", "upper")])
 
 
 def vectors(predictions) -> np.ndarray:
-    return np.array([p.value.vector() for p in predictions])
+    return np.array([p.value.values for p in predictions])
 
 
 def test_prediction_is_that_of_the_network(model, make_net, small, can, make_grasps, monkeypatch) -> None:
@@ -100,7 +101,7 @@ def test_values_out_of_range_are_flagged_and_overflow_is_refused(make_net, small
         found += TouchModel(NetworkEstimator(small, fold(net)), CARD).predict(can, make_grasps(1))
     beyond, overflown = found
     assert "out_of_range" in beyond.flags
-    assert beyond.value.pdc_th > 4000
+    assert beyond.value["PDC_TH"][0] > 4000
     assert (overflown.status, overflown.value) == ("refused", None)
     assert "not finite" in overflown.reason
 
@@ -182,7 +183,7 @@ def test_readings_without_a_calibration_and_contradicting_arguments_are_refused(
         bare.predict(sample.cloud, [sample.grasp], history=history)
     for tare in (np.zeros(50), np.full(50, np.nan)):
         with pytest.raises(TactileError, match=r"tare: pdc_th: (0|nan) is not between"):
-            calibrated.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(tare))
+            calibrated.predict(sample.cloud, [sample.grasp], tare=biotac_touch(tare))
 
 
 def test_predictions_become_objects_when_they_are_read(calibrated) -> None:
@@ -195,7 +196,7 @@ def test_predictions_become_objects_when_they_are_read(calibrated) -> None:
     assert one_by_one[1:] == [*one_by_one][1:]
     for one, other in zip([one_by_one[k] for k in range(len(grasps))], together, strict=True):
         for name in ("value", "lower", "upper"):
-            assert_array_equal(getattr(one, name).vector(), getattr(other, name).vector())
+            assert_array_equal(getattr(one, name).values, getattr(other, name).values)
         assert (one.grasp, one.flags, one.status) == (other.grasp, other.flags, other.status)
     with pytest.raises(IndexError):
         one_by_one[len(grasps)]

@@ -13,6 +13,7 @@ from sim_builders import CAN, run, scene
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_front, save_contact_sheet, save_touch_picture
+from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, GraspSample, Plane, Touch, TouchPrediction
 
 
@@ -47,14 +48,14 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
     target, prediction, tare = sample
     drawn: list[Figure] = []
     monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path, dpi: drawn.append(figure) or path)
-    other = Touch.from_vector(prediction.value.vector() - 500.0)
+    other = biotac_touch(prediction.value.values - 500.0)
     rows = [
         DrawnGrasp(target=target, prediction=prediction, rest=tare, read=read) for read in (prediction.value, other)
     ]
     save_touch_picture(tmp_path / "a.png", rows)
     dots = dots_of(drawn[0])
     assert len(dots) == 8
-    drops = [tare.e_th - prediction.value.e_th, tare.e_mf - prediction.value.e_mf]
+    drops = [tare["E_TH"] - prediction.value["E_TH"], tare["E_MF"] - prediction.value["E_MF"]]
     np.testing.assert_array_equal(dots[0].get_array(), drops[0])  # from rest, within the limits of the page
     assert {one.get_clim() for one in dots} == {(np.min(drops), np.max(drops) + 500.0)}
     np.testing.assert_array_equal(dots[0].get_array(), dots[1].get_array())  # predicted and read of the thumb
@@ -72,11 +73,11 @@ def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path) -> 
 
 def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_pressures_alone(sample, tmp_path) -> None:
     target, prediction, tare = sample
-    value = prediction.value.vector()
-    low, high = (Touch.from_vector(value + shift) for shift in (-60.0, 60.0))
+    value = prediction.value.values
+    low, high = (biotac_touch(value + shift) for shift in (-60.0, 60.0))
     shifted = value.copy()
     shifted[[0, 10, 11, 12]] += (-100.0, 50.0, 70.0, -80.0)
-    one = DrawnGrasp(target=target, prediction=prediction, read=Touch.from_vector(shifted))
+    one = DrawnGrasp(target=target, prediction=prediction, read=biotac_touch(shifted))
     assert _agreement(one) == "mean difference 4 counts an electrode"
     bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
     text = "mean difference 4 counts an electrode; within their 90 % intervals: 46 of 48 electrodes, 1 of 2 pressures"
@@ -92,8 +93,8 @@ def test_electrodes_that_were_read_outside_of_their_intervals_have_a_ring(sample
     target, prediction, tare = sample
     drawn: list[Figure] = []
     monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path, dpi: drawn.append(figure) or path)
-    value = prediction.value.vector()
-    low, high = (Touch.from_vector(value + shift) for shift in (-60.0, 60.0))
+    value = prediction.value.values
+    low, high = (biotac_touch(value + shift) for shift in (-60.0, 60.0))
     shifted = value.copy()
     shifted[[0, 10, 11, 40]] += (
         -100.0,
@@ -102,7 +103,7 @@ def test_electrodes_that_were_read_outside_of_their_intervals_have_a_ring(sample
         -80.0,
     )  # a pressure; an electrode inside, and one of each finger outside
     bounded = replace(prediction, lower=low, upper=high)
-    without = DrawnGrasp(prediction=bounded, read=Touch.from_vector(shifted), rest=tare)  # no object to draw
+    without = DrawnGrasp(prediction=bounded, read=biotac_touch(shifted), rest=tare)  # no object to draw
     save_touch_picture(tmp_path / "a.png", [without, replace(without, target=target)])
     found = [dots for axes in drawn[0].axes for dots in axes.collections if isinstance(dots, PathCollection)]
     assert [len(dots.get_offsets()) for dots in found if not len(dots.get_facecolor())] == [1, 1, 1, 1]
@@ -125,7 +126,7 @@ def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None
 
 def labelled(pdc: float = 2000.0) -> GraspSample:
     points = np.random.default_rng(0).random((200, 3), np.float32)
-    touch = Touch(pdc, pdc, np.linspace(1000.0, 3000.0, 24), np.full(24, 2000.0))
+    touch = biotac_touch(np.hstack([pdc, pdc, np.linspace(1000.0, 3000.0, 24), np.full(24, 2000.0)]))
     grasp = Grasp(points[0].astype(np.float64), points[1].astype(np.float64), np.eye(3))
     return GraspSample("can/0", "can", Cloud(points), grasp, touch, extra={"force_th_n": 1.0})
 

@@ -74,7 +74,7 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
             for name in ("g1", "g2", "rotation"):
                 np.testing.assert_array_equal(getattr(received, name), getattr(grasp, name))
         for message, prediction in zip(found["touch"].predictions, felt.predictions, strict=True):
-            np.testing.assert_array_equal(values(message), prediction.value.vector().astype(np.float32))
+            np.testing.assert_array_equal(values(message), prediction.value.values.astype(np.float32))
             assert {*prediction.flags, "late"} <= set(message.flags)  # the stamp is years old
             assert (message.header, message.model, len(message.model_sha256)) == (found["touch"].header, "small", 64)
             assert math.isnan(message.pdc_th.lower)

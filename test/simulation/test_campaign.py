@@ -51,8 +51,8 @@ def test_without_a_campaign_none_of_its_effects_runs_and_one_without_effects_cha
         assert one.stamp_ns == 0 < other.stamp_ns
         assert "session" not in one.extra
         np.testing.assert_array_equal(one.cloud.xyz, other.cloud.xyz)
-        np.testing.assert_array_equal(one.touch.vector(), other.touch.vector())  # type: ignore[union-attr]
-        np.testing.assert_array_equal(one.tare.vector(), other.tare.vector())  # type: ignore[union-attr]
+        np.testing.assert_array_equal(one.touch.values, other.touch.values)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(one.tare.values, other.tare.values)  # type: ignore[union-attr]
 
 
 def test_sessions_start_when_they_are_due_and_tares_are_recorded_where_it_is_stated() -> None:
@@ -114,16 +114,16 @@ def test_a_repeated_grasp_is_the_one_before_executed_again() -> None:
         assert (sample.id, sample.stamp_ns) == (other.id, other.stamp_ns) == (f"can/{slot:06d}", sample.stamp_ns)
         if slot not in (2, 7):
             assert "repeat" not in sample.extra
-            np.testing.assert_array_equal(sample.touch.vector(), other.touch.vector())  # type: ignore[union-attr]
+            np.testing.assert_array_equal(sample.touch.values, other.touch.values)  # type: ignore[union-attr]
             continue
         before = found[slot - 1]
         np.testing.assert_array_equal(sample.cloud.xyz, before.cloud.xyz)
         np.testing.assert_array_equal(sample.grasp.g1, before.grasp.g1)
-        change = np.abs(sample.touch.vector() - before.touch.vector())  # type: ignore[union-attr]
-        assert 0.0 < change.mean() < np.abs(other.touch.vector() - before.touch.vector()).mean()  # type: ignore[union-attr]
+        change = np.abs(sample.touch.values - before.touch.values)  # type: ignore[union-attr]
+        assert 0.0 < change.mean() < np.abs(other.touch.values - before.touch.values).mean()  # type: ignore[union-attr]
         key = SampleKey(0, *(int(sample.extra[name]) for name in ("slot", "attempt", "repeat")))
         assert key.slot == slot - 1
-        np.testing.assert_array_equal(made_again(config, key).touch.vector(), sample.touch.vector())  # type: ignore[union-attr]
+        np.testing.assert_array_equal(made_again(config, key).touch.values, sample.touch.values)  # type: ignore[union-attr]
 
 
 LONG = {"days": [0, 5, 10, 20, 40], "objects": 1, "grasps": 1}
@@ -193,7 +193,7 @@ def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object() -> None:
         change = tdc_of(warm.extra) - TDC_REST
         pairs = ((warm.touch, cold.touch, ""), (warm.tare, cold.tare, "tare_"))
         for touch, other, prefix in pairs[: 1 + (warm.tare is not None)]:
-            moved = touch.vector() - other.vector()  # type: ignore[union-attr]
+            moved = touch.values - other.values  # type: ignore[union-attr]
             expected = slopes * (tdc_of(warm.extra, prefix) - TDC_REST)[:, None]
             np.testing.assert_allclose(moved[2:].reshape(2, -1), expected, atol=1.6)  # of rounded counts
             np.testing.assert_array_equal(moved[:2], 0.0)  # PDC does not follow
@@ -307,7 +307,12 @@ def test_tare_and_touch_follow_the_state_and_samples_hold_the_true_rest_levels()
     for slot, sample in enumerate(made(config, 4)):
         state = run(config, "series", "readings", "level", "tare", "touch", slot=slot)
         np.testing.assert_allclose(state.series - state.readings, state.level)
-        tare = np.array([np.append(state.tare.pdc_th, state.tare.e_th), np.append(state.tare.pdc_mf, state.tare.e_mf)])
+        tare = np.array(
+            [
+                np.append(state.tare["PDC_TH"][0], state.tare["E_TH"]),
+                np.append(state.tare["PDC_MF"][0], state.tare["E_MF"]),
+            ]
+        )
         np.testing.assert_array_equal(tare, np.clip(np.rint(state.series[0]), 0, 4095))
         assert np.abs(state.level).min() > 0.0
         assert sample.extra["rest_pdc_th"] == pytest.approx(tare[0, 0], abs=0.5)

@@ -47,8 +47,8 @@ def test_the_hold_reads_what_the_data_set_says_of_this_grasp() -> None:
         for rows, expected in spans:
             counts = found.counts[rows]
             assert (counts == counts[0]).all()
-            np.testing.assert_array_equal(counts[0, :, 0], [expected.pdc_th, expected.pdc_mf])
-            np.testing.assert_array_equal(counts[0, :, 1:], [expected.e_th, expected.e_mf])
+            np.testing.assert_array_equal(counts[0, :, 0], [expected["PDC_TH"][0], expected["PDC_MF"][0]])
+            np.testing.assert_array_equal(counts[0, :, 1:], [expected["E_TH"], expected["E_MF"]])
 
 
 def test_the_sensor_adds_only_what_the_scene_calls_for_and_each_time_anew() -> None:

@@ -13,8 +13,7 @@ from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import World
-from foretouch.tactile import P2_RANGES, electrode_positions, to_kohm, touch_faults
-from foretouch.types import Touch
+from foretouch.tactile import P2_RANGES, biotac_touch, electrode_positions, to_kohm, touch_faults
 
 PAD = PadConfig()
 THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))
@@ -40,9 +39,9 @@ def test_touch_raises_pdc_and_drops_the_electrodes_below_and_no_force_reads_rest
 def test_counts_are_whole_clipped_and_those_of_a_working_sensor():
     middle = draw_finger(FingerConfig(), np.random.default_rng(1))
     thumb, other = quantise(np.array([read(3.0), read(3.0, finger=middle)])).astype(float)
-    touch = Touch(thumb[0], other[0], thumb[1:], other[1:])
+    touch = biotac_touch(np.hstack([thumb[0], other[0], thumb[1:], other[1:]]))
     assert touch_faults(touch) == ()
-    assert not P2_RANGES.outside(touch.vector()).any()
+    assert not P2_RANGES.ranges.outside(touch.values).any()
     assert_array_equal(quantise(np.array([1676.4, -3.0, 1.6, 5000.0])), [1676, 0, 2, 4095])
     with pytest.raises(TactileError, match="counts: 1 values are not finite"):
         quantise(np.array([1.0, np.nan]))

@@ -39,8 +39,8 @@ def test_samples_are_whole_and_come_in_order_with_their_objects_in_turn() -> Non
     assert [s.extra["slot"] for s in samples] == [0, 1, 2]
     for one in samples:
         assert touch_faults(one.touch) == touch_faults(one.tare) == ()
-        assert one.touch.pdc_th > one.tare.pdc_th  # pressure rises
-        assert (one.tare.e_th - one.touch.e_th).max() > 20  # and electrodes fall
+        assert one.touch["PDC_TH"][0] > one.tare["PDC_TH"][0]  # pressure rises
+        assert (one.tare["E_TH"] - one.touch["E_TH"]).max() > 20  # and electrodes fall
         assert one.extra["force_th_n"] == pytest.approx(one.extra["target_th"], rel=1e-3)
         assert one.extra["force_th_n"] == pytest.approx(one.extra["force_mf_n"], rel=1e-3)
 
@@ -67,19 +67,18 @@ def test_an_effect_that_is_off_costs_no_call() -> None:
 
 
 CLOUD = ("cloud.xyz", "grasp.g1", "grasp.g2")
-TOUCH = ("touch.e_th", "touch.e_mf", "touch.pdc_th")
 
 
 def test_switching_an_effect_leaves_the_other_outputs_alone() -> None:
     cases: list[tuple[dict[str, Any], tuple[str, ...]]] = [
         ({"fingers": {"noise": {}}}, (*CLOUD, "targets", "readings")),
         ({"fingers": {"drift": {}}}, (*CLOUD, "targets", "readings")),
-        ({"fingers": {"timeline": {}}}, (*CLOUD, *TOUCH, "targets")),
+        ({"fingers": {"timeline": {}}}, (*CLOUD, "touch.values", "targets")),
         ({"grasps": {"error": {}}}, CLOUD),
-        ({"objects": [CAN | {"colour": [9, 9, 9]}]}, (*CLOUD, *TOUCH, "depth", "targets")),
+        ({"objects": [CAN | {"colour": [9, 9, 9]}]}, (*CLOUD, "touch.values", "depth", "targets")),
         ({"objects": [CAN | {"surface": {}}]}, (*CLOUD, "depth", "targets")),
         ({"gravity": {}, "objects": [CAN | {"mass_kg": 0.05}]}, (*CLOUD, "depth", "relief", "targets")),
-        ({"clutter": {"distance_m": [0.22, 0.25]}}, (*CLOUD, *TOUCH, "targets")),
+        ({"clutter": {"distance_m": [0.22, 0.25]}}, (*CLOUD, "touch.values", "targets")),
         ({"camera": {"z_step_m": 0.001}}, ("exact_depth", "labels", "targets")),
     ]
 
@@ -106,7 +105,7 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
     assert str(caught.value) == failure.message
     last = samples[-1]
     again = replay(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
-    np.testing.assert_array_equal(again.touch.e_th, last.touch.e_th)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(again.touch["E_TH"], last.touch["E_TH"])  # type: ignore[union-attr]
     simulation = Simulation(scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, max_attempts=3))
     with pytest.raises(SimulationError, match=r"slot 0: given up after 3 attempts \(3 slips\); the last: can: the"):
         list(simulation.samples(2))
@@ -123,7 +122,7 @@ def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
     np.testing.assert_array_equal(first.grasp.g1, again.grasp.g1)
     assert again.targets[0] == pytest.approx(first.targets[0], rel=0.5)
     assert again.targets[0] != first.targets[0]
-    assert not np.array_equal(first.touch.e_th, again.touch.e_th)
+    assert not np.array_equal(first.touch["E_TH"], again.touch["E_TH"])
     assert not np.array_equal(first.fingers[0].origin, again.fingers[0].origin)
 
 

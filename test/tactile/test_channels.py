@@ -7,34 +7,34 @@ from every_case import every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, TactileRanges, columns, modality_size
+from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, TactileRanges, columns
 from foretouch.tactile.channels import electrode_normals, electrode_positions
 
 
 def test_modalities_fill_the_vector_of_fifty_once() -> None:
     assert sorted(columns(MODALITIES)) == list(range(50))
-    assert [modality_size(name) for name in MODALITIES] == [1, 1, 24, 24]
+    assert [len(columns([name])) for name in MODALITIES] == [1, 1, 24, 24]
     assert columns(["E_MF", "PDC_MF"]).tolist() == [*range(26, 50), 1]
     with pytest.raises(TactileError, match=r"'PAC_TH' is none of PDC_TH, PDC_MF"):
         columns(["PAC_TH"])
 
 
 def test_scaling_and_counts_outside_by_hand() -> None:
-    counts = P2_RANGES.low.copy()
+    counts = P2_RANGES.ranges.low.copy()
     counts[0], counts[1], counts[2], counts[26] = 2950.0, 2300.0, 100.0, 1160.0
     # (2950 - 2500) / 900, the upper end, the lower end, (1160 - 500) / 3300
-    assert_allclose(P2_RANGES.scale(counts)[[0, 1, 2, 26]], [0.5, 1.0, 0.0, 0.2], rtol=1e-15)
-    labels = P1_RANGES.scale(np.full(50, 1000.0))  # P1 divides by the upper ends
+    assert_allclose(P2_RANGES.ranges.scale(counts)[[0, 1, 2, 26]], [0.5, 1.0, 0.0, 0.2], rtol=1e-15)
+    labels = P1_RANGES.ranges.scale(np.full(50, 1000.0))  # P1 divides by the upper ends
     assert_allclose(labels[[0, 1, 2, 26]], [1000 / 3100, 0.5, 1000 / 3500, 1000 / 3800], rtol=1e-15)
-    counts = P2_RANGES.low.copy()
+    counts = P2_RANGES.ranges.low.copy()
     counts[0], counts[1], counts[2] = 3400.0, 2300.5, np.nan
-    assert P2_RANGES.outside(counts).nonzero()[0].tolist() == [1, 2]
+    assert P2_RANGES.ranges.outside(counts).nonzero()[0].tolist() == [1, 2]
 
 
 def test_settings_may_be_given_in_part_and_bad_ones_are_named() -> None:
     assert TactileRanges.from_mapping(P1_RANGES.to_mapping()) == P1_RANGES
     ranges = TactileRanges.from_mapping({"pdc_th": [2400, 3300]})
-    assert (ranges.of("PDC_TH"), ranges.of("E_MF")) == ((2400.0, 3300.0), P2_RANGES.of("E_MF"))
+    assert (ranges.ranges.of("PDC_TH"), ranges.ranges.of("E_MF")) == ((2400.0, 3300.0), P2_RANGES.ranges.of("E_MF"))
     cases = (
         (r"hand.yaml: .*pdc_th: \[3400.0, 2500.0\] is not \[low, high\]", {"pdc_th": [3400, 2500]}),
         (r"pdc_th: \[1.0, 2.0, 3.0\] is not", {"pdc_th": [1, 2, 3]}),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings: faults, tare, and impedances against numbers worked out by hand."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,41 +9,49 @@ from every_case import every_case
 from numpy.testing import assert_allclose
 
 from foretouch.errors import TactileError
-from foretouch.tactile import make_tare, offsets, restore, to_kohm, touch_faults
+from foretouch.tactile import biotac_touch, columns, make_tare, offsets, restore, to_kohm, touch_faults
 from foretouch.types import Touch
 
-REST = Touch(2779.0, 1676.0, np.full(24, 3300.0), np.full(24, 3500.0))
+REST = biotac_touch(np.hstack([2779.0, 1676.0, np.full(24, 3300.0), np.full(24, 3500.0)]))
+
+
+def changed(**modalities: Any) -> Touch:
+    """The reading with some modalities replaced."""
+    values = REST.values.copy()
+    for name, new in modalities.items():
+        values[columns([name.upper()])] = new
+    return biotac_touch(values)
 
 
 def test_faults_are_named_all_at_once() -> None:
     def check(change: dict[str, Any], *messages: str) -> None:
-        faults = touch_faults(replace(REST, **change))
+        faults = touch_faults(changed(**change))
         assert all(fault.startswith(message) for fault, message in zip(faults, messages, strict=True))
 
     cases = [
         ({},),
         ({"pdc_th": 3500.0, "e_mf": np.full(24, 3900.0)},),  # out of P2's ranges
-        ({"e_th": np.zeros(24)}, "e_th: all 24 electrodes are 0, an absent sensor"),
-        ({"pdc_mf": -22072.0}, "pdc_mf: -22072 is not between 0 and 4095"),
+        ({"e_th": 0.0}, "e_th: all 24 values are 0, an absent sensor"),
+        ({"pdc_mf": -22072.0}, "pdc_mf: -22072 is not between 1 and 4095"),
         ({"pdc_th": -9784.0}, "pdc_th: -9784 is not"),
         ({"pdc_th": float("nan")}, "pdc_th: nan is not"),
-        ({"e_mf": np.r_[np.full(23, 3500.0), 5000.0]}, "e_mf[23]: 5000 is not between 0 and 4095 counts (1 such"),
+        ({"e_mf": np.r_[np.full(23, 3500.0), 5000.0]}, "e_mf[23]: 5000 is not between 1 and 4095 counts (1 such"),
         ({"e_mf": np.r_[np.nan, np.full(23, 3500.0)]}, "e_mf[0]: nan"),
-        ({"pdc_th": -1.0, "e_mf": np.zeros(24)}, "pdc_th: -1", "e_mf: all 24"),
+        ({"pdc_th": -1.0, "e_mf": 0.0}, "pdc_th: -1", "e_mf: all 24"),
     ]
     every_case(cases, check)
 
 
 def test_tare_is_the_median_and_offsets_invert() -> None:
-    tare = make_tare([replace(REST, pdc_th=v) for v in (2779.0, 2780.0, 3300.0)])
-    assert tare.pdc_th == 2780.0
-    touch = replace(REST, pdc_th=2900.0, e_th=REST.e_th - 100)
+    tare = make_tare([changed(pdc_th=v) for v in (2779.0, 2780.0, 3300.0)])
+    assert tare["PDC_TH"][0] == 2780.0
+    touch = changed(pdc_th=2900.0, e_th=REST["E_TH"] - 100)
     assert_allclose(offsets(touch, tare)[[0, 1, 2]], [120.0, 0.0, -100.0])
-    assert_allclose(restore(offsets(touch, tare), tare).vector(), touch.vector())
+    assert_allclose(restore(offsets(touch, tare), tare).values, touch.values)
     with pytest.raises(TactileError, match="tare: no reading"):
         make_tare([])
     with pytest.raises(TactileError, match="tare: reading 1: e_mf: all 24"):
-        make_tare([REST, replace(REST, e_mf=np.zeros(24))])
+        make_tare([REST, changed(e_mf=0.0)])
 
 
 def test_impedance_by_hand() -> None:

@@ -16,8 +16,8 @@ from foretouch.checked_files import read_json, require_schema
 from foretouch.cli.output import warn
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
-from foretouch.tactile import make_tare, tdc_of
-from foretouch.types import ELECTRODES, Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.tactile import ELECTRODES, MODALITIES, biotac_touch, make_tare, tdc_of
+from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
@@ -196,17 +196,16 @@ def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
     for name in ("e_th", "e_mf"):
         if len(entry[name]) != ELECTRODES:
             raise FileError(path, f"is not {ELECTRODES} numbers", field=name)
-    e_th, e_mf = (np.array(entry[name], np.float64) for name in ("e_th", "e_mf"))
     tdc = tdc_of({f"TDC_{name[-2:].upper()}": float(entry.get(name, np.nan)) for name in _TDC_FIELDS})
-    return Touch(float(entry["pdc_th"]), float(entry["pdc_mf"]), e_th, e_mf), tdc
+    return biotac_touch(np.hstack([entry[name.lower()] for name in MODALITIES])), tdc
 
 
 def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
     """Labelled samples without one of them, even from another file; ids alone may recur in another dataset."""
     if sample is None or sample.touch is None:
         return samples
-    own = sample.touch.vector()
-    return [one for one in samples if one.id != sample.id or one.touch is None or (one.touch.vector() != own).any()]
+    own = sample.touch.values
+    return [one for one in samples if one.id != sample.id or one.touch is None or (one.touch.values != own).any()]
 
 
 def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.tactile import MODALITIES
+from foretouch.tactile import MODALITIES, biotac_touch
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Touch, TouchPrediction
 
@@ -34,13 +34,11 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
 
 def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
     """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
-    columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
+    ends = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
+    columns = {name: {} if touch is None else touch.parts() for name, touch in ends.items()}
     return {
         "grasp": grasp_record(prediction.grasp),
-        **{
-            name: {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
-            for name in MODALITIES
-        },
+        **{name: {key: parts.get(name) for key, parts in columns.items()} for name in MODALITIES},
         "reference": prediction.reference,
         "evidence": asdict(prediction.evidence),
         "flags": list(prediction.flags),
@@ -133,7 +131,7 @@ def prediction_from_record(record: Any) -> TouchPrediction:
             for field in MODALITIES:
                 part = record[field][end]
                 known += [] if part is None else [np.atleast_1d(np.array(part, np.float64))]
-            touches.append(Touch.from_vector(np.concatenate(known)) if len(known) == len(MODALITIES) else None)
+            touches.append(biotac_touch(np.concatenate(known)) if len(known) == len(MODALITIES) else None)
         field = "status"
         value, lower, upper = touches
         others: dict[str, Any] = {name: record[name] for name in ("reference", "status", "reason")}

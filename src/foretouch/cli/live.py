@@ -102,7 +102,7 @@ def executed_table(prediction: TouchPrediction | None, readings: TouchCut) -> Fi
     if prediction is not None and not prediction.status:
         rows.append(["predicted", *_modalities(prediction)])
     rows += [
-        [name, *(modality_text(getattr(touch, one.lower()), None, None) for one in MODALITIES)]
+        [name, *(modality_text(part, None, None) for part in touch.parts().values())]
         for name, touch in (("read", readings.touch), ("tare", readings.tare))
     ]
     return _table("last grasp", *MODALITIES, rows=rows)

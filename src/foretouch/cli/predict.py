@@ -24,8 +24,8 @@ from foretouch.errors import ConfigError, GraspError
 from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models.registry import load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.tactile import MODALITIES
-from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
+from foretouch.tactile import MODALITIES, biotac_touch
+from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, TouchPrediction
 
 if TYPE_CHECKING:
     from foretouch.models.budget import LatencyBudget
@@ -153,7 +153,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     for k in np.flatnonzero(done.scored):
         sample, level = done.samples[k], done.played.levels[k]
         counts, half = done.played.counts[k], done.played.half[k]
-        value, lower, upper = (Touch.from_vector(end) for end in (counts, counts - half, counts + half))
+        value, lower, upper = (biotac_touch(end) for end in (counts, counts - half, counts + half))
         outside, known = bool(model.ranges.outside(counts).any()), done.recording.is_known(int(k))
         flags = ("out_of_range",) * outside + ("unfamiliar",) * (not known)
         evidence = level.evidence

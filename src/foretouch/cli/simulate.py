@@ -120,7 +120,7 @@ def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
             "plan": state.plan.status,
             "width_m": state.grasp.width_m,
             "force_n": [contact.force_n for contact in state.contacts],
-            "touch": state.touch.vector(),
+            "touch": state.touch.values,
         }
     if as_json:
         print_json(record)

@@ -79,7 +79,7 @@ def describe(path: str | Path) -> SampleSetInfo:
         if record.pairing_error_ns is not None:
             errors.append(record.pairing_error_ns * 1e-6)
         if sample.touch is not None:
-            touches.append(sample.touch.vector())
+            touches.append(sample.touch.values)
     if sizes:
         info.points = (min(sizes), int(np.median(sizes)), max(sizes))
         info.first_ns, info.last_ns = min(stamps), max(stamps)

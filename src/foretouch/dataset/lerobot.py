@@ -25,8 +25,9 @@ from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, open_samples
 from foretouch.errors import FileError
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.channels import columns
-from foretouch.types import ELECTRODES, AnyArray, Cloud, Float32
+from foretouch.types import AnyArray, Cloud, Float32
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
 _POINTS: Final = 1024  # of each cloud

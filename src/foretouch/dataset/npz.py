@@ -12,6 +12,7 @@ from foretouch.dataset.record import Identity, SampleRecord, TouchSeries, check_
 from foretouch.dataset.recording.sample_codec import OUTCOMES, parse_properties, properties_text
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError
+from foretouch.tactile import biotac_touch
 from foretouch.types import AnyArray, Grasp, GraspSample, Touch
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
@@ -69,7 +70,7 @@ def _arrays(record: SampleRecord) -> dict[str, Any]:
         arrays["rgb"] = sample.cloud.rgb
     for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
         if touch is not None:
-            arrays[name] = touch.vector()
+            arrays[name] = touch.values
     if series is not None:
         arrays |= dict(zip(_SERIES, (series.stamps_ns, series.counts, series.phases), strict=True))
         arrays["series_names"] = np.array(list(series.others), dtype=np.str_)
@@ -108,7 +109,7 @@ def _record(path: Path, arrays: Mapping[str, AnyArray]) -> SampleRecord:
         return [str(one) for one in arrays.get(name, np.array([], np.str_)).ravel()]
 
     def touch(name: str) -> Touch | None:
-        return Touch.from_vector(arrays[name]) if name in arrays else None
+        return biotac_touch(arrays[name]) if name in arrays else None
 
     check_id(text("id"), text("object"))
     outcome = next((one for one in OUTCOMES if one == (text("outcome") or "unknown")), None)

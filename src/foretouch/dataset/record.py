@@ -9,7 +9,8 @@ from typing import Final, Literal
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.types import TOUCH_SIZE, AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
+from foretouch.tactile import TOUCH_SIZE
+from foretouch.types import AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
 REST: Final = 0
 APPROACH: Final = 1
@@ -69,7 +70,7 @@ def readings(record: SampleRecord) -> TouchSeries | None:
     if record.series is not None or sample.touch is None:
         return record.series
     others = {name: np.array([value], np.float32) for name, value in sample.extra.items()}
-    counts = sample.touch.vector()[None].astype(np.float32)
+    counts = sample.touch.values[None].astype(np.float32)
     return TouchSeries(np.array([sample.stamp_ns]), counts, np.array([HOLD], np.uint8), others)
 
 

@@ -31,7 +31,8 @@ from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
+from foretouch.tactile import TOUCH_SIZE, biotac_touch
+from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 FORMAT: Final = "foretouch-store"
 SCHEMA_VERSION: Final = 1
@@ -166,7 +167,7 @@ def sample_digest(sample: GraspSample) -> bytes:
     digest.update(b"" if cloud.rgb is None else np.ascontiguousarray(cloud.rgb).data)
     digest.update(np.concatenate([grasp.g1, grasp.g2, grasp.rotation.ravel(), [grasp.score]]).astype(np.float64).data)
     for touch in (sample.touch, sample.tare):
-        digest.update(b"-" if touch is None else touch.vector().data)
+        digest.update(b"-" if touch is None else touch.values.data)
     return digest.digest()
 
 
@@ -319,7 +320,7 @@ def _sample(batch: _Batch, row: int) -> GraspSample:
         return batch.values[name][row * size : (row + 1) * size]
 
     def _touch(name: str) -> Touch | None:
-        return Touch.from_vector(_vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None
+        return biotac_touch(_vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None
 
     plain = {name: values[row] for name, values in batch.plain.items()}
     rgb = _points("rgb") if batch.valid["rgb"][row] else None

@@ -254,7 +254,7 @@ def _row(sample: GraspSample) -> dict[str, Any]:
         if not np.isfinite(value):
             raise DatasetError(f"{sample.id}: extra.{name}: {value} is not finite")
     touches = {"touch": sample.touch, "tare": sample.tare}
-    counts = {name: None if touch is None else touch.vector() for name, touch in touches.items()}
+    counts = {name: None if touch is None else touch.values for name, touch in touches.items()}
     for name, vector in counts.items():
         if vector is not None and not np.isfinite(vector).all():
             raise DatasetError(f"{sample.id}: {name}: holds a value that is not finite")

@@ -25,7 +25,8 @@ from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError, shown
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
-from foretouch.types import ASSUMED_TABLE, ELECTRODES, Cloud, Float64, Grasp, GraspSample, Touch
+from foretouch.tactile import ELECTRODES, biotac_touch
+from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, GraspSample, Touch
 
 CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"
@@ -108,13 +109,8 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
             raise FileError(path, f"{values[i]} is not finite", field=f"{finger}[{i}]")
         others = np.delete(values[ELECTRODES:], _PDC - ELECTRODES)
         extra |= {f"{name}_{finger}": float(value) for name, value in zip(_EXTRA, others, strict=True)}
-    touch = Touch(
-        pdc_th=float(fingers["TH"][_PDC]),
-        pdc_mf=float(fingers["MF"][_PDC]),
-        e_th=fingers["TH"][:ELECTRODES],
-        e_mf=fingers["MF"][:ELECTRODES],
-    )
-    return touch, extra
+    both = fingers["TH"], fingers["MF"]
+    return biotac_touch(np.hstack([*(one[_PDC] for one in both), *(one[:ELECTRODES] for one in both)])), extra
 
 
 def _read_numbers(path: Path, count: int) -> Float64:
@@ -177,9 +173,9 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
 def _fingers(sample: GraspSample, touch: Touch) -> list[float]:
     """Middle finger, then thumb: 24 electrodes, PAC0, PAC1, PDC, TAC, TDC; 0 for channels that the sample lacks."""
     values: list[float] = []
-    for finger, electrodes, pdc in (("MF", touch.e_mf, touch.pdc_mf), ("TH", touch.e_th, touch.pdc_th)):
+    for finger in ("MF", "TH"):
         pac0, pac1, tac, tdc = (sample.extra.get(f"{name}_{finger}", 0.0) for name in _EXTRA)
-        values += [*electrodes, pac0, pac1, pdc, tac, tdc]
+        values += [*touch[f"E_{finger}"], pac0, pac1, *touch[f"PDC_{finger}"], tac, tdc]
     return values
 
 

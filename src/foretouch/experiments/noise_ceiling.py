@@ -200,8 +200,8 @@ class Repeater:
             except SimulationError:
                 continue
             if state.tare is not None:  # without a campaign each grasp has one
-                touches.append(state.touch.vector())
-                tares.append(state.tare.vector())
+                touches.append(state.touch.values)
+                tares.append(state.tare.values)
         if len(touches) < 2:
             raise SimulationError(f"slot {slot}: {len(touches)} of {_TRIES * count} repeats succeed", "repeats")
         return _Repeats(np.array(touches), np.array(tares))

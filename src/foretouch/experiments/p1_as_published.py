@@ -175,7 +175,7 @@ def _tested(
 
 def _rmse(error: Any, modality: str, epsilon: float) -> float:
     """RMSE of one batch over P1's divisor, with the ε of its code."""
-    scale = P1_RANGES.of(modality)[1]
+    scale = P1_RANGES.ranges.of(modality)[1]
     return float(np.sqrt(((error / scale) ** 2).mean() + epsilon))
 
 
@@ -183,7 +183,7 @@ def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
     """By table, predictor and modality: both scores, over all parts of the table that are finished."""
     found: list[Row] = []
     for (table, modality), own in grouped(rows, "table", "modality"):
-        scale = P1_RANGES.of(modality)[1]
+        scale = P1_RANGES.ranges.of(modality)[1]
         head: Row = {"table": table, "modality": modality, "parts": len(unique(own, "part"))}
         for way, mine in grouped(own, "predictor"):
             batch = [row["batch_rmse"] for row in mine]

@@ -46,8 +46,8 @@ from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.processes import one_thread_each
-from foretouch.tactile import MODALITIES
-from foretouch.types import TOUCH_SIZE, Bool, Cloud, Float64, Grasp, GraspSample
+from foretouch.tactile import MODALITIES, TOUCH_SIZE
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet

@@ -258,8 +258,8 @@ def _grasped(
         error = 1e3 * float(scene.solids[index].surface_distance(world).mean())
     if predicted.value is None or predicted.lower is None or predicted.upper is None:
         return GraspedObject(iou, target, contacts, error_mm=error)
-    half = (predicted.upper.vector() - predicted.lower.vector()) / 2.0
-    return GraspedObject(iou, target, contacts, predicted.value.vector(), half, error)
+    half = (predicted.upper.values - predicted.lower.values) / 2.0
+    return GraspedObject(iou, target, contacts, predicted.value.values, half, error)
 
 
 @lru_cache(maxsize=1)

@@ -172,7 +172,7 @@ def _touched(scene: SceneConfig, count: int) -> _Touched:
         rest, pressed = state.readings
         drops[slot] = (rest - pressed)[:, 1:]
         forces[slot] = np.array([contact.force_n for contact in state.contacts])
-        counts[slot] = state.touch.vector()
+        counts[slot] = state.touch.values
     seconds = {name: timing.seconds / max(timing.calls, 1) for name, timing in engine.timings.items()}
     return _Touched(drops, forces, counts, seconds)
 
@@ -254,7 +254,7 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
             continue
         kept.append(SampleKey(scene.seed, slot))
     keys = cycle(kept[:_TIMED])
-    return Timed(lambda _: engine.run(next(keys)).touch.vector())
+    return Timed(lambda _: engine.run(next(keys)).touch.values)
 
 
 def _notes(rows: Sequence[Row]) -> list[str]:

@@ -32,7 +32,7 @@ from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import by_modality
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
-from foretouch.tactile import TactileRanges
+from foretouch.tactile import Ranges
 from foretouch.timing import MachineLoad, cpu_name, time_calls
 from foretouch.types import Cloud, Float64, Grasp
 
@@ -61,7 +61,7 @@ class _Mean:
     """Predicts the mean of the training labels for every grasp."""
 
     mean: Float64  # (50,) [counts]
-    ranges: TactileRanges
+    ranges: Ranges
 
     def estimate(self, _: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         return Estimate(np.tile(self.mean, (len(grasps), 1)), np.zeros(len(grasps), np.bool_))

@@ -19,8 +19,8 @@ from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, AnyArray, Float64, Touch
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import AnyArray, Float64, Touch
 
 GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""
@@ -114,14 +114,14 @@ class Calibration:
         """
         tracker = self.tracker_parameters
         deviation = np.sqrt(tracker.basis**2 @ (tracker.slow + tracker.fast + tracker.tare_noise))
-        offset, signs = tare.vector() - self.rest, []
+        offset, signs = tare.values - self.rest, []
         for name in MODALITIES:
             where = columns([name])
             pressed = offset[where] * (1.0 if name.startswith("PDC") else -1.0) > 3.0 * deviation[where]
             if pressed.size == 1 and pressed[0]:
                 k = where[0]
                 signs.append(
-                    f"{name}: {tare.vector()[k]:.0f} is far above the rest level, {self.rest[k]:.0f} ± {deviation[k]:.0f}"
+                    f"{name}: {tare.values[k]:.0f} is far above the rest level, {self.rest[k]:.0f} ± {deviation[k]:.0f}"
                 )
             elif np.count_nonzero(pressed) >= 3:
                 signs.append(f"{name}: {np.count_nonzero(pressed)} electrodes are far below their rest level")

@@ -20,7 +20,8 @@ from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.types import TOUCH_SIZE, Bool, Float32, Float64
+from foretouch.tactile import TOUCH_SIZE
+from foretouch.types import Bool, Float32, Float64
 
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""

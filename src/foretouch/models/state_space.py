@@ -22,8 +22,8 @@ import numpy as np
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64, Index
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import Float64, Index
 
 FINGERS: Final = ("TH", "MF")
 """Thumb and middle finger."""

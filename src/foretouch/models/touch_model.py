@@ -19,7 +19,7 @@ from foretouch.grasp.pose import check_rotation, fast_accept_rotations
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, fast_accept_reach
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import TactileRanges, touch_faults
+from foretouch.tactile import Ranges, touch_faults
 from foretouch.types import (
     Bool,
     Cloud,
@@ -89,7 +89,7 @@ class Estimator(Protocol):
     """Predicts touch from the cloud and the grasp alone; what the kinds of touch models implement."""
 
     @property
-    def ranges(self) -> TactileRanges:
+    def ranges(self) -> Ranges:
         """Ranges outside which a predicted value is flagged."""
         ...
 
@@ -240,7 +240,7 @@ class TouchModel:
         rest = self._calibrated().rest
         if faults := touch_faults(tare):
             raise TactileError(f"tare: {faults[0]}")
-        return tare.vector() - rest
+        return tare.values - rest
 
     def _calibrated(self) -> Calibration:
         if self.calibration is None:
@@ -267,7 +267,7 @@ class TouchModel:
             k: TouchPrediction(grasps[k], None, status="refused", reason="the model gives a value that is not finite")
             for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist()
         }
-        return TouchPredictions(grasps, counts, bounds, flags, reference, evidence, refused)
+        return TouchPredictions(grasps, self.ranges.channels, counts, bounds, flags, reference, evidence, refused)
 
 
 def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

@@ -39,8 +39,8 @@ import numpy as np
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
-from foretouch.tactile import FULL_SCALE, MODALITIES, columns, is_tdc
-from foretouch.types import TOUCH_SIZE, AnyArray, Bool, Evidence, Float64, Index, UInt8
+from foretouch.tactile import FULL_SCALE, MODALITIES, TOUCH_SIZE, columns, is_tdc
+from foretouch.types import AnyArray, Bool, Evidence, Float64, Index, UInt8
 
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
@@ -89,7 +89,7 @@ class SensorTracker:
     """State of the sensors of a hand, and offset of the object that is touched; not for several threads at once.
 
     Every method that adds a reading takes its stamp on the wall clock, which goes on while the robot is off. Stamps may
-    be up to 60 s out of order. Readings and predictions are vectors as of `Touch.vector()`; predictions are those by
+    be up to 60 s out of order. Readings and predictions are vectors as of `Touch.values`; predictions are those by
     vision, without a shift by a tare.
 
     Args:

@@ -61,7 +61,7 @@ def save_small(figure: Figure, path: Path) -> Path:
 
 def finger_parts(touch: Touch, name: str) -> tuple[float, Float64]:
     """Pressure, and (24,) float64 electrodes, of `TH` or `MF` [counts]."""
-    return (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
+    return float(touch[f"PDC_{name}"][0]), touch[f"E_{name}"]
 
 
 def electrode_levels(touch: Touch, rest: Touch | None, name: str) -> Float64:

@@ -23,9 +23,9 @@ from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.panels import electrode_levels, finger_parts
 from foretouch.simulation.contact.pad import PadConfig
-from foretouch.tactile import electrode_normals, electrode_positions
+from foretouch.tactile import ELECTRODES, electrode_normals, electrode_positions
 from foretouch.tactile.channels import FINGER_NAMES
-from foretouch.types import ELECTRODES, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
 _PAD: Final = PadConfig()
 _COLOURS: Final = {"TH": (240, 115, 130), "MF": (60, 190, 205)}

@@ -104,10 +104,10 @@ def _agreement(one: DrawnGrasp) -> str:
         return f"not predicted: {one.prediction.reason}"
     if read is None:
         return ""
-    text = f"mean difference {np.mean(np.abs(value.vector() - read.vector())[2:]):.0f} counts an electrode"
+    text = f"mean difference {np.mean(np.abs(value.values - read.values)[2:]):.0f} counts an electrode"
     if one.prediction.lower is None or one.prediction.upper is None:
         return text
-    inside = (read.vector() >= one.prediction.lower.vector()) & (read.vector() <= one.prediction.upper.vector())
+    inside = (read.values >= one.prediction.lower.values) & (read.values <= one.prediction.upper.values)
     of = f"{inside[2:].sum()} of {inside[2:].size} electrodes, {inside[:2].sum()} of 2 pressures"
     return f"{text}; within their 90 % intervals: {of}"
 

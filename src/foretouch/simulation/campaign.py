@@ -29,8 +29,8 @@ from foretouch.simulation.scene.campaign import (
 )
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
-from foretouch.tactile import FULL_SCALE
-from foretouch.types import ELECTRODES, Float64
+from foretouch.tactile import ELECTRODES, FULL_SCALE
+from foretouch.types import Float64
 
 _FINGERS: Final = ("thumb", "middle")
 _CHANNELS: Final = 1 + ELECTRODES

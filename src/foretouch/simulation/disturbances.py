@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.tactile import FULL_SCALE
-from foretouch.types import ELECTRODES, Float64
+from foretouch.tactile import ELECTRODES, FULL_SCALE
+from foretouch.types import Float64
 
 _FRESH_PER_ROW: Final = 16.8  # electrodes that are sampled between two messages
 _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring [electrodes]

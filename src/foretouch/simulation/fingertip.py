@@ -35,8 +35,8 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
 from foretouch.simulation.contact.problem import ContactSolution
-from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
-from foretouch.types import ELECTRODES, Float64, Int64
+from foretouch.tactile import ELECTRODES, FULL_SCALE, electrode_normals, electrode_positions, to_kohm
+from foretouch.types import Float64, Int64
 
 # The liquid.
 BOTTOMING_M: Final = 3e-4  # displacement b at which the skin meets the core

@@ -29,8 +29,9 @@ from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine
 from foretouch.simulation.fingertip import quantise
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
-from foretouch.types import ELECTRODES, GraspSample
+from foretouch.types import GraspSample
 
 #: The keys of the state that every sample is made of.
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")

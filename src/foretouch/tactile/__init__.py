@@ -1,30 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The BioTac SP: modalities, ranges, electrode positions, validity, tare and contact detection."""
+"""Tactile sensors: descriptions, messages, ranges, validity, tare and contact detection; and the BioTac SP."""
 
 from foretouch.tactile.channels import (
+    BIOTAC,
+    ELECTRODES,
     MODALITIES,
     P1_RANGES,
     P2_RANGES,
+    TOUCH_SIZE,
+    Ranges,
     TactileRanges,
+    biotac_touch,
     columns,
     electrode_normals,
     electrode_positions,
-    modality_size,
 )
 from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, offsets, restore, tdc_of, to_kohm, touch_faults
 
 __all__ = [
+    "BIOTAC",
+    "ELECTRODES",
     "FULL_SCALE",
     "MODALITIES",
     "P1_RANGES",
     "P2_RANGES",
+    "TOUCH_SIZE",
+    "Ranges",
     "TactileRanges",
+    "biotac_touch",
     "columns",
     "electrode_normals",
     "electrode_positions",
     "is_tdc",
     "make_tare",
-    "modality_size",
     "offsets",
     "restore",
     "tdc_of",

@@ -1,49 +1,121 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 50 values of a reading: modalities and their columns, value ranges, and the electrodes of `config/sensors/biotac_sp.yaml`.
+"""The values of a BioTac SP by `config/sensors/biotac_sp.yaml`, and ranges of the values of any sensor.
 
 P2 predicts four modalities: PDC_TH, PDC_MF (one value each), E_TH and E_MF (24 electrodes each). Their ranges are
 settings, not constants: the amount of liquid in a finger shifts its counts, so a range belongs to one pair of fingers.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channels
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, TactileError
+from foretouch.errors import ConfigError
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import ELECTRODES, Bool, Float64, Index
+from foretouch.types import Bool, Float64, Index, Touch
+
+BIOTAC: Final = packaged_sensor("biotac_sp").channels
+"""The 50 values of a touch of the BioTac SP, which the papers predict."""
 
 FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 """Names of the fingers that touch g1 and g2, for people."""
 
-MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
-_SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)
-_COLUMNS: Final = dict(zip(MODALITIES, np.split(np.arange(sum(_SIZES)), np.cumsum(_SIZES)[:-1]), strict=True))
+MODALITIES: Final = BIOTAC.modalities
+ELECTRODES: Final = packaged_sensor("biotac_sp").size
+TOUCH_SIZE: Final = BIOTAC.size
 _NARROWEST: Final = 1e-6  # [counts]
 _WIDEST: Final = 1e12  # [counts]
 
 
 def columns(modalities: Sequence[str]) -> Index:
-    """(M,) columns of some modalities in `Touch.vector()`, in this order; a `TactileError` names an unknown one."""
-    unknown = [name for name in modalities if name not in _COLUMNS]
-    if unknown:
-        raise TactileError(f"modality: {unknown[0]!r} is none of {', '.join(MODALITIES)}")
-    return np.concatenate([np.empty(0, np.intp), *(_COLUMNS[name] for name in modalities)])
+    """(M,) columns of some modalities of the BioTac SP, as `Channels.columns`."""
+    return BIOTAC.columns(modalities)
 
 
-def modality_size(modality: str) -> int:
-    """Number of values of one modality, 1 or 24; a `TactileError` if there is no such modality."""
-    return len(columns([modality]))
+def biotac_touch(values: npt.ArrayLike) -> Touch:
+    """A reading of the BioTac SP from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
+    return Touch(np.array(values, np.float64), BIOTAC)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges:
+    """Lowest and highest number of each modality, for scaling to [0, 1].
+
+    Attributes:
+        channels: Of a touch.
+        limits: (low, high) of each modality, in their order.
+    """
+
+    channels: Channels
+    limits: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def of_sensor(cls, channels: Channels) -> Self:
+        """Those of a working sensor."""
+        return cls(channels, tuple((one.low, one.high) for one in channels.channel_of.values()))
+
+    def of(self, modality: str) -> tuple[float, float]:
+        """(low, high) of one modality; a `TactileError` if there is no such modality."""
+        self.channels.columns([modality])
+        return self.limits[self.channels.modalities.index(modality)]
+
+    @cached_property
+    def low(self) -> Float64:
+        """(D,) float64, lower bounds in the order of a touch; read-only."""
+        return self._vector(0)
+
+    @cached_property
+    def high(self) -> Float64:
+        """(D,) float64, upper bounds in the order of a touch; read-only."""
+        return self._vector(1)
+
+    def scale(self, values: npt.ArrayLike) -> Float64:
+        """Scale values (..., D) to [0, 1]; values outside their range leave [0, 1] and are not clipped."""
+        return (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
+
+    def outside(self, values: npt.ArrayLike) -> Bool:
+        """Which of (..., D) values are outside their range; NaN is outside."""
+        found = np.asarray(values, np.float64)
+        return np.asarray(~((found >= self.low) & (found <= self.high)), np.bool_)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """By name of the modality in lower case, for a card."""
+        return {name.lower(): list(limits) for name, limits in zip(self.channels.modalities, self.limits, strict=True)}
+
+    @classmethod
+    def from_mapping(cls, channels: Channels, mapping: Mapping[str, Any], where: str) -> Self:
+        """The inverse of `to_mapping`; a `ConfigError` names `where` it was read, the modality and the rule."""
+        names = [name.lower() for name in channels.modalities]
+        for name, limits in mapping.items():
+            if name not in names:
+                raise ConfigError(f"{where}: {name}: unknown; known: {', '.join(names)}")
+            _check_range(f"{where}: {name}", limits)
+        if missing := next((name for name in names if name not in mapping), None):
+            raise ConfigError(f"{where}: {missing}: is missing")
+        return cls(channels, tuple((float(mapping[name][0]), float(mapping[name][1])) for name in names))
+
+    def _vector(self, end: int) -> Float64:
+        found = np.asarray(self.channels.by_modality([limits[end] for limits in self.limits]), np.float64)
+        found.flags.writeable = False  # it is kept
+        return found
+
+
+def _check_range(name: str, limits: Any) -> None:
+    shown = f"{name}: {list(limits) if isinstance(limits, list | tuple) else limits}"
+    if not isinstance(limits, list | tuple) or len(limits) != 2 or not limits[0] < limits[1]:
+        raise ConfigError(f"{shown} is not [low, high] with low < high")
+    if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:
+        raise ConfigError(f"{shown}: high - low is not between {_NARROWEST:g} and {_WIDEST:g} counts")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TactileRanges(Settings):
-    """Lowest and highest count of each modality, for scaling to [0, 1].
+    """Lowest and highest count of each modality of the BioTac SP, for scaling to [0, 1].
 
     Raises:
         ConfigError: If a range is not (low, high) with low < high, or is too narrow or too wide to divide by.
@@ -57,42 +129,12 @@ class TactileRanges(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in MODALITIES:
-            limits = getattr(self, name.lower())
-            shown = f"{name.lower()}: {list(limits)}"
-            if len(limits) != 2 or limits[0] >= limits[1]:
-                raise ConfigError(f"{shown} is not [low, high] with low < high")
-            if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:
-                raise ConfigError(f"{shown}: high - low is not between {_NARROWEST:g} and {_WIDEST:g} counts")
-
-    def of(self, modality: str) -> tuple[float, float]:
-        """(low, high) of one modality [counts]; a `TactileError` if there is no such modality."""
-        modality_size(modality)
-        low, high = getattr(self, modality.lower())
-        return low, high
+            _check_range(name.lower(), getattr(self, name.lower()))
 
     @cached_property
-    def low(self) -> Float64:
-        """(50,) float64, lower bounds in the order of `Touch.vector()` [counts]; read-only."""
-        return self._vector(0)
-
-    @cached_property
-    def high(self) -> Float64:
-        """(50,) float64, upper bounds in the order of `Touch.vector()` [counts]; read-only."""
-        return self._vector(1)
-
-    def scale(self, counts: npt.ArrayLike) -> Float64:
-        """Scale counts (..., 50) to [0, 1]; values outside their range leave [0, 1] and are not clipped."""
-        return (np.asarray(counts, np.float64) - self.low) / (self.high - self.low)
-
-    def outside(self, counts: npt.ArrayLike) -> Bool:
-        """Which of (..., 50) counts are outside their range; NaN is outside."""
-        values = np.asarray(counts, np.float64)
-        return np.asarray(~((values >= self.low) & (values <= self.high)), np.bool_)
-
-    def _vector(self, end: int) -> Float64:
-        found = np.concatenate([np.full(modality_size(name), self.of(name)[end]) for name in MODALITIES])
-        found.flags.writeable = False  # it is kept
-        return found
+    def ranges(self) -> Ranges:
+        """The same as `Ranges`."""
+        return Ranges(BIOTAC, tuple(getattr(self, name.lower()) for name in MODALITIES))
 
 
 P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (section III-C)

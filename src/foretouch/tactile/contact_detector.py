@@ -147,7 +147,7 @@ class ContactDetector:
         return all(finger.touching for finger in self.fingers.values())
 
     def update(self, stamp_ns: int, counts: npt.ArrayLike) -> list[ContactEvent]:
-        """Process a reading of both fingers, (50,) as `Touch.vector()`."""
+        """Process a reading of both fingers, (50,) as `Touch.values`."""
         vector = np.asarray(counts)
         events = (self.fingers[name].update(stamp_ns, vector[index]) for name, index in FINGER_COLUMNS.items())
         return [event for event in events if event is not None]

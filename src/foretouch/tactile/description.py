@@ -16,6 +16,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from foretouch.channels import LARGEST, Channel, Channels
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, nearest, none_of, shown
 from foretouch.tactile.field_path import FieldPath
@@ -23,6 +26,9 @@ from foretouch.tactile.layout import ArrayConfig, Layout, read_layout, require_l
 
 STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of a stamp that is a number."""
+
+_OF_A_HAND: Final = ("summary", "group", "update_rate", "fingers", "source", "pad", "field", "noise")
+"""Settings that do not change what a touch means: see `Sensor.sha256`."""
 
 _UNITS: Final = ("counts", "N", "Pa", "T", "V", "Ohm", "K", "degC", "m")
 _DTYPES: Final = {
@@ -84,6 +90,18 @@ class ChannelConfig(Settings):
         """Lowest and highest number of a working sensor."""
         low, high = self.range or _DTYPES[self.dtype]
         return low, high
+
+    @property
+    def predicted(self) -> bool:
+        """Whether it changes in contact, from a known rest level, so that models predict it."""
+        return self.contact != "none" and self.rest != "none"
+
+    def channel(self, size: int) -> Channel:
+        """What a touch holds of it, for `size` numbers of a finger."""
+        low, high = np.clip(self.limits, -LARGEST, LARGEST).tolist()
+        resolution = (self.noise or 1e-6 * (high - low)) if self.dtype.startswith("float") else 1.0
+        sign, noise = {"rise": 1, "fall": -1}.get(self.contact, 0), self.noise or 0.0
+        return Channel(self.name, size, self.unit, low, high, sign, self.rest == "tare", noise, resolution)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,11 +187,35 @@ class Sensor:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of all settings and taxels; empty ones do not count, so that later versions may add some."""
-        stated = _stated(self.config.to_mapping())
+        """Hash of what the numbers mean: taxels, values and scalars, and the names of the fingers that grasp.
+
+        How messages are read, where the sensor is mounted, which taxels have failed and how noisy they are does not count, nor
+        do settings that are empty, so that later versions may add some.
+        """
+        stated = {key: value for key, value in self.to_mapping().items() if key not in _OF_A_HAND}
+        for key in ("values", "scalars"):
+            stated[key] = [{k: v for k, v in one.items() if k not in _OF_A_HAND} for one in stated.get(key, [])]
+        stated["grasp"] = self.channels_fingers
+        return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def channels_fingers(self) -> list[str]:
+        """Names of the fingers that touch g1 and g2 in the names of modalities, whichever fingers are read."""
+        return [finger.name for finger in self.config.chosen_fingers()]
+
+    @cached_property
+    def channels(self) -> Channels:
+        """The values of a touch: of the whole finger first, then those of its taxels."""
+        parts = [(one, 1) for one in self.config.scalars] + [(one, self.size) for one in self.config.values]
+        predicted = tuple(one.channel(size) for one, size in parts if one.predicted)
+        return Channels(self.config.name, self.sha256, tuple(self.channels_fingers), predicted)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """All that `sensor_of` needs, as plain types, for manifests and cards."""
+        stated: dict[str, Any] = _stated(self.config.to_mapping())
         if self.config.taxels:
             stated["taxels"] = [None if one is None else one.tolist() for one in vars(self.layout).values()]
-        return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
+        return stated
 
 
 def sensor_files() -> dict[str, Path]:
@@ -208,6 +250,27 @@ def load_sensor(sensor: str | Path) -> Sensor:
         if max(finger.dead, default=-1) >= len(layout.positions):
             raise ConfigError(f"{shown(path)}: dead: {finger.name} has no taxel {max(finger.dead)}")
     return Sensor(config, layout)
+
+
+def sensor_of(mapping: Any, where: str) -> Sensor:
+    """The inverse of `Sensor.to_mapping`; a `ConfigError` names `where` it was read, field and rule."""
+    if not isinstance(mapping, dict):
+        raise ConfigError(f"{where}: is no description of a sensor")
+    stated, layout = dict(mapping), None
+    if isinstance(stated.get("taxels"), list):
+        try:
+            points, normals, pixels = stated["taxels"]
+            parts = np.asarray([points, normals], np.float64).reshape(2, -1, 3)
+            layout = Layout(parts[0], parts[1], None if pixels is None else np.asarray(pixels, np.int64).reshape(-1, 2))
+        except (TypeError, ValueError) as err:
+            raise ConfigError(f"{where}: taxels: are no positions, normals and pixels") from err
+        if not np.isfinite(parts).all():
+            raise ConfigError(f"{where}: taxels: are not finite")
+        stated["taxels"] = "taxels.csv"
+    config = SensorConfig.from_mapping(stated, where)
+    if layout is None and config.array is None:
+        raise ConfigError(f"{where}: taxels: are missing")
+    return Sensor(config, layout or config.array.layout())  # type: ignore[union-attr]
 
 
 packaged_sensor = cache(load_sensor)

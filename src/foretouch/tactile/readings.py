@@ -15,37 +15,34 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channel
 from foretouch.errors import TactileError
+from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Bool, Float64, Touch
 
-FULL_SCALE: Final = 4095  # largest count of the 12-bit converter
+FULL_SCALE: Final = 4095  # largest count of the 12-bit converter of the BioTac SP
 
 _REFERENCE_KOHM: Final = 10.0
 
 
 def touch_faults(touch: Touch) -> tuple[str, ...]:
-    """Why a working sensor cannot have produced a reading [counts], one line each; empty if it can have."""
-    return (
-        *_pdc_faults("pdc_th", touch.pdc_th),
-        *_pdc_faults("pdc_mf", touch.pdc_mf),
-        *_electrode_faults("e_th", touch.e_th),
-        *_electrode_faults("e_mf", touch.e_mf),
-    )
+    """Why working sensors cannot have produced a reading, one line each; empty if they can have."""
+    if ((touch.values >= touch.channels.low) & (touch.values <= touch.channels.high)).all():
+        return ()
+    pairs = ((name, channel, touch[name]) for name, channel in touch.channels.channel_of.items())
+    return tuple(filter(None, (_fault(name.lower(), channel, values) for name, channel, values in pairs)))
 
 
-def _pdc_faults(name: str, value: float) -> list[str]:
-    text = f"{name}: {value:g} is not between 0 and {FULL_SCALE} counts, an absent or dead sensor"
-    return [] if 0 < value <= FULL_SCALE else [text]  # NaN is a fault too
-
-
-def _electrode_faults(name: str, values: Float64) -> list[str]:
+def _fault(name: str, channel: Channel, values: Float64) -> str:
+    wrong = np.flatnonzero(~((values >= channel.low) & (values <= channel.high)))  # NaN is a fault too
+    if not wrong.size:
+        return ""
+    rule = f"is not between {channel.low:g} and {channel.high:g} {channel.unit}"
+    if channel.size == 1:
+        return f"{name}: {values[0]:g} {rule}, an absent or dead sensor"
     if not values.any():
-        return [f"{name}: all {values.size} electrodes are 0, an absent sensor"]
-    wrong = np.flatnonzero(~((values > 0) & (values <= FULL_SCALE)))
-    if wrong.size:
-        k = int(wrong[0])
-        return [f"{name}[{k}]: {values[k]:g} is not between 0 and {FULL_SCALE} counts ({wrong.size} such electrodes)"]
-    return []
+        return f"{name}: all {values.size} values are 0, an absent sensor"
+    return f"{name}[{wrong[0]}]: {values[wrong[0]]:g} {rule} ({wrong.size} such values)"
 
 
 def make_tare(readings: Sequence[Touch]) -> Touch:
@@ -55,7 +52,7 @@ def make_tare(readings: Sequence[Touch]) -> Touch:
     for i, reading in enumerate(readings):
         if faults := touch_faults(reading):
             raise TactileError(f"tare: reading {i}: {faults[0]}")
-    return Touch.from_vector(np.median([reading.vector() for reading in readings], axis=0))
+    return Touch(np.median([reading.values for reading in readings], axis=0), readings[0].channels)
 
 
 def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
@@ -65,7 +62,7 @@ def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
         values: As `GraspSample.extra`.
         prefix: Before the names: `tare_` for those of the tare.
     """
-    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in ("TH", "MF")], np.float64)
+    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in BIOTAC.fingers], np.float64)
     return np.where(is_tdc(found), found, np.nan)
 
 
@@ -81,13 +78,13 @@ def to_celsius(tdc: float) -> float:
 
 
 def offsets(touch: Touch, tare: Touch) -> Float64:
-    """(50,) float64 [counts], touch minus tare: with pressure, PDC rises and electrodes fall."""
-    return touch.vector() - tare.vector()
+    """(D,) float64, touch minus tare: with pressure, PDC rises and electrodes fall."""
+    return touch.values - tare.values
 
 
 def restore(offset: Float64, tare: Touch) -> Touch:
     """The inverse of `offsets`."""
-    return Touch.from_vector(offset + tare.vector())
+    return Touch(offset + tare.values, tare.channels)
 
 
 def to_kohm(electrode: npt.ArrayLike) -> Float64:

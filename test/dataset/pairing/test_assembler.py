@@ -84,7 +84,7 @@ def test_samples_hold_their_own_cloud_touch_and_candidates() -> None:
         assert isinstance(one, AssembledSample)
         sample = one.record.sample
         assert (sample.cloud.xyz == number).all()
-        np.testing.assert_allclose(sample.touch.vector(), level(number), atol=5.0)  # type: ignore[union-attr]
+        np.testing.assert_allclose(sample.touch.values, level(number), atol=5.0)  # type: ignore[union-attr]
         assert (sample.object, one.record.note, sample.grasp.id) == ("can", "a note", f"g-{number}")
         assert [other.id for other in one.record.candidates] == [f"g-{number} second"]
     assert [one.record.outcome for one in results] == ["success", "failure"]

@@ -26,8 +26,8 @@ def filled(readings: list[TouchReading]) -> TouchBuffer:
 
 def test_touch_and_tare_are_those_of_hold_and_rest() -> None:
     cut = cut_touch(filled(stream(1)), interval(0), CONFIG)
-    np.testing.assert_allclose(cut.touch.vector(), level(0), atol=4.0)
-    np.testing.assert_allclose(cut.tare.vector(), REST, atol=4.0)
+    np.testing.assert_allclose(cut.touch.values, level(0), atol=4.0)
+    np.testing.assert_allclose(cut.tare.values, REST, atol=4.0)
     assert cut.error_ns == PERIOD
     assert cut.flags == ()
     # First touch begins 0.2 s before the hold; a ramp needs a few readings to stand out of the noise.
@@ -47,8 +47,8 @@ def _check_touches(seed: int) -> None:
     for number in range(6):
         cut = cut_touch(buffer, interval(number), CONFIG)
         # The levels of two grasps are 10 counts apart in 48 electrodes, 20 in PDC.
-        np.testing.assert_allclose(cut.touch.vector(), level(number), atol=4.5)
-        np.testing.assert_allclose(cut.tare.vector(), REST, atol=4.5)
+        np.testing.assert_allclose(cut.touch.values, level(number), atol=4.5)
+        np.testing.assert_allclose(cut.tare.values, REST, atol=4.5)
         assert PERIOD <= cut.error_ns <= CONFIG.tolerance_s * SECOND
 
 
@@ -99,7 +99,7 @@ def test_absent_and_frozen_sensors_are_refused_idle_and_repeating_ones_flagged()
     absent = REST.copy()
     absent[2:26] = 0
     dead = filled([replace(r, counts=np.where(absent == 0, 0, r.counts)) for r in readings])
-    with pytest.raises(PairingError, match="e_th: all 24 electrodes are 0") as info:
+    with pytest.raises(PairingError, match="e_th: all 24 values are 0") as info:
         cut_touch(dead, interval(0), CONFIG)
     assert info.value.reason == "sensor_fault"
     middle = np.r_[1, 26:50]

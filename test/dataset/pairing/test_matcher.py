@@ -75,7 +75,7 @@ def _check_pairs(seed: int) -> None:
         number = int(one.executed.grasp_id.removeprefix("g-"))
         assert one.cloud.message.data == f"cloud {number}".encode()
         # The nearest wrong touch is 10 counts away in every electrode and 20 in PDC.
-        assert np.abs(one.cut.touch.vector() - level(number)).max() < 5.0
+        assert np.abs(one.cut.touch.values - level(number)).max() < 5.0
     reasons = [result.reason for result in results if isinstance(result, RejectedGrasp)]
     assert len(results) == len(reported)
     assert reasons.count("grasp_unknown") == len(set(reported) - set(known))
@@ -172,7 +172,7 @@ def test_contacts_belong_to_the_last_best_grasp_only_where_that_is_asked_for() -
         assert [one.executed.grasp_id for one in linked] == expected
         for number, one in enumerate(linked):
             assert one.executed.flags == ("detected_interval", "assumed_grasp")
-            np.testing.assert_allclose(one.cut.touch.vector(), level(number), atol=5.0)
+            np.testing.assert_allclose(one.cut.touch.values, level(number), atol=5.0)
 
 
 def test_at_the_end_everything_has_an_outcome() -> None:

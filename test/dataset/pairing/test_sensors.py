@@ -24,11 +24,11 @@ def test_working_sensors_are_alive_and_silence_faults_frozen_streams_and_a_dead_
     counts = noisy(rng)
     counts[26:] = 0
     health.update(counts)
-    assert health.states == {"TH": "alive", "MF": "e_mf: all 24 electrodes are 0, an absent sensor"}
+    assert health.states == {"TH": "alive", "MF": "e_mf: all 24 values are 0, an absent sensor"}
     counts = noisy(rng)
     counts[0] = -22072
     health.update(counts)
-    assert health.states["TH"].startswith("pdc_th: -22072 is not between 0 and 4095")
+    assert health.states["TH"].startswith("pdc_th: -22072 is not between 1 and 4095")
     assert health.states["MF"] == "alive"
     health, rng = SensorHealth(), np.random.default_rng(0)
     for _ in range(201):

@@ -14,7 +14,8 @@ from recording_builders import IDENTITY, assert_same_sample, record
 from foretouch.dataset.record import SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, Definitions, decode_sample, encode_sample
 from foretouch.errors import DatasetError
-from foretouch.types import Cloud, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Cloud
 
 REPOSITORY = Path(__file__).parents[3]
 
@@ -81,7 +82,7 @@ def test_what_cannot_be_recorded_is_refused() -> None:
         ("ball/a\nb", "ball"), ("other/1", "ball"), ("ball/" + 101 * "x", "ball"),
     ]  # fmt: skip
     every_case(cases, check)
-    bad = Touch.from_vector(np.full(50, np.nan))
+    bad = biotac_touch(np.full(50, np.nan))
     for change, rule in (
         ({"touch": bad}, "ball/000001: pdc_th: holds a value that is not finite"),
         ({"tare": bad}, "ball/000001: tare_pdc_th: holds a value that is not finite"),

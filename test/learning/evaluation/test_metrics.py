@@ -54,7 +54,7 @@ def test_pools_as_the_metrics_do_and_those_agree_with_scikit_learn(rng) -> None:
         assert theirs[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
         pooled = root_mean_squared_error(actual[:, column].ravel(), predicted[:, column].ravel())
         assert theirs[name].rmse == pytest.approx(pooled)
-        assert theirs[name].nrmse == pytest.approx(pooled / np.ptp(P2_RANGES.of(name)))
+        assert theirs[name].nrmse == pytest.approx(pooled / np.ptp(P2_RANGES.ranges.of(name)))
 
 
 def test_interval_against_all_resamples_of_six_objects() -> None:

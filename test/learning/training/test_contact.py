@@ -19,7 +19,7 @@ from foretouch.learning.training import generalisation
 from foretouch.learning.training.calibration import rest_level, resting_labels
 from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import MODALITIES, biotac_touch, columns
 from foretouch.types import Cloud
 
 SAMPLES = make_samples(5, 10)
@@ -35,12 +35,12 @@ def test_samples_are_described_each_on_its_own_cloud() -> None:
 def test_rest_without_tares_is_the_end_without_pressure_and_labels_at_rest_are_free_of_drift() -> None:
     """PDC rises with pressure, so rest is their low end; electrodes fall, so it is their high end."""
     labels = np.tile(np.arange(1.0, 102.0)[:, None], (1, 50))
-    samples = [replace(SAMPLES[0], touch=type(SAMPLES[0].touch).from_vector(row)) for row in labels]
+    samples = [replace(SAMPLES[0], touch=biotac_touch(row)) for row in labels]
     rest, recorded = rest_level(samples)
     assert not recorded
     assert_allclose(rest, [2.0, 2.0, *[96.0] * 48])
     calm, drifting = with_tares(SAMPLES, drift=0.0), with_tares(SAMPLES, drift=50.0)
-    rest = calm[0].tare.vector()
+    rest = calm[0].tare.values
     assert_allclose(resting_labels(drifting, labels_of(drifting), rest), labels_of(calm), atol=1e-9)
     assert_array_equal(resting_labels(SAMPLES, labels_of(SAMPLES), rest), labels_of(SAMPLES))
     labels = labels_of(drifting)

@@ -44,7 +44,7 @@ def by_touch_model(model: TouchModel, touched: list[GraspSample], sample: GraspS
         history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
     read = history.snapshot(max([sample.stamp_ns, *(one.stamp_ns for one in touched)]), same_object=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=read)
-    return np.array([found.value.vector(), found.upper.vector() - found.value.vector()])
+    return np.array([found.value.values, found.upper.values - found.value.values])
 
 
 def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path) -> None:
@@ -78,7 +78,7 @@ def test_labels_and_tares_of_predicted_samples_are_not_used(tared) -> None:
 
 def test_rest_comes_from_tares_where_they_were_recorded(bare, tared) -> None:
     assert (bare.rest_recorded, tared.rest_recorded) == (False, True)
-    assert_allclose(tared.rest, np.mean([sample.tare.vector() for sample in TARED[:40]], axis=0))
+    assert_allclose(tared.rest, np.mean([sample.tare.values for sample in TARED[:40]], axis=0))
     assert_array_equal(tared.calibration[0].rest, tared.rest)
 
 

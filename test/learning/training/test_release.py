@@ -70,8 +70,8 @@ def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: 
     assert any("cannot exceed 67%" in line for line in model.card["limits"])  # 2 of 3
     sample = read_folder(folder)[0]
     (prediction,) = model.predict(sample.cloud, [sample.grasp])
-    assert (prediction.lower.vector() < prediction.value.vector()).all()
-    assert (prediction.value.vector() < prediction.upper.vector()).all()
+    assert (prediction.lower.values < prediction.value.values).all()
+    assert (prediction.value.values < prediction.upper.values).all()
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from every_case import every_refusal
@@ -16,6 +17,7 @@ from foretouch.learning.training.run import train_run
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, read_state
 from foretouch.learning.training.supervised import SupervisedTrainer
+from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, GraspSample
 
 CONTACT = {"method": "contact", "contact": {"trees": 2}}
@@ -58,9 +60,11 @@ def test_one_object_cannot_be_kept_apart_and_without_a_label_nothing_is_learned(
 @pytest.mark.parametrize("method", ["supervised", "contact"])
 def test_a_bad_label_is_named_and_the_corrected_data_train_in_the_same_folder(data, tmp_path, method: str) -> None:
     first = data.samples[0]
-    faulty = with_first(data, replace(first, touch=replace(first.touch, pdc_mf=-22072.0)))
+    faulty = with_first(
+        data, replace(first, touch=biotac_touch(np.insert(np.delete(first.touch.values, 1), 1, -22072.0)))
+    )
     run = run_config(**{**CONTACT, "method": method})
-    with pytest.raises(DatasetError, match=rf"{first.id}: touch: pdc_mf: -22072 is not between 0 and 4095 counts"):
+    with pytest.raises(DatasetError, match=rf"{first.id}: touch: pdc_mf: -22072 is not between 1 and 4095 counts"):
         train_run(run, replace(faulty, sha256="faulty"), tmp_path / "run", quiet)
     assert train_run(run, data, tmp_path / "run", quiet).is_file()
 

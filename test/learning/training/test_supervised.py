@@ -28,7 +28,8 @@ from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.network.preparation import prepare_grasps
 from foretouch.models.touch_model import TouchModel
-from foretouch.types import Grasp, Touch
+from foretouch.tactile import biotac_touch
+from foretouch.types import Grasp
 
 QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
 
@@ -59,7 +60,7 @@ def test_the_seed_decides_dropout_too_and_leaves_the_global_generator(samples, s
 
 
 def test_training_does_not_see_the_held_out_labels(samples, small) -> None:
-    other = Touch(3000.0, 2000.0, np.ones(24), np.ones(24))
+    other = biotac_touch(np.hstack([3000.0, 2000.0, np.ones(24), np.ones(24)]))
     changed = [*samples[:40], *(dataclasses.replace(sample, touch=other) for sample in samples[40:])]
     short = QUICK.replace(epochs=1)
     one = train_network(TrainingSet.build(samples, small), np.arange(40), short).state_dict()
@@ -76,7 +77,7 @@ def test_validation_predicts_what_the_model_predicts(samples, small, precision: 
     estimator = NetworkEstimator(small, fold(net), LengthRangeCheck.fit(data.lengths))
     model = TouchModel(estimator, {"name": "toy", "sha256": ""})
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
-    assert_allclose(predictions[50].value.vector(), predict_set(net, data, np.array([50]))[0], atol=atol)
+    assert_allclose(predictions[50].value.values, predict_set(net, data, np.array([50]))[0], atol=atol)
     assert not any("unfamiliar" in prediction.flags for prediction in predictions)
 
 

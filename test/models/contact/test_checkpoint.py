@@ -25,10 +25,10 @@ from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.types import Touch
+from foretouch.tactile import biotac_touch
 
 SAMPLES = make_samples(5, 10)
-TARE = Touch.from_vector(make_calibration().rest + 12.0)
+TARE = biotac_touch(make_calibration().rest + 12.0)
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def everything(model: TouchModel) -> np.ndarray:
     for adapted in ({}, {"tare": TARE}, {"history": history.snapshot(SAMPLES[3].stamp_ns, same_object=True)}):
         for sample in SAMPLES[5::8]:
             (one,) = model.predict(sample.cloud, [sample.grasp], **adapted)
-            found += [one.value.vector(), one.lower.vector(), one.upper.vector()]
+            found += [one.value.values, one.lower.values, one.upper.values]
     return np.array(found)
 
 

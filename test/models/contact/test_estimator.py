@@ -70,7 +70,7 @@ def test_damage_is_refused_by_part_and_name(estimator) -> None:
         if value is None:
             del tensors[name]
         with pytest.raises(ModelError, match=f"^{rule}"):
-            ContactEstimator.from_tensors(tensors, P2_RANGES)
+            ContactEstimator.from_tensors(tensors, P2_RANGES.ranges)
 
     cases = [
         ("mean: is missing", "mean", None),

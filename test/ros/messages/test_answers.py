@@ -13,7 +13,8 @@ from std_msgs.msg import Header
 from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
+from foretouch.tactile import biotac_touch
+from foretouch.types import Evidence, Grasp, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.ros
 
 
 def prediction(rng, grasp):
-    value, low, high = (Touch.from_vector(rng.normal(2000.0, 1e3, 50)) for _ in range(3))
+    value, low, high = (biotac_touch(rng.normal(2000.0, 1e3, 50)) for _ in range(3))
     flags = tuple(rng.choice(["out_of_range", "unfamiliar", "é"], rng.integers(0, 3), replace=False).tolist())
     evidence = Evidence(int(rng.integers(9)), rng.choice([None, 1.25]), int(rng.integers(9)), rng.choice([None, 7.5]))
     reference = rng.choice(["none", "tare", "touches", "history"]).item()
@@ -62,7 +63,7 @@ def test_the_bytes_are_those_of_the_message_beyond_single_precision_and_with_a_z
 
     every_case([(seed, count) for seed in range(12) for count in (0, 1, 2, 7)], check)
     assert middleware_reads_cdr()
-    touch = TouchPrediction(Grasp(np.zeros(3), np.ones(3), np.eye(3)), Touch.from_vector(np.full(50, 1e300)))
+    touch = TouchPrediction(Grasp(np.zeros(3), np.ones(3), np.eye(3)), biotac_touch(np.full(50, 1e300)))
     one = TouchAnswer(Header(frame_id="a\0b"), [GraspMsg(id="c\0d")], [touch])
     assert_sent_as_by_rclpy(one)
 

@@ -32,9 +32,10 @@ from foretouch.ros.messages.conversions import (
 )
 from foretouch.ros.messages.requests import RefusalError, read_table
 from foretouch.ros.messages.tactile import biotac_all_to_msg, tactile_class
+from foretouch.tactile import biotac_touch
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Evidence, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import Evidence, Grasp, Plane, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Interval, Status, TablePlane, TouchPredictionArray
 
@@ -125,7 +126,7 @@ def test_planes_are_received_to_the_last_bit_or_refused_with_a_reason(rng):
 
 def test_a_prediction_puts_each_electrode_in_its_place_as_its_constructor_would_and_a_refusal_none():
     vector = np.arange(50.0) + 100.0
-    value, lower = Touch.from_vector(vector), Touch.from_vector(vector - 10)
+    value, lower = biotac_touch(vector), biotac_touch(vector - 10)
     prediction = TouchPrediction(UNIT, value, lower=lower, flags=("unfamiliar",), reference="tare")
     message = prediction_to_msg(prediction, grasp_to_msg(UNIT), Header(frame_id="cam"))
     assert (message.pdc_th.value, message.pdc_mf.value) == (100.0, 101.0)
@@ -135,7 +136,7 @@ def test_a_prediction_puts_each_electrode_in_its_place_as_its_constructor_would_
     message = refusal_to_msg(grasp_to_msg(UNIT), Header(), Status.NO_MODEL, "absent")
     assert (message.status, message.reason) == (Status.NO_MODEL, "absent")
     assert all(math.isnan(i.value) for i in (message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf))
-    value, low, high = (Touch.from_vector(np.arange(50.0) + shift) for shift in (0.5, -10.0, 10.0))
+    value, low, high = (biotac_touch(np.arange(50.0) + shift) for shift in (0.5, -10.0, 10.0))
     full = TouchPrediction(UNIT, value, low, high, "touches", ("late",), evidence=Evidence(2, 3.5, 4, 1.0))
     for one in (full, TouchPrediction(UNIT, value)):
         made = prediction_to_msg(one, grasp_to_msg(UNIT), Header(frame_id="cam"))
@@ -179,7 +180,7 @@ HEADER = header_to_msg("camera", 5)
 
 
 def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
-    prediction = TouchPrediction(grasp=UNIT, value=Touch.from_vector(np.full(50, 2000.0)), lower=None, upper=None)
+    prediction = TouchPrediction(grasp=UNIT, value=biotac_touch(np.full(50, 2000.0)), lower=None, upper=None)
     good, strange = (prediction_to_msg(prediction, grasp_to_msg(UNIT), HEADER) for _ in range(2))
     strange.reference = 77
     reason = "reference: 77 is none of none, tare, touches, history"

@@ -8,8 +8,8 @@ from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.messages.markers import object_markers, touch_markers
-from foretouch.tactile import P2_RANGES
-from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch.tactile import P2_RANGES, biotac_touch
+from foretouch.types import Grasp, TouchPrediction
 from foretouch_msgs.msg import ObjectArray, Status
 
 HEADER = Header(frame_id="cam")
@@ -19,9 +19,9 @@ GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.array(
 
 def drawn(e_th, e_mf, **options):
     """Markers of a prediction by their namespace."""
-    touch = Touch(2800.0, 1800.0, np.asarray(e_th, float), np.asarray(e_mf, float))
+    touch = biotac_touch(np.hstack([2800.0, 1800.0, np.asarray(e_th, float), np.asarray(e_mf, float)]))
     message = prediction_to_msg(TouchPrediction(GRASP, touch), grasp_to_msg(GRASP), HEADER)
-    return by_name(touch_markers(message, P2_RANGES, **options))
+    return by_name(touch_markers(message, P2_RANGES.ranges, **options))
 
 
 def by_name(array):
@@ -61,7 +61,7 @@ def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_take
     assert (finger[:, 0] <= -0.04 + 1e-9).all()
     assert np.linalg.norm(thumb - GRASP.g1, axis=1).max() < 0.02
     assert (points(drawn(np.ones(24), np.ones(24), thumb_takes_g1=False)["thumb"][0])[:, 0] < 0.0).all()
-    low, high = P2_RANGES.of("E_TH")  # a drop is red and none is green
+    low, high = P2_RANGES.ranges.of("E_TH")  # a drop is red and none is green
     counts = np.full(24, high)
     counts[5], counts[6] = low, (low + high) / 2
     colours = drawn(counts, counts)["thumb"][0].colors
@@ -76,7 +76,9 @@ def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_take
     flat = [marker for group in markers.values() for marker in group]
     assert len({(m.ns, m.id) for m in flat}) == len(flat)
     assert {m.header.frame_id for m in flat} == {"cam"}
-    assert not touch_markers(refusal_to_msg(grasp_to_msg(GRASP), HEADER, Status.REFUSED, "no"), P2_RANGES).markers
+    assert not touch_markers(
+        refusal_to_msg(grasp_to_msg(GRASP), HEADER, Status.REFUSED, "no"), P2_RANGES.ranges
+    ).markers
 
 
 def test_boxes_enclose_their_objects(scene_cloud):

@@ -72,8 +72,8 @@ def test_a_grasp_is_felt_when_and_as_strongly_as_the_hand_reports(graph, start):
         messages = between(tactile, low, high)
         assert len(messages) == 20
         for message in messages:
-            np.testing.assert_array_equal(finger_counts(message, "TH"), [touch.pdc_th, *touch.e_th])
-            np.testing.assert_array_equal(finger_counts(message, "MF"), [touch.pdc_mf, *touch.e_mf])
+            np.testing.assert_array_equal(finger_counts(message, "TH"), [touch["PDC_TH"][0], *touch["E_TH"]])
+            np.testing.assert_array_equal(finger_counts(message, "MF"), [touch["PDC_MF"][0], *touch["E_MF"]])
     assert (node.statistics.summary().used, node.notes()["executed.success"]) == (1, "1")
 
 

@@ -59,8 +59,8 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
         message = ask(graph)
         assert message.status == Status.OK
         (prediction,), (expected,) = message.predictions, level.model.predict(cloud, grasps)
-        assert prediction.pdc_th.value == pytest.approx(expected.value.pdc_th, rel=1e-6)
-        assert prediction.pdc_th.lower == pytest.approx(expected.lower.pdc_th, rel=1e-6)
+        assert prediction.pdc_th.value == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
+        assert prediction.pdc_th.lower == pytest.approx(expected.lower["PDC_TH"][0], rel=1e-6)
         assert ("reduced" in prediction.flags) == reduced
         assert node.notes().get("budget.level") == (level.name if budget_ms else None)
         graph.remove(node)

@@ -48,8 +48,8 @@ def test_readings_of_a_successful_grasp_are_shown_and_others_are_not(graph, monk
     graph.until(lambda: monitor.view().executed is not None)
     prediction, readings = monitor.view().executed
     assert prediction.grasp.id == "good"
-    np.testing.assert_allclose(readings.touch.vector(), level(1), atol=5.0)
-    np.testing.assert_allclose(readings.tare.vector(), REST, atol=5.0)
+    np.testing.assert_allclose(readings.touch.values, level(1), atol=5.0)
+    np.testing.assert_allclose(readings.tare.values, REST, atol=5.0)
 
     robot.report("good too", times)  # overlaps: the recorder rejects it
     robot.report("failed", robot.grasp("failed", 2, tell=False), success=False)

@@ -97,7 +97,7 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     assert touch[0].header.frame_id == prediction.header.frame_id == "base_link"
     assert (touch[0].header.stamp, prediction.grasp) == (grasps[0].header.stamp, best)
     (expected,) = load_model(model_card).predict(target.cloud, [plan])
-    assert_allclose(prediction.pdc_mf.value, expected.value.pdc_mf, rtol=1e-5)
+    assert_allclose(prediction.pdc_mf.value, expected.value["PDC_MF"][0], rtol=1e-5)
     graph.until(lambda: any(one.ns == "contacts" for message in markers for one in message.markers))
     drawn = [one for message in markers for one in message.markers if one.ns in {"contacts", "thumb"}]
     assert {one.header.frame_id for one in drawn} == {"base_link"}
@@ -149,7 +149,7 @@ def test_requests_and_goals_from_either_frame_are_answered_in_that_of_the_robot(
         assert (answer.header.frame_id, answer.status) == ("base_link", Status.OK), answer.reason
         for found, one, grasp in zip(answer.predictions, expected, plan, strict=True):
             check_grasp(found.grasp, grasp)
-            assert_allclose(found.pdc_th.value, one.value.pdc_th, rtol=tolerance)
+            assert_allclose(found.pdc_th.value, one.value["PDC_TH"][0], rtol=tolerance)
     contents = [[(one.g1, one.g2, one.pose) for one in found] for found in (moved, [p.grasp for p in here.predictions])]
     assert contents[0] == contents[1]
     moved[0].rotation = np.zeros(9)
@@ -157,7 +157,7 @@ def test_requests_and_goals_from_either_frame_are_answered_in_that_of_the_robot(
         setattr(moved[0].pose.orientation, axis, 0.0)
     posed = ask(graph, **request).predictions[0]
     (again,) = load_model(model_card).predict(target.cloud, [Pipeline().grasp_between(target, plan[0].g1, plan[0].g2)])
-    assert_allclose(posed.pdc_th.value, again.value.pdc_th, rtol=1e-3)
+    assert_allclose(posed.pdc_th.value, again.value["PDC_TH"][0], rtol=1e-3)
 
     goal = SampleGrasps.Goal(cloud=cloud, table=[table], count=5)
     _, result, feedback = graph.goal(SampleGrasps, "sample_grasps", goal)

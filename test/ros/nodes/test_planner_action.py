@@ -88,7 +88,7 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     result.costs = [math.inf] * 3
     with pytest.raises(RefusalError, match="no grasp has a finite cost"):
         planner_feedback(SampleGrasps, result)
-    ranges = TactileRanges()
+    ranges = TactileRanges().ranges
     (low_th, high_th), (low_mf, high_mf) = ranges.of("PDC_TH"), ranges.of("PDC_MF")
     pdc_th, pdc_mf = low_th + 0.25 * (high_th - low_th), low_mf + 0.75 * (high_mf - low_mf)
     one = TouchPrediction(pdc_th=Interval(value=pdc_th), pdc_mf=Interval(value=pdc_mf))

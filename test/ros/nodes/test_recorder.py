@@ -51,8 +51,8 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
         record, sample = one.record, one.record.sample
         assert sample.id == f"can/00000{number + 1}"
         np.testing.assert_array_equal(sample.cloud.xyz, clouds[number].xyz)
-        np.testing.assert_allclose(sample.touch.vector(), level(number), atol=5.0)
-        np.testing.assert_allclose(sample.tare.vector(), REST, atol=5.0)
+        np.testing.assert_allclose(sample.touch.values, level(number), atol=5.0)
+        np.testing.assert_allclose(sample.tare.values, REST, atol=5.0)
         assert (sample.grasp.id, [g.id for g in record.candidates]) == (f"g-{number}", [f"g-{number} too"])
         assert (record.outcome, record.flags, record.pairing_error_ns) == ("success", (), 10 * MS)
         assert (record.series.phases == HOLD).sum() == 20
@@ -79,7 +79,7 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     record = stored(tmp_path / "set")[0].record
     assert (record.sample.object, record.note, record.outcome) == ("cup", "slipped", "failure")
     assert record.flags == ("detected_interval",)
-    np.testing.assert_allclose(record.sample.touch.vector(), level(1), atol=5.0)
+    np.testing.assert_allclose(record.sample.touch.values, level(1), atol=5.0)
 
 
 def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_path):
@@ -117,7 +117,7 @@ def test_a_best_effort_sensor_is_heard_and_its_dead_electrodes_are_named(graph, 
         return accounts(node.status())["/rh/tactile"].received > 3
 
     graph.until(heard)
-    graph.until(lambda: node.status().sensor_states[0].startswith("e_th: all 24 electrodes are 0") or heard())
+    graph.until(lambda: node.status().sensor_states[0].startswith("e_th: all 24 values are 0") or heard())
 
 
 def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path):

@@ -40,7 +40,7 @@ def assert_levels(records):
     """Each sample has the touch of its grasp, which is named `g-<number>`."""
     for record in records:
         number = int(record.sample.grasp.id.removeprefix("g-"))
-        np.testing.assert_allclose(record.sample.touch.vector(), level(number), atol=5.0)
+        np.testing.assert_allclose(record.sample.touch.values, level(number), atol=5.0)
 
 
 def begin(graph, path):

@@ -98,7 +98,7 @@ def test_other_tools_see_cloud_taxels_transforms_joints_robot_and_markers(graph,
         assert cloud.width == record.sample.cloud.size
         check_taxels(messages, record)
         (drawn,) = messages["/foretouch/sample_markers"]
-        assert drawn.markers[-1].text.startswith(f"{record.sample.id}: PDC {record.sample.touch.pdc_th:.0f} | ")
+        assert drawn.markers[-1].text.startswith(f"{record.sample.id}: PDC {record.sample.touch['PDC_TH'][0]:.0f} | ")
         assert {one.ns for one in drawn.markers} == {"contacts", "hand", "thumb", "middle_finger", "prediction"}
         assert {one.header.frame_id for one in drawn.markers} == {FRAME}
         assert list(foxglove_faults(report.path)) == []

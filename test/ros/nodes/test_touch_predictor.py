@@ -85,14 +85,14 @@ def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_
     assert answer.header.frame_id == "cam"
     for message, prediction in zip(answer.predictions, expected, strict=True):
         assert message.status == Status.OK
-        assert message.pdc_th.value == np.float32(prediction.value.pdc_th)
-        np.testing.assert_array_equal([i.value for i in message.e_mf], prediction.value.e_mf.astype(np.float32))
+        assert message.pdc_th.value == np.float32(prediction.value["PDC_TH"][0])
+        np.testing.assert_array_equal([i.value for i in message.e_mf], prediction.value["E_MF"].astype(np.float32))
     request = planner.request()
     without_orientation(request.grasps[0])
     (posed,) = planner.ask(request).predictions
     grasp = Pipeline().grasp_between(planner.target, planner.grasps[0].g1, planner.grasps[0].g2)
     (expected,) = load_model(model_card).predict(planner.target.cloud, [grasp])
-    assert posed.pdc_mf.value == np.float32(expected.value.pdc_mf)
+    assert posed.pdc_mf.value == np.float32(expected.value["PDC_MF"][0])
     request.table[0].coef = [0.0, 0.0, 1.0, 1.0]
     answer = planner.ask(request)
     assert (answer.status, "is behind the camera" in answer.reason) == (Status.BAD_PLANE, True)

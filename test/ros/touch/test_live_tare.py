@@ -24,7 +24,7 @@ def test_it_is_renewed_after_the_release_and_follows_drift():
         tare.update(stamp, true_counts(T0, 1) + np.float32(0.02 * k), stamp * 1e-9)
     found = tare.tare(stamp * 1e-9, 60.0)
     assert tare.age_s(stamp * 1e-9) < 0.5
-    np.testing.assert_allclose(found.vector() - REST, 0.02 * (300 - 30 - 25), atol=0.3)  # the middle of the window
+    np.testing.assert_allclose(found.values - REST, 0.02 * (300 - 30 - 25), atol=0.3)  # the middle of the window
 
 
 def test_it_ages_is_none_of_a_stream_that_began_in_contact_and_repeated_stamps_fill_no_memory():

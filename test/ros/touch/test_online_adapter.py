@@ -30,9 +30,10 @@ from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.tactile import biotac_touch
 from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 from foretouch_msgs.srv import PredictTouch
@@ -138,7 +139,7 @@ def assert_equal(found, wanted):
     for one, other in zip(found, wanted, strict=True):
         assert (one.reference, one.evidence) == (other.reference, other.evidence)
         for name in ("value", "lower", "upper"):
-            np.testing.assert_array_equal(getattr(one, name).vector(), getattr(other, name).vector())
+            np.testing.assert_array_equal(getattr(one, name).values, getattr(other, name).values)
 
 
 def test_predictions_are_those_of_the_core_and_forgetting_undoes_it(card):
@@ -173,13 +174,13 @@ def test_rest_gives_a_tare_that_contact_keeps_until_it_is_old(card):
     (rest, _), tare = hand.ask(), hand.adapter._recent_tare(hand.config)
     counts = np.array([m.tactiles[4].pdc for m in hand.felt], float)
     window = [k for k in range(250) if 250 - 1 - 9 - 30 - 50 <= k <= 250 - 1 - 30]
-    assert tare.pdc_th == pytest.approx(np.median(counts[window]), abs=0.6)
+    assert tare["PDC_TH"][0] == pytest.approx(np.median(counts[window]), abs=0.6)
     history = HandHistory(hand.model)
     history.add_tare(hand.now, tare)
     assert_equal([rest], expected(hand, history, tare=True)[:1])
     hand.feel(level(3), 60)
     held = hand.ask()[0]
-    assert (held.reference, held.value.pdc_th) == ("tare", pytest.approx(rest.value.pdc_th, abs=1.0))
+    assert (held.reference, held.value["PDC_TH"][0]) == ("tare", pytest.approx(rest.value["PDC_TH"][0], abs=1.0))
     hand.set(tare_max_age_s=0.0)
     assert hand.reference() == "history"
 
@@ -190,9 +191,11 @@ def test_a_dead_sensor_is_refused_counted_and_named(card):
     before, honest = hand.ask()[0], hand.feel
     hand.feel = lambda counts, readings: honest(np.r_[-22072.0, counts[1:]], readings)
     hand.grasp("dead", 1)
-    assert hand.ask()[0].value.pdc_th == pytest.approx(before.value.pdc_th, abs=0.1)  # but for the drift meanwhile
+    assert hand.ask()[0].value["PDC_TH"][0] == pytest.approx(
+        before.value["PDC_TH"][0], abs=0.1
+    )  # but for the drift meanwhile
     assert (hand.notes()["touches"], hand.counts()) == ("1", {"taken_in": 1, "refused.sensor_fault": 1})
-    assert "grasp dead: contact: pdc_th: -22072 is not between 0 and 4095" in hand.notes()["touches.last_refusal"]
+    assert "grasp dead: contact: pdc_th: -22072 is not between 1 and 4095" in hand.notes()["touches.last_refusal"]
     hand = DirectHand(card, use_tare=True)
     hand.feel(DEAD, 250)
     assert (hand.reference(), "pdc_th: -22072" in hand.notes()["tare.fault"]) == ("none", True)
@@ -256,7 +259,7 @@ def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(card):
         other = hand.ask()[0]
         assert other.reference == reference
     assert (other.evidence.touches, other.evidence.readings) == (0, 2)
-    assert other.upper.pdc_th - other.lower.pdc_th < unread.upper.pdc_th - unread.lower.pdc_th
+    assert other.upper["PDC_TH"][0] - other.lower["PDC_TH"][0] < unread.upper["PDC_TH"][0] - unread.lower["PDC_TH"][0]
     hand.grasp("elsewhere", 1)  # the history of an object begins with the one that was touched last
     assert (hand.reference(), hand.notes()["touches"]) == ("touches", "1")
     for use_touches, reference in ((False, "none"), (True, "touches")):
@@ -277,7 +280,7 @@ def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back
     assert float(hand.notes()["tare_age_s"]) < 0.9
     assert len(hand.adapter._tare._recent) < 100
     hand = DirectHand(card, use_tare=True)
-    start, tare = hand.now, Touch.from_vector(TOUCH_REST)
+    start, tare = hand.now, biotac_touch(TOUCH_REST)
     hand.keeper.history.add_tare(start, tare)
     hand.adapter._recent_tare = lambda _: tare
     for hours, lines in ((1, 1), (1, 1), (0, 1), (2, 2)):
@@ -290,7 +293,7 @@ def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back
 
 
 def test_after_a_clock_that_was_ahead_for_five_tares_the_history_goes_on_from_before_with_right_ages(card):
-    hand, tare = DirectHand(card, use_tare=True), Touch.from_vector(TOUCH_REST)
+    hand, tare = DirectHand(card, use_tare=True), biotac_touch(TOUCH_REST)
     hand.adapter._recent_tare = lambda _: tare
     start, minute = hand.now, 61_000 * MS
     tracker, counts = hand.keeper.history.tracker, []
@@ -364,7 +367,7 @@ def test_a_node_adapts_to_its_hand_and_its_parameters_and_services_undo_it(graph
     found, (wanted, _) = hand.ask(), expected(hand, history, model)
     values = (found.pdc_th, found.pdc_mf, *found.e_th, *found.e_mf)
     rows = np.array([(one.value, one.lower, one.upper) for one in values])
-    exact = np.stack([touch.vector() for touch in (wanted.value, wanted.lower, wanted.upper)], axis=1)
+    exact = np.stack([touch.values for touch in (wanted.value, wanted.lower, wanted.upper)], axis=1)
     np.testing.assert_allclose(rows, exact, rtol=0.0, atol=0.05)  # but for the drift within some seconds
     assert (found.reference, found.touches, found.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
     assert 0 <= found.touch_age.sec < 60

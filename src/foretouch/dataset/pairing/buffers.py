@@ -17,7 +17,8 @@ import numpy as np
 
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
-from foretouch.types import TOUCH_SIZE, Float32, Int64
+from foretouch.tactile import TOUCH_SIZE
+from foretouch.types import Float32, Int64
 
 _SECOND_NS = 1_000_000_000
 _MB = 1_000_000

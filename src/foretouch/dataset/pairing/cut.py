@@ -16,7 +16,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
 from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
-from foretouch.tactile import touch_faults
+from foretouch.tactile import biotac_touch, touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
 from foretouch.types import Bool, Float32, Int64, Touch, UInt8
 
@@ -129,7 +129,7 @@ def cut_touch(
     if error > tolerance:
         raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
     clock = _clock_offset_ns(window, config)
-    touch, tare = (Touch.from_vector(np.median(part.counts, axis=0)) for part in (hold, rest))
+    touch, tare = (biotac_touch(np.median(part.counts, axis=0)) for part in (hold, rest))
     _require_working(window, touch, tare)
     onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact)
     phases = np.full(len(window), REST, np.uint8)

@@ -4,9 +4,9 @@
 import numpy as np
 
 from foretouch.dataset.pairing.cut import Interval
-from foretouch.tactile import FULL_SCALE, touch_faults
+from foretouch.tactile import FULL_SCALE, biotac_touch, touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
-from foretouch.types import Float32, Touch
+from foretouch.types import Float32
 
 ALIVE = "alive"
 NO_DATA = "no data"
@@ -59,9 +59,9 @@ class SensorHealth:
         self._same_pdc = dict.fromkeys(FINGER_COLUMNS, 0)
 
     def update(self, counts: Float32) -> None:
-        """Add a reading, (50,) as `Touch.vector()`."""
+        """Add a reading, (50,) as `Touch.values`."""
         plausible = float(counts.min()) > 0.0 and float(counts.max()) <= FULL_SCALE
-        faults = () if plausible else touch_faults(Touch.from_vector(counts))
+        faults = () if plausible else touch_faults(biotac_touch(counts))
         for finger, columns in FINGER_COLUMNS.items():
             own = (fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower()))
             self.states[finger] = next(own, self._state(finger, counts[columns]))

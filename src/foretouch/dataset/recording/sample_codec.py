@@ -30,8 +30,9 @@ from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
+from foretouch.tactile import TOUCH_SIZE, biotac_touch
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
+from foretouch.types import Grasp, GraspSample, Touch
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -176,16 +177,16 @@ def _grasp_of(message: Any, score: float) -> Grasp:
 
 def _touch_fields(touch: Touch | None, flag: str, prefix: str) -> dict[str, Any]:
     """A touch by field, with `prefix` before each name; zeros and a false `flag` if there is none."""
-    values = Touch.from_vector(np.zeros(TOUCH_SIZE) if touch is None else touch.vector())
-    return {flag: touch is not None, **{f"{prefix}{name}": getattr(values, name) for name in _TOUCH}}
+    values = biotac_touch(np.zeros(TOUCH_SIZE) if touch is None else touch.values)
+    fields = {f"{prefix}{name}": part for name, part in zip(_TOUCH, values.parts().values(), strict=True)}
+    return {flag: touch is not None, **fields}
 
 
 def _touch_of(message: Any, flag: str, prefix: str) -> Touch | None:
     """The inverse of `_touch_fields`."""
     if not getattr(message, flag):
         return None
-    pdc_th, pdc_mf, e_th, e_mf = (getattr(message, f"{prefix}{name}") for name in _TOUCH)
-    return Touch(float(pdc_th), float(pdc_mf), np.asarray(e_th, np.float64), np.asarray(e_mf, np.float64))
+    return biotac_touch(np.hstack([getattr(message, f"{prefix}{name}") for name in _TOUCH]))
 
 
 def _series_of(message: Any) -> TouchSeries | None:

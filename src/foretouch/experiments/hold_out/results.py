@@ -120,7 +120,7 @@ def summarise_types(rows: Sequence[Row]) -> list[Table]:
 
 
 def _error_text(row: Row) -> str:
-    low, high = P1_RANGES.of(row["modality"])
+    low, high = P1_RANGES.ranges.of(row["modality"])
     ours = row["rmse"] / (high - low)
     scaled = PUBLISHED[row["table"]][row["modality"]][1] if row["predictor"] == P1 else ours
     return f"{row['rmse']:.0f}" + ("" if scaled is None else f" ({scaled:.3f})")

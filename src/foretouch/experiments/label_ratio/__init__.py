@@ -153,7 +153,9 @@ def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
     return [
         {"srgan": name, **found}
         for name in (results.CHOSEN, *settings.readings)
-        for found in results.compare_models(_rows_of(settings, rows, name), settings.model.ranges, settings.draws)
+        for found in results.compare_models(
+            _rows_of(settings, rows, name), settings.model.ranges.ranges, settings.draws
+        )
     ]
 
 

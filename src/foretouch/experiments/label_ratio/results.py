@@ -30,7 +30,7 @@ from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
 from foretouch.experiments.shared.figures import Line, save_panels
 from foretouch.experiments.shared.tables import SIGNS, findings, grouped, pivot, select, unique
 from foretouch.report.panels import Axes, Rows
-from foretouch.tactile import MODALITIES, TactileRanges
+from foretouch.tactile import MODALITIES, Ranges
 from foretouch.types import Float64
 
 # Value of the column `model` for the baseline that is trained on the labelled samples alone.
@@ -61,7 +61,7 @@ _GROUP: Final = 0.84  # width of all bars of a ratio
 _LEAST_SPAN: Final = 5.0  # of the axis of differences to both sides [%]
 
 
-def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed: int = 0) -> list[Row]:
+def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int, seed: int = 0) -> list[Row]:
     """Rows of `results.csv`.
 
     Args:

@@ -42,7 +42,7 @@ from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
-from foretouch.tactile import columns, modality_size
+from foretouch.tactile import columns
 from foretouch.types import Float32, Float64, GraspSample, Integer
 
 POINTNET: Final = "pointnet"
@@ -167,7 +167,7 @@ def _prepared(data: SimulatedGrasps, channels: str, metric_inputs: bool, count: 
         clouds=tuple(clouds),
         cached_points=clouds,
         grasps=np.array([grasp for _, grasp in pairs]),
-        labels=np.array([sample.touch.vector() for sample in samples if sample.touch is not None]),
+        labels=np.array([sample.touch.values for sample in samples if sample.touch is not None]),
         lengths=np.zeros((len(samples), 0)),  # only needed in model cards, and no model is kept
         config=config,
         ids=tuple(sample.id for sample in samples),
@@ -187,7 +187,7 @@ def _one(sample: GraspSample, config: ModelConfig, count: int, rng: np.random.Ge
 
 def kind_of(modality: str) -> str:
     """`pressure` or `electrodes`; modalities of a kind share their trial."""
-    return "pressure" if modality_size(modality) == 1 else "electrodes"
+    return "pressure" if len(columns([modality])) == 1 else "electrodes"
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:

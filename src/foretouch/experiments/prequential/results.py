@@ -33,8 +33,8 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import FINGER_OF_VALUE, FINGERS, TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
-from foretouch.tactile import FULL_SCALE, MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Bool, Float64
+from foretouch.tactile import FULL_SCALE, MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import Bool, Float64
 
 CONSTANT: Final = "training_mean"
 """The predictor without vision."""

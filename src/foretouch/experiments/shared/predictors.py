@@ -22,8 +22,8 @@ from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import Float64, GraspSample
 
 # The networks by name, with the recipe of `foretouch train` that each is trained by.
 RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}

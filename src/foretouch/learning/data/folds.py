@@ -20,7 +20,8 @@ import numpy as np
 
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
-from foretouch.types import TOUCH_SIZE, Float64, GraspSample, Index
+from foretouch.tactile import TOUCH_SIZE
+from foretouch.types import Float64, GraspSample, Index
 
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""

@@ -21,8 +21,8 @@ from foretouch.models.network.preparation import (
     prepare_grasps,
     sample_channels,
 )
-from foretouch.tactile import touch_faults
-from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample, Integer
+from foretouch.tactile import TOUCH_SIZE, touch_faults
+from foretouch.types import Float32, Float64, GraspSample, Integer
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -105,7 +105,7 @@ def _label(sample: GraspSample) -> Float64:
         raise DatasetError(f"{sample.id}: touch: is not labelled")
     if faults := touch_faults(sample.touch):
         raise DatasetError(f"{sample.id}: touch: {faults[0]}")
-    return sample.touch.vector()
+    return sample.touch.values
 
 
 def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:

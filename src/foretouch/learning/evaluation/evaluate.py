@@ -23,8 +23,8 @@ from foretouch.learning.evaluation.baselines import BASELINES, Baseline, trainin
 from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import read_card
 from foretouch.models.registry import find_card, load_model
-from foretouch.tactile import MODALITIES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, Ranges, columns
+from foretouch.types import Bool, Float64, GraspSample
 
 MODEL: Final = "model"
 """Key of the model itself, beside the names of the baselines."""
@@ -35,7 +35,7 @@ def cross_validate(
     labels: Float64,
     model: HoldOut,
     folds: Sequence[Fold],
-    ranges: TactileRanges,
+    ranges: Ranges,
     *,
     seed: int = 0,
     workers: int = 1,
@@ -173,7 +173,7 @@ class _Predictions:
     half_width: Float64 | None  # (S, 50) of its intervals [counts]
     unfamiliar: int  # samples flagged as out of distribution
     modalities: Sequence[str]
-    ranges: TactileRanges
+    ranges: Ranges
 
 
 def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
@@ -186,9 +186,9 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
         (one,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
         if one.value is None:
             raise ModelError(f"{sample.id}: {one.reason}")
-        counts[k] = one.value.vector()
+        counts[k] = one.value.values
         if one.lower is not None and one.upper is not None:
-            half[k] = (one.upper.vector() - one.lower.vector()) / 2.0
+            half[k] = (one.upper.values - one.lower.values) / 2.0
         unfamiliar += "unfamiliar" in one.flags
     half_width = None if np.isnan(half).any() else half
     return _Predictions(counts, half_width, unfamiliar, list(MODALITIES), model.ranges)
@@ -203,7 +203,7 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     prepared = TrainingSet.build(samples, net.config)
     counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
     modalities = [name for name in MODALITIES if name in net.config.outputs]
-    return _Predictions(counts, None, 0, modalities, net.config.ranges)
+    return _Predictions(counts, None, 0, modalities, net.config.ranges.ranges)
 
 
 def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:

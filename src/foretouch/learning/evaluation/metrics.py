@@ -39,8 +39,8 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.tactile import MODALITIES, P2_RANGES, TOUCH_SIZE, Ranges, columns
+from foretouch.types import Float64
 
 _MOST_COUNTS: Final = 1e12  # a reading has at most 4095
 
@@ -58,7 +58,7 @@ def score(
     predicted: Float64,
     actual: Float64,
     reference: Float64,
-    ranges: TactileRanges = P2_RANGES,
+    ranges: Ranges = P2_RANGES.ranges,
     modalities: Sequence[str] = MODALITIES,
 ) -> dict[str, Score]:
     """Score predictions.

@@ -17,8 +17,8 @@ from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import Calibration
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
-from foretouch.tactile import MODALITIES, columns, tdc_of, touch_faults
-from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample, Index, Int64
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns, tdc_of, touch_faults
+from foretouch.types import Bool, Float64, GraspSample, Index, Int64
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
     "none": (0, 0),
@@ -58,7 +58,7 @@ class Recording:
         known: Bool | None = None,
     ) -> Self:
         """From samples with their (S, 50) labels, and (S, 50) predictions by vision at a (50,) rest level [counts]."""
-        tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
+        tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.values - rest for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
         tdc, tare_tdc = (np.array([tdc_of(one.extra, prefix) for one in samples]) for prefix in ("", "tare_"))
@@ -267,11 +267,11 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
         if sample.touch is not None:
             if faults := touch_faults(sample.touch):
                 raise TactileError(f"{sample.id}: {faults[0]}")
-            readings[k] = sample.touch.vector()
+            readings[k] = sample.touch.values
         (one,) = model.predict(sample.cloud, [sample.grasp])
         if one.value is None:
             raise ModelError(f"{sample.id}: {one.reason}")
-        expected[k], known[k] = one.value.vector(), "unfamiliar" not in one.flags
+        expected[k], known[k] = one.value.values, "unfamiliar" not in one.flags
     recording = Recording.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
     played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
     return ModelReplay(ordered, recording, played, np.array([mine for _, mine in flagged], np.bool_))

@@ -24,8 +24,8 @@ from foretouch.learning.data.folds import Fold, HoldOut, fold_workers, make_fold
 from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import Bool, Float64, GraspSample
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
@@ -84,10 +84,10 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
     Returns:
         (50,) [counts]; True if it is the mean of recorded tares.
     """
-    tares = [sample.tare.vector() for sample in samples if sample.tare is not None]
+    tares = [sample.tare.values for sample in samples if sample.tare is not None]
     if tares:
         return np.mean(tares, axis=0), True
-    labels = np.array([sample.touch.vector() for sample in samples if sample.touch is not None])
+    labels = np.array([sample.touch.values for sample in samples if sample.touch is not None])
     rest = np.quantile(labels, _ELECTRODE_REST, axis=0)
     pressure = columns(["PDC_TH", "PDC_MF"])
     rest[pressure] = np.quantile(labels[:, pressure], _PDC_REST, axis=0)
@@ -99,7 +99,7 @@ def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float6
     shifted = labels.copy()
     for k, sample in enumerate(samples):
         if sample.tare is not None:
-            shifted[k] -= sample.tare.vector() - rest
+            shifted[k] -= sample.tare.values - rest
     return shifted
 
 

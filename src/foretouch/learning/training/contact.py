@@ -22,8 +22,8 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
-from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Bool, Float64, GraspSample
+from foretouch.tactile import MODALITIES, P2_RANGES, TOUCH_SIZE, TactileRanges, columns
+from foretouch.types import Bool, Float64, GraspSample
 
 FEWEST_SAMPLES: Final = 5
 _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
@@ -113,7 +113,7 @@ def fit_contact(
         mean,
         deviation,
         generalisation_gain=gain,
-        ranges=config.ranges,
+        ranges=config.ranges.ranges,
     )
 
 

@@ -32,8 +32,8 @@ from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import Float64
 
 
 class Learner(ABC):

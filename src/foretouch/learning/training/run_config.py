@@ -14,7 +14,7 @@ from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.learning.training.supervised import TrainConfig
 from foretouch.models.network.config import ModelConfig
-from foretouch.tactile import MODALITIES, TactileRanges
+from foretouch.tactile import MODALITIES, Ranges
 
 METHODS: Final = ("supervised", "srgan", "contact")
 
@@ -121,9 +121,9 @@ class RunConfig(Settings):
         return "cpu" if isinstance(own, ContactConfig) else own.resolved_device
 
     @property
-    def ranges(self) -> TactileRanges:
+    def ranges(self) -> Ranges:
         """Ranges of the hand that the model learns from."""
-        return self.model.ranges if self.has_network else self.contact.ranges
+        return (self.model.ranges if self.has_network else self.contact.ranges).ranges
 
     @property
     def _own(self) -> TrainConfig | SrganConfig | ContactConfig:

@@ -31,8 +31,8 @@ from foretouch.models.state_space import (
     TrackerParameters,
 )
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
-from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.types import Float64
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 _EFFECTIVE_VALUES: Final = 5.0  # of the electrodes of a finger

@@ -18,7 +18,7 @@ from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, DistributedContext, TrainingDevice
 from foretouch.models.network.networks import TouchNet
-from foretouch.tactile import columns, modality_size
+from foretouch.tactile import columns
 from foretouch.types import Float64
 
 _LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
@@ -153,7 +153,7 @@ class Trainer(ABC):
         self.optimisers = {
             name: _ScheduledOptimiser(module, config, steps, context) for name, module in self.modules.items()
         }
-        self.sizes = [modality_size(name) for name in data.config.outputs]
+        self.sizes = [len(columns([name])) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
 
@@ -312,7 +312,7 @@ def _set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
     """Set the affine map of the targets from (T, M) training labels [counts]."""
     outputs = columns(net.config.outputs)
     if kind == "ranges":
-        low, high = net.config.ranges.low[outputs], net.config.ranges.high[outputs]
+        low, high = net.config.ranges.ranges.low[outputs], net.config.ranges.ranges.high[outputs]
         mean, scale = low, high - low
     else:
         mean, scale = labels.mean(axis=0), np.maximum(labels.std(axis=0), _LEAST_DEVIATION)

@@ -28,8 +28,8 @@ from foretouch.models.files import TensorRecord, file_beside, read_part, read_te
 from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, AnyArray, Bool, Cloud, Float64, Grasp
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES, TOUCH_SIZE, Ranges, columns
+from foretouch.types import AnyArray, Bool, Cloud, Float64, Grasp
 
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
@@ -57,7 +57,7 @@ class ContactEstimator:
     mean: Float64
     deviation: Float64
     generalisation_gain: Float64
-    ranges: TactileRanges = P2_RANGES
+    ranges: Ranges = P2_RANGES.ranges
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
@@ -95,7 +95,7 @@ class ContactEstimator:
         return tensors | {name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, AnyArray], ranges: TactileRanges) -> Self:
+    def from_tensors(cls, tensors: Mapping[str, AnyArray], ranges: Ranges) -> Self:
         """From `to_tensors`.
 
         Raises:
@@ -147,7 +147,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
     """
     try:
-        ranges = TactileRanges.from_mapping(card["ranges"], f"{card_path}: ranges")
+        ranges = Ranges.from_mapping(BIOTAC, card["ranges"], f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
     calibration, _ = load_calibration(card_path, card)

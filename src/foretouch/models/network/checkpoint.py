@@ -27,8 +27,8 @@ from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile import MODALITIES, TactileRanges, columns
-from foretouch.types import TOUCH_SIZE, Cloud, Grasp
+from foretouch.tactile import MODALITIES, TOUCH_SIZE, Ranges, columns
+from foretouch.types import Cloud, Grasp
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +50,9 @@ class NetworkEstimator:
             raise ModelError(f"outputs: {', '.join(missing)}: not predicted by this network")
 
     @property
-    def ranges(self) -> TactileRanges:
+    def ranges(self) -> Ranges:
         """Ranges outside which a predicted value is flagged."""
-        return self.config.ranges
+        return self.config.ranges.ranges
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`.

@@ -19,7 +19,8 @@ from std_msgs.msg import Header
 
 from foretouch.dataset.messages import grasp_numbers
 from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields, prediction_to_msg, refusal_to_msg
-from foretouch.types import TOUCH_SIZE, Evidence, Float64, Touch, TouchPrediction
+from foretouch.tactile import TOUCH_SIZE, biotac_touch
+from foretouch.types import Evidence, Float64, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -137,7 +138,7 @@ class TouchAnswer:
 @cache
 def middleware_reads_cdr() -> bool:
     """Whether the middleware of this process reads what `TouchAnswer.encoded` writes; tried once."""
-    touch = Touch.from_vector(np.arange(float(TOUCH_SIZE)))
+    touch = biotac_touch(np.arange(float(TOUCH_SIZE)))
     grasps = [GraspMsg(id="x" * k, score=0.5, reason="y") for k in range(3)]
     known = TouchPrediction(
         None,  # type: ignore[arg-type]
@@ -179,7 +180,5 @@ def _intervals(outcomes: Sequence[TouchPrediction | Refusal]) -> Any:
 
 
 def _vectors(touches: Sequence[Touch]) -> Float64:
-    """(K, 50) float64, `Touch.vector` of each."""
-    pressures = np.array([(one.pdc_th, one.pdc_mf) for one in touches], np.float64)
-    electrodes = (np.concatenate([getattr(one, name) for one in touches]) for name in ("e_th", "e_mf"))
-    return np.hstack([pressures, *(one.reshape(len(touches), -1) for one in electrodes)])
+    """(K, 50) float64, the values of each."""
+    return np.concatenate([one.values for one in touches]).reshape(len(touches), -1)

@@ -14,7 +14,8 @@ from std_msgs.msg import Header
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import quaternion_xyzw
-from foretouch.types import ELECTRODES, TOUCH_SIZE, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
+from foretouch.tactile import ELECTRODES, TOUCH_SIZE, biotac_touch
+from foretouch.types import Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Interval, Status
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -151,9 +152,9 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
     return TouchPrediction(
         grasp=decode_grasp(message.grasp),
-        value=None if refused else Touch.from_vector(value),
-        lower=None if np.isnan(lower).any() else Touch.from_vector(lower),
-        upper=None if np.isnan(upper).any() else Touch.from_vector(upper),
+        value=None if refused else biotac_touch(value),
+        lower=None if np.isnan(lower).any() else biotac_touch(lower),
+        upper=None if np.isnan(upper).any() else biotac_touch(upper),
         reference=reference,
         flags=tuple(message.flags),
         status=refusal if refused else "ok",
@@ -195,7 +196,7 @@ def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) ->
 
 def _modalities(value: Touch | None, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
     """The fields pdc_th, pdc_mf, e_th and e_mf of a message; what is unknown becomes NaN."""
-    columns = [touch.vector() if touch else np.full(TOUCH_SIZE, math.nan) for touch in (value, lower, upper)]
+    columns = [touch.values if touch else np.full(TOUCH_SIZE, math.nan) for touch in (value, lower, upper)]
     intervals = _intervals(np.stack(columns, axis=1).tolist())
     return {
         "pdc_th": intervals[0],

@@ -16,8 +16,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from foretouch.dataset.messages import decode_grasp
 from foretouch.grasp.pose import electrodes_at
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, point_to_msg, reference_text
-from foretouch.tactile import TactileRanges
-from foretouch.types import ELECTRODES, Float64, Grasp, GraspSample
+from foretouch.tactile import ELECTRODES, Ranges
+from foretouch.types import Float64, Grasp, GraspSample
 from foretouch_msgs.msg import Interval, ObjectArray, Status, TouchPrediction
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere
@@ -45,7 +45,7 @@ def object_markers(message: ObjectArray) -> MarkerArray:
     return MarkerArray(markers=markers)
 
 
-def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True) -> MarkerArray:
+def touch_markers(prediction: TouchPrediction, ranges: Ranges, *, thumb_takes_g1: bool = True) -> MarkerArray:
     """Draw contacts, hand frame and the 48 electrodes of one prediction, with its pressures and what it is based on.
 
     The text is yellow if there is a flag.
@@ -81,14 +81,14 @@ def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_t
     return MarkerArray(markers=markers)
 
 
-def sample_markers(sample: GraspSample, ranges: TactileRanges) -> MarkerArray:
+def sample_markers(sample: GraspSample, ranges: Ranges) -> MarkerArray:
     """Draw what a recorded grasp read, as `touch_markers` draws a prediction, until the markers of another replace it.
 
     A sample without a touch gives no marker.
     """
     if sample.touch is None:
         return MarkerArray()
-    intervals = [Interval(value=value, lower=math.nan, upper=math.nan) for value in sample.touch.vector().tolist()]
+    intervals = [Interval(value=value, lower=math.nan, upper=math.nan) for value in sample.touch.values.tolist()]
     pdc_th, pdc_mf, *electrodes = intervals
     found = touch_markers(
         TouchPrediction(

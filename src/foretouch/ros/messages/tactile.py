@@ -15,10 +15,10 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, OTHERS
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import TACTILE_TOPIC
-from foretouch.types import ELECTRODES
 from foretouch_msgs.msg import Biotac, BiotacAll
 
 Counts = npt.NDArray[np.int16]

@@ -224,7 +224,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
         """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
-        markers = touch_markers(prediction, self.config.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
+        markers = touch_markers(prediction, self.config.ranges.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:

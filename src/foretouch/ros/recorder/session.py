@@ -208,7 +208,7 @@ class RecordingSession:
         """Write for viewers what a grasp read, at the times of its stamps: every reading as taxels, and markers."""
         if sample.touch is None:
             return
-        markers = serialize_message(sample_markers(sample, P2_RANGES))
+        markers = serialize_message(sample_markers(sample, P2_RANGES.ranges))
         views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
         views += [(topic, POINT_CLOUD_TYPE, stamp_ns, data) for topic, stamp_ns, data in taxel_clouds(record)]
         for topic, type_name, stamp_ns, data in views:

@@ -22,7 +22,7 @@ from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.output_frame import Latest, no_latest_cloud
 from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchPredictorConfig
-from foretouch.tactile import TactileRanges
+from foretouch.tactile import Ranges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
 
@@ -77,7 +77,7 @@ def sample_grasps(
                 break
             grasps = plan.grasps[first : first + _BATCH]
             pairs = zip(grasps, predict(target, grasps, header), strict=True)
-            fresh = [_Candidate(cost_of(cost, touch, config.ranges), grasp, touch) for grasp, touch in pairs]
+            fresh = [_Candidate(cost_of(cost, touch, config.ranges.ranges), grasp, touch) for grasp, touch in pairs]
             feedback(SampleGrasps.Feedback(**_fields(fresh, header)))
             candidates += fresh
     if cost != SCORE and candidates and all(math.isinf(c.cost) for c in candidates):
@@ -121,7 +121,7 @@ def refused_goal(refusal: RefusalError) -> Any:
     return SampleGrasps.Result(grasp_state=f"{requests.status_name(refusal.status)}: {refusal}", status=refusal.status)
 
 
-def cost_of(rule: str, prediction: TouchPrediction, ranges: TactileRanges) -> float:
+def cost_of(rule: str, prediction: TouchPrediction, ranges: Ranges) -> float:
     """The cost of a grasp by a rule; infinity for what is not finite, or needs a prediction that there is not.
 
     Rules: `pressure`, the mean of both fingers' predicted static pressure, each relative to its range, 0 lowest, 1 highest;

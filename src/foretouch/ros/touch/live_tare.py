@@ -10,7 +10,7 @@ from collections import deque
 
 import numpy as np
 
-from foretouch.tactile import touch_faults
+from foretouch.tactile import biotac_touch, touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
 
@@ -34,7 +34,7 @@ class LiveTare:
         self._since_renewal = 0
 
     def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
-        """Add a reading (50,), as `Touch.vector()`, whose stamp [ns] the `TouchBuffer` has accepted.
+        """Add a reading (50,), as `Touch.values`, whose stamp [ns] the `TouchBuffer` has accepted.
 
         `now_s` is that of a clock that never goes back [s].
         """
@@ -55,7 +55,7 @@ class LiveTare:
         if self.age_s(now_s) > max_age_s:
             return None
         if self._tare is None and not self.fault:
-            touch = Touch.from_vector(np.median(self._rest, axis=0))
+            touch = biotac_touch(np.median(self._rest, axis=0))
             self.fault = "; ".join(touch_faults(touch))
             self._tare = None if self.fault else touch
         return self._tare

@@ -24,7 +24,7 @@ from foretouch.simulation.scene.campaign import (
     ThermistorConfig,
 )
 from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.types import ELECTRODES
+from foretouch.tactile import ELECTRODES
 
 _CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
 

@@ -32,8 +32,9 @@ from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, Timeline
 from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile import ELECTRODES, biotac_touch
 from foretouch.tactile.messages.biotac_all import OTHERS
-from foretouch.types import ELECTRODES, Float64, Touch
+from foretouch.types import Float64, Touch
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -190,7 +191,7 @@ def _counts(_job: Job, state: SampleState) -> None:
 
 def _touch(counts: Float64) -> Touch:
     thumb, middle = counts.astype(np.float64)
-    return Touch(float(thumb[0]), float(middle[0]), thumb[1:], middle[1:])
+    return biotac_touch(np.hstack([thumb[0], middle[0], thumb[1:], middle[1:]]))
 
 
 _TIMED = ("times", "load", "hold_row", "series")

@@ -7,8 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import TactileError
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.table import TactileConfig, TactileReader, TactileReading, named_index, stamp_ns
-from foretouch.types import ELECTRODES, Float32
+from foretouch.types import Float32
 
 FINGERS: Final = ("TH", "MF")
 FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")  # order of the fingers in `tactiles`

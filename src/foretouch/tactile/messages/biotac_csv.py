@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import TactileError
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, named_index
-from foretouch.types import ELECTRODES
 
 FINGERS: Final = ("0", "1")
 

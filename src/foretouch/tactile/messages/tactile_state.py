@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import TactileError
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.table import TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import ELECTRODES
 
 FINGERS: Final = ("TH", "MF")
 

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The values of a touch: what each number of a tactile sensor is, in the order in which models predict them.
+
+A modality is one channel of one finger, such as `PDC_TH` (one value) or `E_MF` (24 electrodes). The values of a touch are
+modalities one after the other: by channel, first those of the whole finger, then those of its taxels; in a channel by finger.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import TactileError, none_of
+
+_Floats = npt.NDArray[np.float64]
+_Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One kind of number that a finger sends: once (a pressure), or of each taxel.
+
+    Attributes:
+        name: Such as PDC.
+        size: Numbers of a finger.
+        unit: Such as counts or N.
+        low, high: Range of a working sensor.
+        contact: 1 if contact raises the number, -1 if it lowers it, 0 if it may do both.
+        tared: Whether its rest level is measured; else it is zero.
+        noise: Standard deviation at rest; 0 if it is not known.
+        resolution: Smallest difference that means anything: 1 of whole numbers.
+    """
+
+    name: str
+    size: int
+    unit: str
+    low: float
+    high: float
+    contact: int
+    tared: bool
+    noise: float
+    resolution: float
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The values of a touch of two fingers that carry the same sensor.
+
+    Attributes:
+        sensor: Name of the sensor.
+        sha256: Hash of its description.
+        fingers: Names of the fingers that touch g1 and g2.
+        channels: Of each finger.
+    """
+
+    sensor: str
+    sha256: str
+    fingers: tuple[str, ...]
+    channels: tuple[Channel, ...]
+
+    @cached_property
+    def modalities(self) -> tuple[str, ...]:
+        """Names of the modalities in the order of their values, such as PDC_TH, PDC_MF, E_TH, E_MF."""
+        return tuple(f"{channel.name}_{finger}" for channel in self.channels for finger in self.fingers)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of values of a touch."""
+        return len(self.fingers) * sum(channel.size for channel in self.channels)
+
+    @cached_property
+    def channel_of(self) -> dict[str, Channel]:
+        """Channel of each modality, by name."""
+        return dict(zip(self.modalities, (one for one in self.channels for _ in self.fingers), strict=True))
+
+    @cached_property
+    def modality_of_value(self) -> _Index:
+        """(D,) index in `modalities` of each value; read-only."""
+        found: _Index = _kept(
+            np.repeat(np.arange(len(self.modalities)), [one.size for one in self.channel_of.values()])
+        )
+        return found
+
+    @cached_property
+    def finger_of_value(self) -> _Index:
+        """(D,) index in `fingers` of each value; read-only."""
+        found: _Index = _kept(self.modality_of_value % len(self.fingers))
+        return found
+
+    @cached_property
+    def finger_columns(self) -> dict[str, _Index]:
+        """Columns of the values of each finger, in order."""
+        return {name: np.flatnonzero(self.finger_of_value == k) for k, name in enumerate(self.fingers)}
+
+    def columns(self, modalities: Sequence[str]) -> _Index:
+        """(M,) columns of some modalities, in this order; a `TactileError` names an unknown one."""
+        unknown = [name for name in modalities if name not in self._columns]
+        if unknown:
+            raise TactileError(f"modality: {none_of(unknown[0], self.modalities)}")
+        return np.concatenate([np.empty(0, np.intp), *(self._columns[name] for name in modalities)])
+
+    def by_modality(self, values: npt.ArrayLike) -> Any:
+        """(D, ...) numbers of the values, from (M, ...) of the modalities."""
+        return np.asarray(values)[self.modality_of_value]
+
+    @cached_property
+    def low(self) -> _Floats:
+        """(D,) float64, lowest number of a working sensor; read-only."""
+        return self._of_values("low")
+
+    @cached_property
+    def high(self) -> _Floats:
+        """(D,) float64, highest number of a working sensor; read-only."""
+        return self._of_values("high")
+
+    @cached_property
+    def resolution(self) -> _Floats:
+        """(D,) float64, smallest difference that means anything; read-only."""
+        return self._of_values("resolution")
+
+    @cached_property
+    def _columns(self) -> dict[str, _Index]:
+        return {name: np.flatnonzero(self.modality_of_value == k) for k, name in enumerate(self.modalities)}
+
+    def _of_values(self, name: str) -> _Floats:
+        values = [getattr(channel, name) for channel in self.channel_of.values()]
+        found: _Floats = _kept(self.by_modality(np.array(values, np.float64)))
+        return found
+
+
+LARGEST: Final = 1e9
+"""Of a number without a range, such as a force as float32."""
+
+
+def _kept(array: npt.NDArray[Any]) -> Any:
+    array.flags.writeable = False
+    return array
