@@ -20,7 +20,7 @@ from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
-from foretouch.tactile import TOUCH_SIZE, biotac_touch
+from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
 from foretouch.types import Cloud, GraspSample
 
 
@@ -197,7 +197,7 @@ def test_a_shard_is_hashed_once_a_process(tmp_path: Path, monkeypatch: pytest.Mo
     Store(tmp_path / "ds")
     hashed: list[object] = []
     check = store_module._check_shard
-    monkeypatch.setattr(store_module, "_check_shard", lambda data, ends: (hashed.append(data), check(data, ends))[1])
+    monkeypatch.setattr(store_module, "_check_shard", lambda data, *more: (hashed.append(data), check(data, *more))[1])
     Store(tmp_path / "ds")
     assert hashed == []
     shard.touch()
@@ -234,8 +234,10 @@ def test_nulls_and_compressed_batches_are_refused_before_they_take_memory(tmp_pa
     def check(_: str, change: dict[str, object], rule: str, compression: str | None = None) -> None:
         with pa.OSFile(str(shard), "wb") as sink:
             options = pa.ipc.IpcWriteOptions(compression=compression)
-            with pa.ipc.new_file(sink, store_module.SCHEMA, options=options) as out:
-                out.write_batch(pa.RecordBatch.from_pylist([*rows[:2], rows[2] | change], schema=store_module.SCHEMA))
+            with pa.ipc.new_file(sink, store_module.schema_of(BIOTAC), options=options) as out:
+                out.write_batch(
+                    pa.RecordBatch.from_pylist([*rows[:2], rows[2] | change], schema=store_module.schema_of(BIOTAC))
+                )
         reseal(tmp_path / "ds")
         with pytest.raises(FileError, match=rf"shard-00000.arrow: batch 0: {rule}"):
             Store(tmp_path / "ds")

@@ -15,6 +15,7 @@ from foretouch.dataset import formats
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
+from foretouch.tactile.description import Sensor, packaged_sensor
 from foretouch.types import GraspSample
 
 
@@ -31,6 +32,7 @@ class SampleSet:
     unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
     edits: tuple[str, ...] = ()  # descriptions of later changes
+    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))  # that was read
 
     def __len__(self) -> int:
         return self.size

@@ -7,7 +7,7 @@ Layout, schema version 1::
       manifest.json       format, schema version, counts, hashes, and facts about the samples' origin
       shard-00000.arrow   Arrow IPC files, uncompressed, so that a cloud is a view of what was read
 
-One row is one sample; see `SCHEMA`. A store appears complete or not at all. Its content hash covers the samples in
+One row is one sample; see `schema_of`. A store appears complete or not at all. Its content hash covers the samples in
 order, not the files: it does not depend on how they are split into shards or on the version of Arrow.
 
 A shard is hashed as a whole when a store is opened, and each of its batches again whenever it is read: what is used is
@@ -26,12 +26,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from foretouch.channels import Channels
 from foretouch.checked_files import FileBytes, Version, file_sha256, parse_json, require_schema
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.tactile import TOUCH_SIZE, biotac_touch
+from foretouch.tactile.description import sensor_in
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 FORMAT: Final = "foretouch-store"
@@ -39,24 +40,21 @@ SCHEMA_VERSION: Final = 1
 MANIFEST: Final = "manifest.json"
 SEAL: Final = "seal"
 
-SCHEMA: Final = pa.schema(
-    [
-        ("id", pa.string()),
-        ("object", pa.string()),
-        ("stamp_ns", pa.int64()),
-        ("frame_id", pa.string()),
-        ("xyz", pa.list_(pa.float32())),  # n points, row by row [m]
-        ("rgb", pa.list_(pa.uint8())),  # the same, or null
-        ("g1", pa.list_(pa.float64(), 3)),  # [m]
-        ("g2", pa.list_(pa.float64(), 3)),  # [m]
-        ("rotation", pa.list_(pa.float64(), 9)),  # row-major
-        ("score", pa.float64()),
-        ("touch", pa.list_(pa.float64(), TOUCH_SIZE)),  # [counts], null for an unlabelled sample
-        ("tare", pa.list_(pa.float64(), TOUCH_SIZE)),  # [counts], or null
-        ("extra", pa.string()),  # JSON object of numbers
-    ],
-    metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)},
-)
+_COLUMNS: Final = [
+    ("id", pa.string()),
+    ("object", pa.string()),
+    ("stamp_ns", pa.int64()),
+    ("frame_id", pa.string()),
+    ("xyz", pa.list_(pa.float32())),  # n points, row by row [m]
+    ("rgb", pa.list_(pa.uint8())),  # the same, or null
+    ("g1", pa.list_(pa.float64(), 3)),  # [m]
+    ("g2", pa.list_(pa.float64(), 3)),  # [m]
+    ("rotation", pa.list_(pa.float64(), 9)),  # row-major
+    ("score", pa.float64()),
+    ("touch", pa.list_(pa.float64(), 0)),  # D values of the sensor, null for an unlabelled sample
+    ("tare", pa.list_(pa.float64(), 0)),  # the same, or null
+    ("extra", pa.string()),  # JSON object of numbers
+]
 
 _KEPT_BATCHES: Final = 4
 _ARROW: Final = b"ARROW1\0\0"
@@ -64,7 +62,7 @@ _CONTINUED: Final = 0xFFFFFFFF  # before the head of each message
 _RECORD_BATCH: Final = 3  # kind of message
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
-_verified: dict[tuple[Path, Version | None], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
+_verified: dict[tuple[Path, Version | None, int], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
 
 _POINTS: Final = ("xyz", "rgb")
 _NULLABLE: Final = ("rgb", "touch", "tare")
@@ -72,9 +70,17 @@ _MANIFEST_SCHEMA: Final = {
     "samples": int,
     "sha256": str,
     "about?": dict,
+    "sensor?": dict,
     "shards?": [{"file": str, "samples": int, "sha256": str}],
     "files?": [{"file": str, "sha256": str}],
 }
+
+
+def schema_of(channels: Channels) -> pa.Schema:
+    """The columns of a store with readings of a sensor; a row is a sample."""
+    touch = pa.list_(pa.float64(), channels.size)
+    columns = [(name, touch if name in ("touch", "tare") else kind) for name, kind in _COLUMNS]
+    return pa.schema(columns, metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)})
 
 
 def is_store(path: str | Path) -> bool:
@@ -83,13 +89,14 @@ def is_store(path: str | Path) -> bool:
 
 
 class _Part(NamedTuple):
-    """One record batch in the verified shard `path`: its bytes, their SHA-256 and its number of samples."""
+    """One record batch in the verified shard `path`: its bytes, their SHA-256, its number of samples and its columns."""
 
     path: Path
     start: int
     end: int
     sha256: bytes
     samples: int
+    schema: pa.Schema
 
 
 class _Batch(NamedTuple):
@@ -114,6 +121,7 @@ class Store(Sequence[GraspSample]):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.manifest = _read_manifest(self.path)
+        self.sensor = sensor_in(self.manifest, self.path / MANIFEST)
         self._parts = self._verified_parts()
         self._starts = np.cumsum([0, *(part.samples for part in self._parts)])
         self._batch = lru_cache(maxsize=_KEPT_BATCHES)(lambda number: _columns(_read_batch(self._parts[number])))
@@ -136,7 +144,7 @@ class Store(Sequence[GraspSample]):
             raise IndexError(f"{self.path}: sample {index} of {len(self)}")
         b = int(np.searchsorted(self._starts, k, side="right")) - 1
         try:
-            return _sample(self._batch(b), k - int(self._starts[b]))
+            return _sample(self._batch(b), k - int(self._starts[b]), self.sensor.channels)
         except FileError:
             raise
         except (ForetouchError, ValueError) as err:
@@ -153,8 +161,10 @@ class Store(Sequence[GraspSample]):
     def _verified_parts(self) -> list[_Part]:
         for part in self.manifest["files"]:
             _require_hash(self.path / part["file"], file_sha256(self.path / part["file"]), part["sha256"])
-        shards = self.manifest["shards"]
-        return [part for one in shards for part in _read_shard(self.path / one["file"], one["sha256"], one["samples"])]
+        parts: list[_Part] = []
+        for one in self.manifest["shards"]:
+            parts += _read_shard(self.path / one["file"], one["sha256"], one["samples"], self.sensor.channels)
+        return parts
 
 
 def sample_digest(sample: GraspSample) -> bytes:
@@ -194,10 +204,10 @@ def _require_hash(path: Path, found: str, wanted: str) -> None:
         raise FileError(path, f"sha256 is {found}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
 
 
-def _read_shard(path: Path, sha256: str, samples: int) -> list[_Part]:
+def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
     """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
     data = FileBytes(path)
-    key = (path.absolute(), data.version)
+    key = (path.absolute(), data.version, channels.size)
     if data.version is None or key not in _verified:
         digest, ends, at = hashlib.sha256(), [], 0
         for end in _message_ends(data):
@@ -207,7 +217,7 @@ def _read_shard(path: Path, sha256: str, samples: int) -> list[_Part]:
         for _, block in data.blocks(at, len(data)):
             digest.update(block)
         _require_hash(path, digest.hexdigest(), sha256)
-        _verified[key] = sha256, _check_shard(data, ends)
+        _verified[key] = sha256, _check_shard(data, ends, schema_of(channels))
     found, parts = _verified[key]
     _require_hash(path, found, sha256)
     if (rows := sum(part.samples for part in parts)) != samples:
@@ -253,20 +263,20 @@ def _message_facts(head: bytes) -> tuple[int, int, bool]:
     return found, size, found == _RECORD_BATCH and _field(inner, 3) > 0
 
 
-def _check_shard(data: FileBytes, messages: list[tuple[int, int, bytes]]) -> list[_Part]:
+def _check_shard(data: FileBytes, messages: list[tuple[int, int, bytes]], schema: pa.Schema) -> list[_Part]:
     """The parts of a shard from the spans of its messages, of which the first two are the opening and the schema."""
     path, parts = data.path, []
     try:
         if data[: len(_ARROW)] != _ARROW or data[-6:] != _ARROW[:6]:
             raise pa.ArrowInvalid("is no Arrow IPC file, or cut off")
-        if not pa.ipc.read_schema(pa.py_buffer(data[messages[1][0] : messages[1][1]])).equals(SCHEMA):
+        if not pa.ipc.read_schema(pa.py_buffer(data[messages[1][0] : messages[1][1]])).equals(schema):
             raise FileError(path, "has other columns than the schema", field="schema")
         for number, (start, end, sha256) in enumerate(messages[2:]):
             size = struct.unpack("<i", data[start + 4 : start + 8])[0]
             kind, _, compressed = _message_facts(data[start + 8 : start + 8 + size])
             if kind != _RECORD_BATCH or compressed:
                 raise FileError(path, "is no batch of samples, or compressed", field=f"batch {number}")
-            part = _Part(path, start, end, sha256, 0)
+            part = _Part(path, start, end, sha256, 0, schema)
             batch = _read_batch(part)
             _check_batch(path, batch, f"batch {number}")
             parts.append(part._replace(samples=batch.num_rows))
@@ -280,7 +290,7 @@ def _read_batch(part: _Part) -> Any:
     content = FileBytes(part.path)[part.start : part.end]
     if hashlib.sha256(content).digest() != part.sha256:
         raise FileError(part.path, "was changed after it was opened", field=f"byte {part.start}")
-    return pa.ipc.read_record_batch(pa.py_buffer(content), SCHEMA)
+    return pa.ipc.read_record_batch(pa.py_buffer(content), part.schema)
 
 
 def _check_batch(path: Path, batch: Any, field: str) -> None:
@@ -289,7 +299,7 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
         batch.validate(full=True)
     except _ARROW_ERRORS as err:
         raise FileError(path, " ".join(str(err).split()), field=field) from err
-    for name in SCHEMA.names:
+    for name in batch.schema.names:
         column = batch.column(name)
         inner = column.flatten() if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type) else None
         if (name not in _NULLABLE and column.null_count) or (inner is not None and inner.null_count):
@@ -301,7 +311,7 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
 
 
 def _columns(batch: Any) -> _Batch:
-    column = {name: batch.column(name) for name in SCHEMA.names}
+    column = {name: batch.column(name) for name in batch.schema.names}
     vectors = ("g1", "g2", "rotation", "touch", "tare")
     return _Batch(
         plain={name: column[name].to_pylist() for name in ("id", "object", "frame_id", "extra", "stamp_ns", "score")},
@@ -311,7 +321,7 @@ def _columns(batch: Any) -> _Batch:
     )
 
 
-def _sample(batch: _Batch, row: int) -> GraspSample:
+def _sample(batch: _Batch, row: int, channels: Channels) -> GraspSample:
     def _points(name: str) -> Any:
         start, end = batch.offsets[name][row : row + 2]
         return batch.values[name][start:end].reshape(-1, 3)
@@ -320,7 +330,7 @@ def _sample(batch: _Batch, row: int) -> GraspSample:
         return batch.values[name][row * size : (row + 1) * size]
 
     def _touch(name: str) -> Touch | None:
-        return biotac_touch(_vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None
+        return Touch(_vector(name, channels.size), channels) if batch.valid[name][row] else None
 
     plain = {name: values[row] for name, values in batch.plain.items()}
     rgb = _points("rgb") if batch.valid["rgb"][row] else None
@@ -357,6 +367,7 @@ def _open_samples(path: Path, _: bool) -> SampleSet:
         record=lambda k: SampleRecord(sample=store[k]),
         name=lambda k: f"{path}[{k}]",
         identity=Identity(hand=about.get("hand", {}), camera=about.get("camera", {})),
+        sensor=store.sensor,
     )
 
 

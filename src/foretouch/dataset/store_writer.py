@@ -22,8 +22,9 @@ from foretouch.checked_files import file_sha256
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.record import DISCARDED, SampleRecord, id_number, numbered_id
 from foretouch.dataset.samples import SampleSet, only_finite, open_samples
-from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest
+from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
+from foretouch.tactile.description import Sensor, packaged_sensor, require_same, with_sensor
 from foretouch.types import GraspSample
 
 _BATCH_ROWS = 64
@@ -33,16 +34,19 @@ _SHARD_ROWS = 1024
 class StoreWriter:
     """Collects samples; the store appears at the path when the `with` block ends without an error.
 
-    `about` are facts for the manifest: what made the samples, from which sources, with which seed.
+    `about` are facts for the manifest: what made the samples, from which sources, with which seed. `sensor` is that of the
+    readings, by default the BioTac SP; it may be set before the first sample.
 
     Raises:
         FileError: If the path exists or its folder cannot be written.
         DatasetError: If a number of a sample is not finite where it must be, or two samples have one id.
+        TactileError: If a reading is of another sensor.
     """
 
-    def __init__(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, path: str | Path, about: Mapping[str, Any] | None = None, sensor: Sensor | None = None) -> None:
         self.path = Path(path)
         self.about = dict(about or {})
+        self.sensor = sensor or packaged_sensor("biotac_sp")
         self._content = hashlib.sha256()
         self._ids: set[str] = set()
         self._rows: list[dict[str, Any]] = []
@@ -71,6 +75,9 @@ class StoreWriter:
 
     def write(self, sample: GraspSample) -> None:
         """Append one sample."""
+        for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
+            if touch is not None:
+                require_same(touch.channels, self.sensor.channels, f"{sample.id}: {name}")
         row = _row(sample)
         if sample.id in self._ids:
             raise DatasetError(f"{sample.id}: the store {self.path} holds this id already")
@@ -97,8 +104,9 @@ class StoreWriter:
             name = f"shard-{len(self._shards):05d}.arrow"
             self._shards.append({"file": name, "samples": 0})
             self._sink = pa.OSFile(str(self._folder / name), "wb")
-            self._writer = pa.ipc.new_file(self._sink, SCHEMA)
-        self._writer.write_batch(pa.RecordBatch.from_pylist(self._rows, schema=SCHEMA))
+            self._schema = schema_of(self.sensor.channels)
+            self._writer = pa.ipc.new_file(self._sink, self._schema)
+        self._writer.write_batch(pa.RecordBatch.from_pylist(self._rows, schema=self._schema))
         self._shards[-1]["samples"] += len(self._rows)
         self._rows = []
 
@@ -122,7 +130,7 @@ class StoreWriter:
         if self._files:
             manifest["files"] = self._files
         with (self._folder / MANIFEST).open("w", encoding="utf-8") as file:
-            file.write(sealed(manifest, SEAL))
+            file.write(sealed(with_sensor(manifest, self.sensor), SEAL))
             file.flush()
             os.fsync(file.fileno())
 
@@ -187,6 +195,9 @@ def build_store(
         for number, source in enumerate(sources):
             renumbered = ids.begin(str(source))
             samples = open_samples(source)
+            if number == 0:
+                writer.sensor = samples.sensor
+            require_same(samples.sensor.channels, writer.sensor.channels, str(source))
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
             for found in read(number, samples):

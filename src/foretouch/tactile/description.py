@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
@@ -20,7 +20,7 @@ import numpy as np
 
 from foretouch.channels import LARGEST, Channel, Channels
 from foretouch.config import Settings, load_yaml, setting
-from foretouch.errors import ConfigError, nearest, none_of, shown
+from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import ArrayConfig, Layout, read_layout, require_length
 
@@ -271,6 +271,25 @@ def sensor_of(mapping: Any, where: str) -> Sensor:
     if layout is None and config.array is None:
         raise ConfigError(f"{where}: taxels: are missing")
     return Sensor(config, layout or config.array.layout())  # type: ignore[union-attr]
+
+
+def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:
+    """The sensor of a manifest or a card by its key `sensor`: that of `with_sensor`; the BioTac SP where there is none."""
+    return sensor_of(facts["sensor"], f"{shown(where)}: sensor") if "sensor" in facts else packaged_sensor("biotac_sp")
+
+
+def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
+    """The facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none."""
+    default = sensor.sha256 == packaged_sensor("biotac_sp").sha256
+    return facts if default else {**facts, "sensor": sensor.to_mapping()}
+
+
+def require_same(found: Channels, wanted: Channels, what: str) -> None:
+    """Refuse `what` is of another sensor, or of another description of the same, by a `TactileError` that names both."""
+    if found is wanted or found.sha256 == wanted.sha256:
+        return
+    rule = f"the description of {found.sensor} has changed" if found.sensor == wanted.sensor else f"not {wanted.sensor}"
+    raise TactileError(f"{what}: is of {found.sensor} ({found.sha256[:8]}): {rule} ({wanted.sha256[:8]} is expected)")
 
 
 packaged_sensor = cache(load_sensor)
