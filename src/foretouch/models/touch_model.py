@@ -20,6 +20,7 @@ from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, fast_
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges, touch_faults
+from foretouch.tactile.description import sensor_in
 from foretouch.types import (
     Bool,
     Cloud,
@@ -114,6 +115,7 @@ class TouchModel:
 
     Attributes:
         name, sha256: From the card; the hash is of the weights, or over those of all members.
+        sensor: What it predicts the readings of.
         ranges: Ranges outside which a predicted value is flagged.
         estimator: Predicts from the cloud and the grasp alone.
     """
@@ -129,6 +131,7 @@ class TouchModel:
         self.sha256: str = card["sha256"]
         self.card = dict(card)
         self.calibration = calibration
+        self.sensor = sensor_in(card, self.name)
         self.ranges = estimator.ranges
         self.estimator = estimator
         self._widen = widen
@@ -267,7 +270,7 @@ class TouchModel:
             k: TouchPrediction(grasps[k], None, status="refused", reason="the model gives a value that is not finite")
             for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist()
         }
-        return TouchPredictions(grasps, self.ranges.channels, counts, bounds, flags, reference, evidence, refused)
+        return TouchPredictions(grasps, self.sensor.channels, counts, bounds, flags, reference, evidence, refused)
 
 
 def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

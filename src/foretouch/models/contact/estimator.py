@@ -28,7 +28,8 @@ from foretouch.models.files import TensorRecord, file_beside, read_part, read_te
 from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES, TOUCH_SIZE, Ranges, columns
+from foretouch.tactile import MODALITIES, P2_RANGES, TOUCH_SIZE, Ranges, columns
+from foretouch.tactile.description import sensor_in
 from foretouch.types import AnyArray, Bool, Cloud, Float64, Grasp
 
 TOGETHER: Final = "together"
@@ -147,7 +148,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
     """
     try:
-        ranges = Ranges.from_mapping(BIOTAC, card["ranges"], f"{card_path}: ranges")
+        ranges = Ranges.from_mapping(sensor_in(card, card_path).channels, card["ranges"], f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
     calibration, _ = load_calibration(card_path, card)
