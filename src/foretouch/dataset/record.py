@@ -9,7 +9,6 @@ from typing import Final, Literal
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
 REST: Final = 0
@@ -35,17 +34,17 @@ class TouchSeries:
     """The readings around one grasp, in the order of their stamps; a `DatasetError` if a shape is another."""
 
     stamps_ns: Int64  # (T,) int64, from the sensor's headers [ns]; equal stamps are kept
-    counts: Float32  # (T, 50) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    counts: Float32  # (T, D) float32, each as `Touch.values`
     phases: UInt8  # (T,) uint8: REST, APPROACH or HOLD
-    others: Mapping[str, Float32] = field(default_factory=dict)  # such as `PAC0_TH`: (T,) float32 each [counts]
+    others: Mapping[str, Float32] = field(default_factory=dict)  # such as `PAC0_TH`: (T,) float32 each
 
     def __post_init__(self) -> None:
         length = len(self.stamps_ns)
         arrays: dict[str, AnyArray] = {"counts": self.counts, "phases": self.phases}
         arrays |= {f"others.{name}": values for name, values in self.others.items()}
         for name, array in arrays.items():
-            shape = (length, TOUCH_SIZE) if name == "counts" else (length,)
-            if array.shape != shape:
+            shape = (length, *array.shape[1:2]) if name == "counts" else (length,)
+            if array.shape != shape or array.ndim != 1 + (name == "counts"):
                 raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
 
 
