@@ -50,7 +50,11 @@ class TouchSeries:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampleRecord:
-    """One recorded grasp; it is labelled if `sample.touch` is set, else its grasp is the best planned one."""
+    """One recorded grasp; it is labelled if `sample.touch` is set, else its grasp is the best planned one.
+
+    Raises:
+        DatasetError: If the readings are not of the sensor of the touch.
+    """
 
     sample: GraspSample  # if its id is "", the writer assigns `<object>/<number>`
     candidates: tuple[Grasp, ...] = ()  # the other grasps planned on the same cloud
@@ -61,6 +65,12 @@ class SampleRecord:
     detector: str = ""  # description of the method that detected the contact
     pairing_error_ns: int | None = None  # widest gap between the requested interval and the readings found [ns]
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
+
+    def __post_init__(self) -> None:
+        series, touch = self.series, self.sample.touch
+        if series is not None and touch is not None and series.counts.shape[1] != touch.channels.size:
+            shape = (len(series.stamps_ns), touch.channels.size)
+            raise DatasetError(f"series.counts: shape {series.counts.shape} is not {shape}")
 
 
 def readings(record: SampleRecord) -> TouchSeries | None:
