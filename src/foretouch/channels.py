@@ -44,6 +44,10 @@ class Channel:
     noise: float
     resolution: float
 
+    def text(self, value: float) -> str:
+        """A number for people: a whole one where the numbers are, else with three digits."""
+        return f"{value:.0f}" if self.resolution == 1.0 else f"{value:.3g}"
+
 
 @dataclass(frozen=True)
 class Channels:
