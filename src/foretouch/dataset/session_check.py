@@ -97,7 +97,11 @@ class SessionCheck:
     def at_rest(self) -> list[CheckFinding]:
         """What the messages so far show, while nothing was to be touched."""
         found = [
-            self._rate("hand", HAND_SHARE * self._reader.sensor.config.update_rate, "is the driver running, and --tactile-topic its topic?"),
+            self._rate(
+                "hand",
+                HAND_SHARE * self._reader.sensor.config.update_rate,
+                "is the driver running, and --tactile-topic its topic?",
+            ),
             self._clock("hand", HAND_OFFSET_S),
             self._rate("camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),
             self._clock("camera", CAMERA_OFFSET_S),

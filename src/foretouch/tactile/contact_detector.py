@@ -47,7 +47,9 @@ class ContactConfig(Settings):
         bounds=(1.2, 100.0),
     )
     pdc_limit: float = setting(
-        12.0, "Change of a finger's single value (PDC of a BioTac) that counts as contact", unit="deviations",
+        12.0,
+        "Change of a finger's single value (PDC of a BioTac) that counts as contact",
+        unit="deviations",
         bounds=(3.0, 1e4),
     )
     release_level: float = setting(

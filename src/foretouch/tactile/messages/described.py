@@ -118,7 +118,9 @@ def _require_noise(sensor: Sensor) -> None:
     """Refuse a channel of floats with neither noise nor range: there is no least change that means contact."""
     for one in (*sensor.config.scalars, *sensor.config.values):
         if one.predicted and not one.noise and not all(map(math.isfinite, one.limits)):
-            raise ConfigError(f"sensor: {sensor.config.name}: {one.name}: state its noise or its range in the description")
+            raise ConfigError(
+                f"sensor: {sensor.config.name}: {one.name}: state its noise or its range in the description"
+            )
 
 
 class _TouchReader:
