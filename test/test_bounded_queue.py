@@ -35,6 +35,17 @@ def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones_and_one_without
     assert queue.get_all(0.0) == [3, 4]
 
 
+def test_a_patient_queue_drops_nothing_in_a_pause_and_keeps_to_its_capacity_after_it() -> None:
+    queue = BoundedQueue[int](2, patience_s=0.2)
+    assert all(queue.put(item) for item in range(8))
+    assert not queue.dropped
+    queue.put(8)  # beyond four times the capacity
+    assert queue.dropped == {"superseded": 1}
+    time.sleep(0.25)
+    queue.put(9)
+    assert queue.get_all(0.0) == [8, 9]
+
+
 def test_a_full_queue_may_block_the_sender_until_it_is_read_or_closed() -> None:
     queue = BoundedQueue[int](1, when_full="wait")
     sender = threading.Thread(target=lambda: [queue.put(item) for item in range(22)], daemon=True)

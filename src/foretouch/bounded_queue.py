@@ -2,10 +2,12 @@
 """A bounded queue between threads that counts every item it drops."""
 
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Generic, Literal, TypeVar
+from typing import Final, Generic, Literal, TypeVar
 
+_PATIENT: Final = 4  # times the capacity
 _Item = TypeVar("_Item")
 
 
@@ -16,6 +18,8 @@ class BoundedQueue(Generic[_Item]):
         capacity: Sum of the sizes of the items that may wait; None for no limit.
         when_full: `drop_oldest` makes room for the new item, `reject` drops the new item, `wait` blocks its sender.
         size_of: Size of an item, such as its bytes; None counts each item as 1.
+        patience_s: Four times the capacity may wait while the oldest item has waited for less than this time [s], so that a
+            receiver that only pauses loses nothing.
         on_drop: Called with each dropped item and the reason. The queue is locked meanwhile: return at once.
     """
 
@@ -25,6 +29,7 @@ class BoundedQueue(Generic[_Item]):
         *,
         when_full: Literal["drop_oldest", "reject", "wait"] = "drop_oldest",
         size_of: Callable[[_Item], int] | None = None,
+        patience_s: float = 0.0,
         on_drop: Callable[[_Item, str], None] | None = None,
     ) -> None:
         self.capacity = capacity  # may be changed at any time
@@ -33,9 +38,11 @@ class BoundedQueue(Generic[_Item]):
         )  # as `superseded` by newer ones, `full`, `closed`, or what `close` was given
         self._when_full = when_full
         self._size_of = size_of or (lambda _: 1)
+        self._patience_s = patience_s
         self._on_drop = on_drop
         self._changed = threading.Condition()
         self._items: deque[_Item] = deque()
+        self._since: deque[float] = deque()  # when each was put, `time.monotonic` [s]
         self._size = 0
         self._closed_reason = ""
 
@@ -52,6 +59,7 @@ class BoundedQueue(Generic[_Item]):
                 self._drop(item, self._closed_reason or "full")
                 return False
             self._items.append(item)
+            self._since.append(time.monotonic())
             self._size += size
             self._changed.notify_all()
             return True
@@ -87,13 +95,17 @@ class BoundedQueue(Generic[_Item]):
         return bool(self._closed_reason)
 
     def _has_room(self, size: int) -> bool:
-        return self.capacity is None or self._size + size <= self.capacity
+        if self.capacity is None or self._size + size <= self.capacity:
+            return True
+        if not self._items or self._size + size > _PATIENT * self.capacity:
+            return False
+        return time.monotonic() - self._since[0] < self._patience_s
 
     def _wait(self, timeout_s: float | None) -> None:
         self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)
 
     def _pop(self) -> _Item:
-        item = self._items.popleft()
+        item, _ = self._items.popleft(), self._since.popleft()
         self._size -= self._size_of(item)
         self._changed.notify_all()
         return item

@@ -13,7 +13,7 @@ from sensor_builders import SMALL, TAXELS, write_sensor
 
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile import ELECTRODES, FULL_SCALE, MODALITIES, electrode_normals, electrode_positions
-from foretouch.tactile.description import SensorConfig, load_sensor, sensor_files
+from foretouch.tactile.description import SensorConfig, load_sensor, sensor_files, sensor_of
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, FINGERS, OTHERS
 
 ROOT = Path(__file__).parents[2]
@@ -199,3 +199,22 @@ def test_what_is_no_description_is_refused(tmp_path) -> None:
     path = write_sensor(tmp_path, {"array": None, "taxels": "absent.csv"})
     with pytest.raises(FileError, match=r"absent\.csv: No such file"):
         load_sensor(path)
+
+
+def test_columns_of_fingers_are_where_the_modalities_are_and_dead_taxels_are_not_valid() -> None:
+    def check(name):
+        sensor = load_sensor(name)
+        channels, taken = sensor.channels, np.concatenate([sensor.scalar_columns.ravel(), sensor.taxel_columns.ravel()])
+        np.testing.assert_array_equal(np.sort(taken), np.arange(channels.size))
+        for f, finger in enumerate(channels.fingers):
+            for s, one in enumerate(sensor.scalar_channels):
+                assert [sensor.scalar_columns[f, s]] == channels.columns([f"{one.name}_{finger}"]).tolist()
+            for c, one in enumerate(sensor.taxel_channels):
+                assert sensor.taxel_columns[f, :, c].tolist() == channels.columns([f"{one.name}_{finger}"]).tolist()
+        assert sensor.valid.shape == (len(channels.fingers), sensor.size)
+        assert sensor.valid.all()
+
+    every_case(sensor_files(), check)
+    one = load_sensor("shadow_mst").to_mapping()
+    one["fingers"] = [{**finger, "dead": [2]} if finger["name"] == "TH" else finger for finger in one["fingers"]]
+    assert np.argwhere(~sensor_of(one, "").valid).tolist() == [[0, 2]]

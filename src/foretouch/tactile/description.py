@@ -23,6 +23,7 @@ from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import ArrayConfig, Layout, read_layout, require_length
+from foretouch.types import Bool, Index
 
 STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of a stamp that is a number."""
@@ -210,11 +211,40 @@ class Sensor:
         predicted = tuple(one.channel(size) for one, size in parts if one.predicted)
         return Channels(self.config.name, self.sha256, tuple(self.channels_fingers), predicted)
 
+    @property
+    def scalar_channels(self) -> tuple[Channel, ...]:
+        """S of `channels` that are of the whole finger."""
+        return self.channels.channels[: sum(one.predicted for one in self.config.scalars)]
+
+    @property
+    def taxel_channels(self) -> tuple[Channel, ...]:
+        """C of `channels` that are of each taxel."""
+        return self.channels.channels[len(self.scalar_channels) :]
+
+    @cached_property
+    def scalar_columns(self) -> Index:
+        """(F, S) columns of a touch: the values of each finger."""
+        shape = len(self.scalar_channels), len(self.channels.fingers)
+        return np.arange(shape[0] * shape[1]).reshape(shape).T
+
+    @cached_property
+    def taxel_columns(self) -> Index:
+        """(F, N, C) columns of a touch: the values of each taxel."""
+        shape = len(self.taxel_channels), len(self.channels.fingers), self.size
+        return np.arange(self.scalar_columns.size, self.channels.size).reshape(shape).transpose(1, 2, 0)
+
+    @cached_property
+    def valid(self) -> Bool:
+        """(F, N) taxels that are not declared dead."""
+        taxels = np.arange(self.size)
+        return np.array([~np.isin(taxels, finger.dead) for finger in self.config.chosen_fingers()])
+
     def to_mapping(self) -> dict[str, Any]:
         """All that `sensor_of` needs, as plain types, for manifests and cards."""
         stated: dict[str, Any] = _stated(self.config.to_mapping())
         if self.config.taxels:
-            stated["taxels"] = [None if one is None else one.tolist() for one in vars(self.layout).values()]
+            parts = self.layout.positions, self.layout.normals, self.layout.pixels
+            stated["taxels"] = [None if one is None else one.tolist() for one in parts]
         return stated
 
 

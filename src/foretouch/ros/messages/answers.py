@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The predictions of one request: as a `TouchPredictionArray`, or at once as the bytes that the middleware sends for it.
+"""The predictions of one request as messages: of any sensor, or of the BioTac SP, then also as the bytes that are sent.
 
-For each prediction rclpy would convert 50 `Interval` objects, which takes longer than to predict. The bytes are CDR as in
+For each `TouchPrediction` rclpy would convert 50 `Interval` objects, which takes longer than to predict. The bytes are CDR as in
 `foretouch.dataset.messages`: numbers at multiples of their size, strings with their length and a final zero. Here each part
 ends at a multiple of four bytes.
 """
 
+import array
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,10 +20,12 @@ from std_msgs.msg import Header
 
 from foretouch.dataset.messages import grasp_numbers
 from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields, prediction_to_msg, refusal_to_msg
-from foretouch.tactile import TOUCH_SIZE, biotac_touch
-from foretouch.types import Evidence, Float64, Touch, TouchPrediction
+from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
+from foretouch.tactile.description import Sensor
+from foretouch.topics import PREDICTED_TOPIC
+from foretouch.types import Evidence, Float64, Index, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Status, TouchPredictionArray
+from foretouch_msgs.msg import Status, TactilePrediction, TactilePredictionArray, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
 
@@ -31,6 +34,14 @@ class Refusal(NamedTuple):
 
     status: int
     reason: str
+
+
+def other_sensor(sensor: Sensor | None) -> Refusal | None:
+    """Why `TouchPrediction` cannot hold predictions for a sensor; None for the BioTac SP, and without a model."""
+    if sensor is None or sensor.sha256 == BIOTAC.sha256:
+        return None
+    text = f"the model predicts {sensor.config.name}, not {BIOTAC.sensor}: its predictions are on the topic {PREDICTED_TOPIC}"
+    return Refusal(Status.REFUSED, text)
 
 
 @dataclass(eq=False)
@@ -44,6 +55,7 @@ class TouchAnswer:
     age: Duration = field(default_factory=Duration)  # of the cloud
     model: str = ""  # its name
     model_sha256: str = ""
+    sensor: Sensor | None = None  # whose readings are predicted; None without a model
 
     @cached_property
     def summary(self) -> Refusal:
@@ -54,8 +66,7 @@ class TouchAnswer:
     @property
     def answered(self) -> list[GraspMsg]:
         """The grasps that have a prediction."""
-        pairs = zip(self.grasps, self.outcomes, strict=True)
-        return [grasp for grasp, outcome in pairs if not isinstance(outcome, Refusal)]
+        return [grasp for grasp, outcome in self._pairs if not isinstance(outcome, Refusal)]
 
     def prediction(self, k: int) -> TouchPredictionMsg:
         """The message of one of them."""
@@ -76,6 +87,44 @@ class TouchAnswer:
             header=self.header,
             predictions=[self.prediction(k) for k in range(len(self.outcomes))],
             **self.summary._asdict(),
+        )
+
+    @property
+    def tactile(self) -> TactilePredictionArray:
+        """The message of all for any sensor; without predictions if there is no model."""
+        made = [] if self.sensor is None else [self._tactile(self.sensor, *one) for one in self._pairs]
+        return TactilePredictionArray(header=self.header, predictions=made, **self.summary._asdict())
+
+    @property
+    def _pairs(self) -> "zip[tuple[GraspMsg, TouchPrediction | Refusal]]":
+        return zip(self.grasps, self.outcomes, strict=True)
+
+    def _tactile(self, sensor: Sensor, grasp: GraspMsg, outcome: TouchPrediction | Refusal) -> TactilePrediction:
+        ends: tuple[Touch | None, ...] = (None, None, None)
+        flags: tuple[str, ...] = ()
+        if isinstance(outcome, Refusal):
+            fields: dict[str, Any] = {**outcome._asdict(), **evidence_fields(Evidence())}
+        else:
+            ends, flags = (outcome.value, outcome.lower, outcome.upper), outcome.flags
+            fields = {"reference": REFERENCE_CODES[outcome.reference], **evidence_fields(outcome.evidence)}
+        for name, touch in zip(("values", "lower", "upper"), ends, strict=True):
+            fields[name] = _floats(touch, sensor.taxel_columns)
+        for name, touch in zip(("scalars", "scalars_lower", "scalars_upper"), ends, strict=True):
+            fields[name] = _floats(touch, sensor.scalar_columns)
+        return TactilePrediction(
+            header=self.header,
+            grasp=grasp,
+            sensor=sensor.config.name,
+            sensor_sha256=sensor.sha256,
+            fingers=sensor.channels.fingers,
+            channels=[one.name for one in sensor.taxel_channels],
+            valid=array.array("B", sensor.valid.tobytes()),
+            scalar_channels=[one.name for one in sensor.scalar_channels],
+            flags=[*flags, *self.flags],
+            model=self.model,
+            model_sha256=self.model_sha256,
+            input_age=self.age,
+            **fields,
         )
 
     def encoded(self) -> bytes:
@@ -177,6 +226,13 @@ def _intervals(outcomes: Sequence[TouchPrediction | Refusal]) -> Any:
             with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
                 table[[k for k, _ in rows], :, column] = _vectors([touch for _, touch in rows])
     return table
+
+
+def _floats(touch: Touch | None, columns: Index) -> "array.array[float]":
+    """Values of a touch as float32, which rclpy takes over as they are; NaN without one."""
+    values = np.full(columns.size, np.nan) if touch is None else touch.values[columns.ravel()]
+    with np.errstate(over="ignore"):
+        return array.array("f", values.astype(np.float32).tobytes())
 
 
 def _vectors(touches: Sequence[Touch]) -> Float64:

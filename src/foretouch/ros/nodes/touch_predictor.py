@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
+"""`object_cloud` + `grasps` -> `touch` and `tactile`, the service `predict_touch` and the action `sample_grasps`.
+
+`tactile` holds predictions for the sensor of any model. `touch`, the service and the actions are for the BioTac SP; with a model of
+another sensor they refuse.
 
 If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
 tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the
@@ -20,6 +23,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -33,7 +37,8 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject
-from foretouch.ros.messages.answers import TouchAnswer
+from foretouch.report.taxel_view import TaxelView
+from foretouch.ros.messages.answers import Refusal, TouchAnswer, other_sensor
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
@@ -56,8 +61,8 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
+from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Touch
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -65,6 +70,7 @@ from foretouch_msgs.msg import (
     GraspArray,
     Status,
     TablePlane,
+    TactilePredictionArray,
     TouchPrediction,
     TouchPredictionArray,
 )
@@ -112,6 +118,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._predictor.keep_to(config.latency_budget_ms, config, self.get_logger().info)
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
+        self._tactile = self.advertise(TactilePredictionArray, PREDICTED_TOPIC)
         self._markers = self.advertise(MarkerArray, "markers")
         self._threads = ThreadPool(self, 2, 100)  # more threads would only share the processor
         closing.callback(self._threads.close)
@@ -217,18 +224,29 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         in_output_frame = None if planned is grasps.grasps else grasps.grasps
         published = message if transform is None else transform.answer(message, in_output_frame)
         self._touch.publish(_configured(self._predictor).end(published, answer, encoded=True))
+        if self._tactile.wanted:
+            self._tactile.publish(published.tactile)
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
-            self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)
+            self.internal_errors.guarded("markers", self._draw)(message, transform)
         return message.summary
 
-    def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
-        """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
-        markers = touch_markers(prediction, self.config.ranges.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
+    def _draw(self, answer: TouchAnswer, transform: FrameTransform | None) -> None:
+        """Publish the markers of the first prediction in the frame of its cloud, brought to that of the answers."""
+        first, sensor, model = answer.outcomes[0], answer.sensor, _configured(self._predictor).model
+        markers = MarkerArray()
+        if sensor is not None and model is not None and not isinstance(first, Refusal):
+            ranges = model.ranges if other_sensor(sensor) else self.config.ranges.ranges
+            rest = None if model.calibration is None else Touch(model.calibration.rest, sensor.channels)
+            shown = replace(first, flags=(*first.flags, *answer.flags))
+            first_at_g1 = self.config.thumb_takes_g1
+            markers = touch_markers(shown, answer.header, TaxelView(sensor), ranges, rest, thumb_takes_g1=first_at_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
+        if self._tactile.wanted:
+            self._tactile.publish(TactilePredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
         self,
@@ -329,7 +347,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._requests[f"{name}.{status_name(outcome).lower()}"] += 1
         return answer
 
+    def _require_biotac(self) -> None:
+        """Refuse requests whose answers cannot hold the predictions of the model."""
+        model = _configured(self._predictor).model
+        if refusal := other_sensor(None if model is None else model.sensor):
+            raise RefusalError(*refusal)
+
     def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
+        self._require_biotac()
         config = self.config
         if len(request.grasps) > config.max_grasps:
             raise RefusalError(
@@ -378,6 +403,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _sample(self, goal_handle: Any, goal: Any, feedback: Callable[[Any], None]) -> Any:
         """Sample grasps for a `SampleGrasps.Goal`; result and feedback are in the frame of the answers."""
+        self._require_biotac()
         latest, frame, transform = self._latest, _configured(self._frame), None
         flags: tuple[str, ...] = ()
         sampled: PointCloud2 | TargetCloud = goal.cloud

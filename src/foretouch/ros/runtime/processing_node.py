@@ -97,7 +97,10 @@ class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
     queue_depth: int = setting(
-        8, "Number of inputs that may wait; the oldest is dropped", bounds=(1, 10_000), read_only=True
+        8,
+        "Number of inputs that may wait for longer than 0.25 s; the oldest is dropped",
+        bounds=(1, 10_000),
+        read_only=True,
     )
     silence_s: float = setting(5.0, "Longest time without an input before a warning", bounds=(0.1, 1e6))
     partner_timeout_s: float = setting(

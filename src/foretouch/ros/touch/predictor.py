@@ -16,7 +16,7 @@ from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError,
 from foretouch.grasp import GeoGraspConfig, check_closing, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr
+from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr, other_sensor
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
@@ -25,7 +25,7 @@ from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Status
+from foretouch_msgs.msg import Status, TouchPredictionArray
 
 if TYPE_CHECKING:  # loaded only for a budget
     from foretouch.models.budget import Answer, LatencyBudget
@@ -158,7 +158,7 @@ class Predictor:
                 outcomes[i] = outcome
         if posing is not None:
             grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
-        return TouchAnswer(header, grasps, outcomes)
+        return TouchAnswer(header, grasps, outcomes, sensor=model.sensor if model is not None else None)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
@@ -229,6 +229,8 @@ def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> 
 
 
 def _made(message: TouchAnswer, *, encoded: bool) -> Any:
+    if refusal := other_sensor(message.sensor):
+        return TouchPredictionArray(header=message.header, **refusal._asdict())
     return message.encoded() if encoded and middleware_reads_cdr() else message.message
 
 

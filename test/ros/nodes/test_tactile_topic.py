@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions of any sensor on the topic `tactile`, and what the interfaces of the BioTac SP say with a model of another."""
+
+import numpy as np
+import pytest
+from constant_models import constant_model, counted, sensor_with_dead
+
+from foretouch.pipeline import Pipeline
+from foretouch.ros.messages.clouds import objects_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg
+from foretouch.tactile.description import packaged_sensor
+from foretouch_msgs.action import SampleGrasps
+from foretouch_msgs.msg import Status, TactilePredictionArray
+from foretouch_msgs.srv import PredictTouch
+
+pytestmark = pytest.mark.ros
+
+
+def listen(graph):
+    heard = graph.listen(TactilePredictionArray, "tactile")
+    graph.matched("tactile")
+    return heard
+
+
+def test_the_biotac_is_on_both_topics_with_equal_numbers(graph, predictor, model_card):
+    node, send, touches = predictor(model=model_card)
+    assert not node._tactile.wanted
+    heard = listen(graph)
+    send(5)
+    graph.until(lambda: heard and touches)
+    (one,), (same,) = heard[0].predictions, touches[0].predictions
+    for name in ("header", "grasp", "reference", "status", "reason", "flags", "model", "model_sha256", "input_age",
+                 "touches", "touch_age", "readings", "reading_age"):  # fmt: skip
+        assert str(getattr(one, name)) == str(getattr(same, name)), name  # a score is NaN
+    assert (one.fingers, one.channels, one.scalar_channels) == (["TH", "MF"], ["E"], ["PDC"])
+    assert list(one.scalars) == [same.pdc_th.value, same.pdc_mf.value]
+    assert list(one.values) == [each.value for each in (*same.e_th, *same.e_mf)]
+    assert np.isnan(one.lower).all()
+    assert np.isnan(one.scalars_upper).all()
+    assert len(one.lower) == len(one.upper) == len(one.valid) == 48
+    assert set(one.valid) == {1}
+
+
+def test_a_cloud_without_grasps_is_answered_with_a_reason(graph, predictor, model_card):
+    from sensor_msgs.msg import PointCloud2
+
+    from foretouch_msgs.msg import GraspArray
+
+    _, _, touches = predictor(model=model_card)
+    heard = listen(graph)
+    clouds, grasps = (graph.talk(kind, name) for kind, name in ((PointCloud2, "object_cloud"), (GraspArray, "grasps")))
+    graph.matched("object_cloud", "grasps")
+    message = objects_to_msg(Pipeline().segment(_scene()).targets, "cam", 7)
+    clouds.publish(message)
+    grasps.publish(GraspArray(header=message.header, status=Status.NO_GRASP, reason="too wide"))
+    graph.until(lambda: heard and touches)
+    assert (heard[0].status, heard[0].reason, heard[0].predictions) == (Status.NO_GRASP, touches[0].reason, [])
+
+
+@pytest.fixture
+def uskin(monkeypatch):
+    """A model of the uSkin with a dead taxel, in place of any."""
+    sensor = sensor_with_dead("xela_uskin_4x4", 5)
+    model = constant_model(sensor, counted(sensor))
+    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    return model
+
+
+def test_another_sensor_is_on_tactile_alone_and_touch_says_so(graph, predictor, uskin):
+    _, send, touches = predictor()
+    heard = listen(graph)
+    send(9)
+    graph.until(lambda: heard and touches)
+    assert touches[0].predictions == []
+    assert touches[0].status == Status.REFUSED
+    assert "xela_uskin_4x4" in touches[0].reason
+    assert "topic tactile" in touches[0].reason
+    assert heard[0].status == Status.OK
+    (one,) = heard[0].predictions
+    packaged = packaged_sensor("xela_uskin_4x4")
+    assert (one.sensor, one.sensor_sha256) == ("xela_uskin_4x4", packaged.sha256)
+    assert (one.fingers, one.channels, one.scalar_channels) == (["TH", "FF"], ["X", "Y", "Z"], [])
+    values = np.array(one.values).reshape(2, 16, 3)  # taxel by taxel
+    predicted = dict(zip(packaged.channels.modalities, counted(packaged).reshape(6, 16), strict=True))
+    for (finger, f), (channel, c) in (
+        (a, b) for a in (("TH", 0), ("FF", 1)) for b in zip("XYZ", range(3), strict=True)
+    ):
+        np.testing.assert_array_equal(values[f, :, c], predicted[f"{channel}_{finger}"].astype(np.float32))
+    assert np.flatnonzero(np.array(one.valid) == 0).tolist() == [5]  # of the first finger
+
+
+def test_another_sensor_is_refused_by_the_service_and_the_action_by_name(graph, uskin):
+    graph.add("touch_predictor")
+    (target, *_) = Pipeline().segment(_scene()).targets
+    grasps = [grasp_to_msg(one) for one in Pipeline().plan(target).grasps]
+    cloud, table = objects_to_msg([target], "cam", 5), [plane_to_msg(target.plane)]
+    request = PredictTouch.Request(cloud=cloud, grasps=grasps, table=table)
+    answer = graph.call(PredictTouch, "predict_touch", request).touch
+    assert (answer.status, answer.predictions) == (Status.REFUSED, [])
+    assert "xela_uskin_4x4" in answer.reason
+    assert "topic tactile" in answer.reason
+    _, result, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(cloud=cloud, table=table))
+    assert result.status == Status.REFUSED
+    assert "xela_uskin_4x4" in result.grasp_state
+
+
+def _scene():
+    from foretouch.ros.runtime.processing_node import warm_up_cloud
+
+    return warm_up_cloud()
