@@ -16,6 +16,7 @@ from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
+from foretouch.tactile.description import Sensor, packaged_sensor
 from foretouch.types import GraspSample
 
 _VISION2TACTILE: Final = {
@@ -55,6 +56,7 @@ class Dataset:
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
         origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
+        sensor: That was read.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Dataset:
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
+    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -164,7 +167,8 @@ def load_dataset(path: str | Path) -> Dataset:
     public = opened.kind == "vision2tactile"
     origin = _VISION2TACTILE if public else _simulated(path) if opened.kind == "store" else {}
     aliases = (folder_sha256(path),) if public else ()
-    return Dataset(path.name, samples, content_sha256(samples), splits.parts, aliases, splits.omitted, origin)
+    sha256, sensor = content_sha256(samples), opened.sensor
+    return Dataset(path.name, samples, sha256, splits.parts, aliases, splits.omitted, origin, sensor)
 
 
 def _simulated(path: Path) -> dict[str, Any]:
