@@ -44,6 +44,10 @@ class Channel:
     noise: float
     resolution: float
 
+    def text(self, value: float) -> str:
+        """A number for people: a whole one where the numbers are, else with three digits."""
+        return f"{value:.0f}" if self.resolution == 1.0 else f"{value:.3g}"
+
 
 @dataclass(frozen=True)
 class Channels:
@@ -129,7 +133,7 @@ class Channels:
 
     @cached_property
     def tared(self) -> npt.NDArray[np.bool_]:
-        """(D,) whether the rest level of each value is measured, else it is zero; read-only."""
+        """(D,) whether the rest level is measured, else it is zero; read-only."""
         found: npt.NDArray[np.bool_] = _kept(self._of_values("tared") > 0.0)
         return found
 
