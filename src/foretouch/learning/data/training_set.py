@@ -12,6 +12,7 @@ import numpy as np
 from foretouch.channels import Channels
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
+from foretouch.learning.data.cloud_file import CloudFile
 from foretouch.learning.data.folds import Indices
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import grasp_lengths
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 class TrainingSet:
     """Inputs and labels of S samples, prepared for one network configuration."""
 
-    clouds: tuple[Float32, ...]  # (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled
+    clouds: Sequence[Float32]  # (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled
     grasps: Float32  # (S, G) float32, as fed to the head
     labels: Float64  # (S, D) float64 [counts]; NaN for an unlabelled sample
     lengths: Float64  # (S, 5) float64 [m], for the range check of the card
@@ -53,12 +54,18 @@ class TrainingSet:
         Raises:
             DatasetError: If there is no sample, a label is missing or is not a reading of a working sensor, or a cloud
                 is unusable or lacks a channel of the network; names the sample.
+            FileError: If the prepared clouds cannot be kept in the folder of temporary files (see `CloudFile`).
         """
         if not samples:
             raise DatasetError("training set: no sample")
         missing = np.full(TOUCH_SIZE, np.nan)
         labels = [missing if unlabelled and sample.touch is None else _label(sample) for sample in samples]
-        clouds, grasps, lengths = zip(*(_prepared(sample, config) for sample in samples), strict=True)
+        clouds, grasps, lengths = CloudFile(), [], []
+        for sample in samples:
+            points, grasp, length = _prepared(sample, config)
+            clouds.append(points)
+            grasps.append(grasp)
+            lengths.append(length)
         ids = tuple(sample.id for sample in samples)
         return cls(clouds, np.array(grasps), np.array(labels), np.array(lengths), config, ids)
 
