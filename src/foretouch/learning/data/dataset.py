@@ -17,6 +17,7 @@ from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
+from foretouch.tactile.description import Sensor, packaged_sensor
 from foretouch.types import GraspSample
 
 _VISION2TACTILE: Final = {
@@ -56,6 +57,7 @@ class Dataset:
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
         origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
+        sensor: That was read.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Dataset:
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
+    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -171,7 +174,8 @@ def load_dataset(path: str | Path) -> Dataset:
     public = opened.kind == "vision2tactile"
     origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
     aliases = (folder_sha256(path),) if public else ()
-    return Dataset(path.name, tuple(samples), content.hexdigest(), splits.parts, aliases, splits.omitted, origin)
+    hashed, sensor = content.hexdigest(), opened.sensor
+    return Dataset(path.name, tuple(samples), hashed, splits.parts, aliases, splits.omitted, origin, sensor)
 
 
 def _simulated(store: Store) -> dict[str, Any]:
