@@ -126,6 +126,12 @@ class Channels:
         return self._of_values("resolution")
 
     @cached_property
+    def tared(self) -> npt.NDArray[np.bool_]:
+        """(D,) whether the rest level is measured, else it is zero; read-only."""
+        found: npt.NDArray[np.bool_] = _kept(self._of_values("tared") > 0.0)
+        return found
+
+    @cached_property
     def _columns(self) -> dict[str, _Index]:
         return {name: np.flatnonzero(self.modality_of_value == k) for k, name in enumerate(self.modalities)}
 
