@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.channels import Channels
+from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
 from foretouch.tactile.description import Sensor

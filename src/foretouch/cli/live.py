@@ -97,8 +97,9 @@ def _modalities(prediction: TouchPrediction | TactilePrediction, sensor: Sensor)
     """Values of each modality with their half width."""
     from foretouch.ros.messages.conversions import values_from_msg
 
-    ends, channels = values_from_msg(prediction, sensor), sensor.channels
-    return [modality_text(*ends[:, channels.columns([name])], one.text) for name, one in channels.channel_of.items()]
+    value, lower, upper = values_from_msg(prediction, sensor)
+    columns = [(sensor.channels.columns([name]), one.text) for name, one in sensor.channels.channel_of.items()]
+    return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
 
 def executed_table(

@@ -120,7 +120,11 @@ def run(arguments: argparse.Namespace) -> int:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     sensor = _sensor(arguments, nodes)
-    monitor: dict[str, Any] = {"sensor": sensor, "with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
+    monitor: dict[str, Any] = {
+        "sensor": sensor,
+        "with_clouds": arguments.picture is not None,
+        "with_hand": "hand" in nodes,
+    }
     monitor["count"] = arguments.count
     if arguments.json:
         monitor["on_touch"] = arguments.printer = _Printer(sensor)

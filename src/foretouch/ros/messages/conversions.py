@@ -151,7 +151,11 @@ def values_from_msg(message: TouchPredictionMsg | TactilePrediction, sensor: Sen
         raise ModelError(f"sensor: {message.sensor} ({message.sensor_sha256[:8]}) is not {sensor.config.name}")
     columns = np.concatenate([sensor.scalar_columns.ravel(), sensor.taxel_columns.ravel()])
     found = np.empty((3, columns.size))
-    ends = [(message.scalars, message.values), (message.scalars_lower, message.lower), (message.scalars_upper, message.upper)]
+    ends = [
+        (message.scalars, message.values),
+        (message.scalars_lower, message.lower),
+        (message.scalars_upper, message.upper),
+    ]
     found[:, columns] = [[*scalars, *taxels] for scalars, taxels in ends]
     return found
 

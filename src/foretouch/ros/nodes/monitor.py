@@ -59,7 +59,9 @@ class View:
     answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
     last: TouchPredictionArray | TactilePredictionArray | None = None  # the last array
-    executed: tuple[TouchPrediction | TactilePrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
+    executed: tuple[TouchPrediction | TactilePrediction, TouchCut] | None = (
+        None  # of the last grasp with success, and its readings
+    )
     nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
 
 
@@ -156,7 +158,9 @@ class MonitorNode(GuardedCallbacks, Node):
                 found[_is_unfamiliar(one)] = drawn
         return [found[key] for key in sorted(found)]
 
-    def _drawn(self, prediction: TouchPrediction | TactilePrediction, readings: TouchCut | None = None) -> Drawable | None:
+    def _drawn(
+        self, prediction: TouchPrediction | TactilePrediction, readings: TouchCut | None = None
+    ) -> Drawable | None:
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
