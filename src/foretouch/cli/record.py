@@ -162,10 +162,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TYPE",
         help=f"{', '.join(TACTILE_TYPES)} (default: {TactileConfig().type})",
     )
-    parser.add_argument(
-        "--thumb", metavar="NAME", help="name of the thumb in the tactile messages (default: TH or 0, by their type)"
-    )
-    parser.add_argument("--middle", metavar="NAME", help="name of the middle finger (default: MF or 1)")
+    add_fingers(parser)
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
     parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
     parser.add_argument(
@@ -225,6 +222,7 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     given = {
         "tactile_topic": arguments.tactile_topic,
         "tactile.type": arguments.tactile_type,
+        "tactile.sensor": arguments.sensor,
         "tactile.thumb": arguments.thumb,
         "tactile.middle": arguments.middle,
         "points": arguments.points or arguments.check or None,

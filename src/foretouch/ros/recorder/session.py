@@ -271,7 +271,10 @@ class RecordingSession:
                 samples=self.writer.labelled,
                 unlabelled=self.writer.samples - self.writer.labelled,
                 results=+assembler.results,
-                anomalies=assembler.readings.anomalies + assembler.rejected_clouds + self._unreadable,
+                anomalies=assembler.readings.anomalies
+                + assembler.rejected_clouds
+                + assembler.invalid
+                + self._unreadable,
                 last_sample=self._last_sample,
                 pairing_errors_ns=tuple(self._errors_ns),
                 sensors=assembler.sensor_states(now),
