@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
-from foretouch.cli.inputs import positive_number, seed_number
+from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing
@@ -113,7 +113,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
             metavar="TOPIC",
             help=f"topic of the {content} (default: %(default)s)",
         )
-    add_fingers(group, "")
+    add_options(group, "--sensor", "--thumb", "--middle")
     group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
     group.add_argument(
         "--fingers", type=_fingers, metavar="TH,MF", help="indices of both fingers instead of names (default: 4,1)"
@@ -360,7 +360,9 @@ def _import(arguments: argparse.Namespace) -> int:
         tactile=arguments.tactile_topic,
         object=arguments.object,
         fingers=arguments.fingers,
-        tactile_config=TactileConfig(sensor=arguments.sensor, thumb=arguments.thumb, middle=arguments.middle),
+        tactile_config=TactileConfig(
+            sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
+        ),
     )
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
         result = import_samples(

@@ -120,9 +120,7 @@ def _own_samples(bag: Recording, types: Mapping[str, str]) -> tuple[Identity, It
     return identity, (one.record for one in _stored()), sensor
 
 
-def _assemble(
-    bag: Recording, topics: BagTopics, reader: TactileReader, result: ImportResult
-) -> Iterator[SampleRecord]:
+def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: ImportResult) -> Iterator[SampleRecord]:
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(

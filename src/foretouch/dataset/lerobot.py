@@ -24,8 +24,8 @@ import pyarrow.parquet as pq
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, open_samples
-from foretouch.errors import FileError
 from foretouch.dataset.taxels import channel_key, finger_key
+from foretouch.errors import FileError
 from foretouch.tactile.description import Sensor
 from foretouch.types import AnyArray, Cloud, Float32
 

@@ -177,7 +177,7 @@ def _recognise(path: Path) -> bool:
 
 def _open(path: Path, _: bool) -> SampleSet:
     files = _files(path)
-    _, identity, sensor = _read(files[0])
+    identity, sensor = _read(files[0])[1:]
 
     def record(k: int) -> SampleRecord:
         found, own, other = _read(files[k])

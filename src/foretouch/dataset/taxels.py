@@ -61,7 +61,9 @@ def taxel_clouds(record: SampleRecord, sensor: Sensor) -> Iterator[TaxelCloud]:
 def _channels(series: TouchSeries, finger: str, sensor: Sensor) -> dict[str, Float32]:
     """Channels of a finger by name, (T, N) or (T, 1), those of taxels first."""
     suffix, channels = f"_{finger}", sensor.channels
-    others = {channel_key(name.removesuffix(suffix)): one for name, one in series.others.items() if name.endswith(suffix)}
+    others = {
+        channel_key(name.removesuffix(suffix)): one for name, one in series.others.items() if name.endswith(suffix)
+    }
     ordered = sorted(channels.channels, key=lambda one: one.size == 1)
     own = {channel_key(one.name): series.counts[:, channels.columns([one.name + suffix])] for one in ordered}
     return own | {name: values[:, None] for name, values in sorted(others.items()) if name not in own}

@@ -222,7 +222,7 @@ def _grasp_of(message: Any, score: float) -> Grasp:
 
 def _biotac_fields(sample: GraspSample) -> dict[str, Any]:
     """Touch and tare of a BioTac SP by field; zeros where there is none."""
-    fields = {}
+    fields: dict[str, Any] = {}
     for prefix, touch in zip(_PREFIX.values(), (sample.touch, sample.tare), strict=True):
         parts = biotac_touch(np.zeros(TOUCH_SIZE) if touch is None else touch.values).parts()
         fields |= {f"{prefix}{name}": part for name, part in zip(_TOUCH, parts.values(), strict=True)}
