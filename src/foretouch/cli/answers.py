@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foretouch.channels import Channel, Channels
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
-from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.tactile import MODALITIES, biotac_touch
+from foretouch.errors import ConfigError, FileError, ForetouchError, TactileError
+from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Touch, TouchPrediction
 
@@ -32,13 +33,13 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
     return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
 
 
-def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
-    """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
+def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) -> dict[str, Any]:
+    """One prediction for JSON, by modality of its channels: values and bounds, bounds null without a calibration."""
     ends = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
     columns = {name: {} if touch is None else touch.parts() for name, touch in ends.items()}
     return {
         "grasp": grasp_record(prediction.grasp),
-        **{name: {key: parts.get(name) for key, parts in columns.items()} for name in MODALITIES},
+        **{name: {key: parts.get(name) for key, parts in columns.items()} for name in channels.modalities},
         "reference": prediction.reference,
         "evidence": asdict(prediction.evidence),
         "flags": list(prediction.flags),
@@ -72,15 +73,18 @@ def _message_record(message: TouchPredictionMsg) -> dict[str, Any]:
         return {"status": status, "reason": message.reason or str(err)}
 
 
-def modality_text(value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None) -> str:
-    """Value and half width of a pressure; of electrodes, least and largest value and mean half width [counts]."""
+def modality_text(
+    value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, *, channel: Channel | None = None
+) -> str:
+    """Value and half width of a scalar; of taxels, least and largest value and mean half width, all in the channel's unit."""
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
-    text = f"{values.min():.0f}–{values.max():.0f}" if values.size > 1 else f"{values[0]:.0f}"
+    digits = ".0f" if channel is None or channel.resolution >= 1.0 else ".3g"
+    text = f"{values.min():{digits}}–{values.max():{digits}}" if values.size > 1 else f"{values[0]:{digits}}"
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
         return text
-    return f"{text} ±{np.mean(np.subtract(upper, lower)) / 2.0:.0f}"  # no space: a table folds there
+    return f"{text} ±{np.mean(np.subtract(upper, lower)) / 2.0:{digits}}"  # no space: a table folds there
 
 
 def answer_key(record: Mapping[str, Any]) -> str | int:
@@ -111,8 +115,8 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
     return records
 
 
-def prediction_from_record(record: Any) -> TouchPrediction:
-    """A prediction from the JSON of `predict` and `run`.
+def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPrediction:
+    """A prediction of some channels from the JSON of `predict` and `run`.
 
     Raises:
         ConfigError: Names the field that is missing or wrong.
@@ -128,15 +132,15 @@ def prediction_from_record(record: Any) -> TouchPrediction:
         touches: list[Touch | None] = []
         for end in ("value", "lower", "upper"):
             known = []
-            for field in MODALITIES:
+            for field in channels.modalities:
                 part = record[field][end]
                 known += [] if part is None else [np.atleast_1d(np.array(part, np.float64))]
-            touches.append(biotac_touch(np.concatenate(known)) if len(known) == len(MODALITIES) else None)
+            touches.append(Touch(np.concatenate(known), channels) if len(known) == len(channels.modalities) else None)
         field = "status"
         value, lower, upper = touches
         others: dict[str, Any] = {name: record[name] for name in ("reference", "status", "reason")}
         return TouchPrediction(grasp, value, lower, upper, flags=tuple(record["flags"]), **others)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, TactileError) as err:
         raise ConfigError(
             f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
         ) from err
