@@ -4,25 +4,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.channels import Channel, Channels
+from foretouch.channels import Channels
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.errors import ConfigError, FileError, ForetouchError, TactileError
-from foretouch.tactile import BIOTAC
+from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from foretouch_msgs.msg import TactilePrediction, TactilePredictionArray, TouchPredictionArray
     from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
-    from foretouch_msgs.msg import TouchPredictionArray
 
 
 ANSWER_SUFFIXES = (".json", ".jsonl")
@@ -34,7 +35,7 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
 
 
 def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) -> dict[str, Any]:
-    """One prediction for JSON, by modality of its channels: values and bounds, bounds null without a calibration."""
+    """One prediction for JSON: values and bounds of each of the modalities, bounds null without a calibration."""
     ends = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
     columns = {name: {} if touch is None else touch.parts() for name, touch in ends.items()}
     return {
@@ -48,8 +49,8 @@ def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) 
     }
 
 
-def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
-    """A `touch` message as `run --json` prints it."""
+def answer_record(message: TouchPredictionArray | TactilePredictionArray, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
+    """A `touch` message, or a `tactile` message of a sensor, as `run --json` prints it."""
     from foretouch.ros.messages.requests import status_name
 
     return {
@@ -57,34 +58,33 @@ def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
         "frame_id": message.header.frame_id,
         "status": status_name(message.status),
         "reason": message.reason,
-        "predictions": [_message_record(one) for one in message.predictions],
+        "predictions": [_message_record(one, sensor) for one in message.predictions],
     }
 
 
-def _message_record(message: TouchPredictionMsg) -> dict[str, Any]:
+def _message_record(message: TouchPredictionMsg | TactilePrediction, sensor: Sensor) -> dict[str, Any]:
     """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
 
     try:
-        return prediction_record(prediction_from_msg(message))
+        return prediction_record(prediction_from_msg(message, sensor), sensor.channels)
     except ForetouchError as err:
         status = status_name(message.status) if message.status else "failed"
         return {"status": status, "reason": message.reason or str(err)}
 
 
 def modality_text(
-    value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, *, channel: Channel | None = None
+    value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, text: Callable[[float], str] = "{:.0f}".format
 ) -> str:
-    """Value and half width of a scalar; of taxels, least and largest value and mean half width, all in the channel's unit."""
+    """Value and half width of a single number; of several, least and largest value and mean half width."""
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
-    digits = ".0f" if channel is None or channel.resolution >= 1.0 else ".3g"
-    text = f"{values.min():{digits}}–{values.max():{digits}}" if values.size > 1 else f"{values[0]:{digits}}"
+    found = f"{text(values.min())}–{text(values.max())}" if values.size > 1 else text(values[0])
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
-        return text
-    return f"{text} ±{np.mean(np.subtract(upper, lower)) / 2.0:{digits}}"  # no space: a table folds there
+        return found
+    return f"{found} ±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
 
 
 def answer_key(record: Mapping[str, Any]) -> str | int:
@@ -116,7 +116,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
 
 
 def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPrediction:
-    """A prediction of some channels from the JSON of `predict` and `run`.
+    """A prediction for a sensor from the JSON of `predict` and `run`.
 
     Raises:
         ConfigError: Names the field that is missing or wrong.

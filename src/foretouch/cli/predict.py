@@ -206,7 +206,7 @@ def _show(record: dict[str, Any], *, channels: Channels) -> None:
     rows = [
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
-            *(modality_text(**one[name], channel=channel) for name, channel in channels.channel_of.items()),
+            *(modality_text(**one[name], text=channel.text) for name, channel in channels.channel_of.items()),
             "\n".join([_reference_text(one, record["touched"]), *(flag.replace("_", " ") for flag in one["flags"])]),
         ]
         for one in record["predictions"]

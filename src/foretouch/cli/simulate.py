@@ -153,10 +153,10 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         ]
     seconds = time.perf_counter() - start
     shutil.rmtree(chunks_folder(arguments.out), ignore_errors=True)
-    if not arguments.no_sheet and scene.fingers.taxels is None:  # the sheet draws electrodes
+    if not arguments.no_sheet:
         from foretouch.report.touch_figure import save_contact_sheet
 
-        save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}")
+        save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}", writer.sensor)
     _report(simulation, writer.sha256, arguments, seconds)
     return 0
 
