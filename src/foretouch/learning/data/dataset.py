@@ -5,19 +5,19 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.store_writer import SampleFacts
-from foretouch.dataset.stored_sample import StoredSample
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
 
 _VISION2TACTILE: Final = {
@@ -67,7 +67,7 @@ class Dataset:
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
-    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
+    sensor: Sensor = BIOTAC_SP
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -133,6 +133,28 @@ class Dataset:
         if validation > 0.0 and not len(chosen):
             raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
         return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+
+
+class StoredSample(GraspSample):
+    """A sample in memory but for its cloud, which is read from the store whenever it is used and is not kept.
+
+    Clouds that are used in the order of the store cost one read of each batch. A pickle holds the path of the store.
+    """
+
+    @classmethod
+    def of(cls, sample: GraspSample, store: Store, number: int) -> Self:
+        """Sample `number` of a store, read before."""
+        stored = cls.__new__(cls)
+        vars(stored).update({**vars(sample), "_place": (store, number)})
+        del vars(stored)["cloud"]
+        return stored
+
+    def __getattr__(self, name: str) -> Any:
+        """The cloud; raises `FileError` if the store was removed or changed since it was opened."""
+        if name != "cloud":
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        store, number = vars(self)["_place"]
+        return only_finite(store[number]).cloud
 
 
 def sample_hash(sample: GraspSample) -> str:
