@@ -14,7 +14,7 @@ from foretouch.models.contact.features import CONDITIONS, FEATURES
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES, columns
 
 FACTS = {
     "level": 0.9,
@@ -32,8 +32,8 @@ def make_calibration(seed: int = 0) -> Calibration:
         within = rng.uniform(300.0, 900.0, 50)
         spread = np.diag(between) + within
         shrinkage = rng.uniform(0.2, 1.0, 50)
-        groups[name] = CalibrationGroup(between, within, shrinkage, spread, (1.6 + 0.1 * k) * np.sqrt(spread))
-    return Calibration(REST, groups)
+        groups[name] = CalibrationGroup(BIOTAC, between, within, shrinkage, spread, (1.6 + 0.1 * k) * np.sqrt(spread))
+    return Calibration(BIOTAC, REST, groups)
 
 
 def make_tracked_calibration() -> Calibration:
@@ -81,6 +81,6 @@ def save_calibrated_contact(folder: Path) -> str:
     known = ((rows - centre) / scale).astype(np.float32)
     kernel = KernelRegression(centre, scale, known, 0.1 * labels.astype(np.float32), np.array(2.0))
     novelty = NoveltyDetector.fit(described, ["a", "b"] * 20)
-    estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0), np.ones(4))
+    estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0), np.ones(4), P2_RANGES.ranges)
     facts = {"summary": "fitted to nothing"}
     return str(save_contact(folder, "contact", estimator, facts, (make_calibration(), FACTS)))

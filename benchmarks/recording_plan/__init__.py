@@ -34,7 +34,7 @@ from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.models.tracker import SensorTracker
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, columns
 from foretouch.types import GraspSample
 
 _NOTHING, _CONTACT, _OBJECT, _REPEAT = "nothing", "contact", "object", "a repeat"
@@ -153,7 +153,7 @@ def _scores(recording: Recording, played: Mapping[str, Replayed], every: int, co
     for regime in ("never touched", "first three"):
         at = touches <= REGIMES[regime][1]
         errors = {
-            name: ObjectErrors.of_predictions(objects[at], one.counts[at], readings[at], reference[at])
+            name: ObjectErrors.of_predictions(objects[at], one.counts[at], readings[at], reference[at], BIOTAC)
             for name, one in played.items()
         }
         for name, one in played.items():
@@ -161,7 +161,9 @@ def _scores(recording: Recording, played: Mapping[str, Replayed], every: int, co
             gain = skills(without, config) if name == _NOTHING else compare(errors[name], without, config)
             found[regime, name] = gain, np.abs(readings - one.counts)[at] <= one.half[at]
     half = (readings[again] - readings[again - 1]) / np.sqrt(2.0)
-    least = ObjectErrors.of_predictions(objects[again], readings[again] - half, readings[again], reference[again])
+    least = ObjectErrors.of_predictions(
+        objects[again], readings[again] - half, readings[again], reference[again], BIOTAC
+    )
     found["all", _REPEAT] = skills(least, config), None
     for (regime, name), (estimates, inside) in found.items():
         for key in MODALITIES:

@@ -34,7 +34,7 @@ from foretouch.models.network.batch_norm import batch_affine
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.object_shape import object_sizes
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, columns
 from foretouch.types import Grasp
 
 _COLUMN = {name: k for k, name in enumerate(FEATURES)}
@@ -115,7 +115,7 @@ def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     noise = span(t, 100.0, 8.0)  # below, the floor of 0.29 counts of rounding takes over
     predicted = 3000.0 + noise * rng.normal(size=(12, 50))
     labels = predicted + noise * (0.3 * rng.normal(size=(12, 50)))
-    group = fit_group(HeldOutPredictions(predicted, labels, sessions, sessions))
+    group = fit_group(HeldOutPredictions(predicted, labels, sessions, sessions, BIOTAC))
     x, y = exact(predicted), exact(labels)
     spread = ((y - x) ** 2).sum(axis=0) / 12
     for k in range(3):

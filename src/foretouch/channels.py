@@ -5,7 +5,7 @@ A modality is one channel of one finger, such as `PDC_TH` (one value) or `E_MF` 
 modalities one after the other: by channel, first those of the whole finger, then those of its taxels; in a channel by finger.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -43,6 +43,10 @@ class Channel:
     tared: bool
     noise: float
     resolution: float
+
+    def text(self, value: float) -> str:
+        """A number for people: a whole one where the numbers are, else with three digits."""
+        return f"{value:.0f}" if self.resolution == 1.0 else f"{value:.3g}"
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,28 @@ class Channels:
         return self._of_values("resolution")
 
     @cached_property
+    def most(self) -> _Floats:
+        """(D,) float64, ten times the largest number of a working sensor, beyond which a prediction is an error; read-only."""
+        found: _Floats = _kept(10.0 * np.maximum(np.abs(self.low), np.abs(self.high)))
+        return found
+
+    @cached_property
+    def tared(self) -> npt.NDArray[np.bool_]:
+        """(D,) whether the rest level is measured, else it is zero; read-only."""
+        found: npt.NDArray[np.bool_] = _kept(self._of_values("tared") > 0.0)
+        return found
+
+    @cached_property
+    def finger_means(self) -> _Floats:
+        """(F, D) float64 matrix that takes the mean of the values of each finger; read-only."""
+        return _mean_rows(self.finger_columns, self.size)
+
+    @cached_property
+    def modality_means(self) -> _Floats:
+        """(M, D) float64 matrix that takes the mean of the values of each modality; read-only."""
+        return _mean_rows(self._columns, self.size)
+
+    @cached_property
     def _columns(self) -> dict[str, _Index]:
         return {name: np.flatnonzero(self.modality_of_value == k) for k, name in enumerate(self.modalities)}
 
@@ -133,6 +159,14 @@ class Channels:
 
 LARGEST: Final = 1e9
 """Of a number without a range, such as a force as float32."""
+
+
+def _mean_rows(groups: Mapping[str, _Index], size: int) -> _Floats:
+    rows = np.zeros((len(groups), size))
+    for row, values in zip(rows, groups.values(), strict=True):
+        row[values] = 1.0 / len(values)
+    found: _Floats = _kept(rows)
+    return found
 
 
 def _kept(array: npt.NDArray[Any]) -> Any:

@@ -122,7 +122,7 @@ def test_a_tare_that_is_like_a_reading_in_contact_is_warned_of_by_file_and_chann
     (line,) = [one for one in answer.err.splitlines() if "contact" in one]
     assert line.startswith(f"foretouch: {tmp_path / 'held.json'}: as in contact, or of another hand; a tare is")
     assert "PDC_TH: 3119 is far above the rest level, 2719 ± " in line
-    assert line.endswith("E_MF: 24 electrodes are far below their rest level")
+    assert line.endswith("E_MF: 24 values are far below their rest level")
 
 
 def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -> None:

@@ -100,11 +100,11 @@ def test_predictions_are_those_of_predict_and_readings_are_beside_them(view, dat
     touches = {k: one.sample.touch for k, one in enumerate(records_of(dataset))}
     drawn = written.rows("/touch/PDC_TH/read", "Scalars:scalars")
     assert drawn == {k: [touch["PDC_TH"][0]] for k, touch in touches.items() if touch is not None}
-    sizes = written.rows("/electrodes/TH/read", "Points2D:positions")
+    sizes = written.rows("/taxels/TH/read", "Points2D:positions")
     assert {k: len(points) for k, points in sizes.items()} == {k: 24 * (t is not None) for k, t in touches.items()}
     colours: dict[str, set[int]] = {}
     for what in ("predicted", "read"):
-        labels, shades = (written.rows(f"/electrodes/TH/{what}", f"Points2D:{name}") for name in ("labels", "colors"))
+        labels, shades = (written.rows(f"/taxels/TH/{what}", f"Points2D:{name}") for name in ("labels", "colors"))
         for step, texts in labels.items():
             for text, shade in zip(texts, shades[step], strict=True):
                 colours.setdefault(text, set()).add(shade)
@@ -131,7 +131,7 @@ def test_cloud_hand_and_fingertips_are_where_they_are(view, dataset) -> None:
     ends = (first.grasp.g1, first.grasp.g2)
     for finger, contact, other in (("thumb", *ends), ("middle_finger", *ends[::-1])):
         origin, rotation = pose(f"/scene/{finger}")
-        drawn = np.array(written.rows(f"/scene/{finger}/electrodes", "Points3D:positions")[0])
+        drawn = np.array(written.rows(f"/scene/{finger}/taxels", "Points3D:positions")[0])
         (axes,) = written.rows(f"/scene/{finger}/skin", "Ellipsoids3D:half_sizes")[0]
         np.testing.assert_allclose(drawn, electrode_positions() + LAYER_M * electrode_normals(), atol=1e-6)
         assert ((drawn / axes) ** 2).sum(axis=1) == pytest.approx(1.0, abs=0.12)  # 21 to 24 sit on a flat
@@ -169,7 +169,7 @@ def test_clouds_have_tables_objects_and_planned_grasps_and_no_hand_without_one(c
     for number, name in enumerate(("scene.npz", "empty.npz", "scene.npz")):
         (tmp_path / f"{number}.npz").write_bytes((files / name).read_bytes())
     written = view(tmp_path)
-    electrodes = written.rows("/scene/thumb/electrodes", "Points3D:positions")
+    electrodes = written.rows("/scene/thumb/taxels", "Points3D:positions")
     assert {step: len(points) for step, points in electrodes.items()} == {0: 24, 1: 0, 2: 24}
     assert [len(row) for row in written.rows("/scene/thumb/skin", "Ellipsoids3D:half_sizes").values()] == [1, 0, 1]
     assert written.rows("/scene/hand", "TransformAxes3D:axis_length")[1] == [0.0]

@@ -32,7 +32,7 @@ from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud
-from foretouch.tactile import TOUCH_SIZE, TactileRanges, biotac_touch
+from foretouch.tactile import BIOTAC, TOUCH_SIZE, TactileRanges, biotac_touch
 from foretouch.types import Cloud, GraspSample
 
 Cases = Iterator[tuple[Any, ...]]
@@ -182,9 +182,9 @@ def calibration_cases() -> Cases:
 def _calibrated(predicted: Any, labels: Any, objects: str) -> list[Any]:
     """A calibration that was written and read."""
     names = np.array(list(objects), np.str_)
-    held_out = HeldOutPredictions(predicted, labels, names, names)
+    held_out = HeldOutPredictions(predicted, labels, names, names, BIOTAC)
     made, _ = make_calibration(np.full(TOUCH_SIZE, 2500.0), {"known": held_out, "new": held_out})
-    return list(Calibration.from_tensors(made.to_tensors()).to_tensors().values())
+    return list(Calibration.from_tensors(made.to_tensors(), BIOTAC).to_tensors().values())
 
 
 def made_samples(objects: int = 3, each: int = 4, *, constant: float | None = None) -> list[GraspSample]:

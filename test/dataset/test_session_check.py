@@ -14,11 +14,12 @@ from recording_builders import write_dataset
 from foretouch.dataset.info import describe
 from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, last_check, store_check
 from foretouch.errors import FileError
-from foretouch.tactile.messages.table import TactileReading
+from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.tactile.readings import to_celsius
 from foretouch.types import Plane
 
 MS = 1_000_000
+READ: Any = None  # the readings are given as decoded
 TABLE = Plane(np.array([0.0, 0.0, -1.0]), 1.0)  # 1 m before the camera
 FLOOR = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 81), np.linspace(-0.3, 0.3, 61), [1.0]), -1).reshape(-1, 3)
 BOX = np.random.default_rng(0).uniform((-0.03, -0.03, 0.9), (0.03, 0.03, 0.96), (2000, 3))
@@ -56,7 +57,7 @@ def faults(findings: list[CheckFinding]) -> dict[str, str]:
 
 def test_a_setup_without_a_fault_has_none_and_each_fault_is_named_alone(rng) -> None:
     def setup(**changes: Any) -> dict[str, str]:
-        check = SessionCheck(("TH", "MF"), ("TDC_TH", "TDC_MF"))
+        check = SessionCheck(("TH", "MF"), TactileReader(READ, ("TDC_TH", "TDC_MF")))
         sensor = Sensor(check, rng)
         rate_hz, delay_ms = changes.pop("rate_hz", 30.0), changes.pop("delay_ms", 50)
         look(check, rate_hz, delay_ms, *changes.pop("others", ()))
@@ -77,7 +78,7 @@ def test_a_setup_without_a_fault_has_none_and_each_fault_is_named_alone(rng) -> 
         "slow camera": ({"rate_hz": 5.0}, "camera rate", " Hz, at least 10 are needed"),
         "late camera": ({"delay_ms": 800}, "camera clock", "0.80 s behind"),
         "hot": ({"tdc": 3300.0}, "thumb temperature", "°C; 10 to 60 are plausible"),
-        "electrode": ({"counts": (one_still,)}, "thumb", "electrodes 5 never change"),
+        "electrode": ({"counts": (one_still,)}, "thumb", "taxels 4 (the first is 0) never change"),
         "absent": ({"counts": (absent,)}, "middle finger", "e_mf: all 24 values"),
         "touched": ({"counts": (REST, level(3))}, "thumb", "is touched: no tare; keep the fingers open and still"),
         "hand": ({"others": (ARM,)}, "hand in view", "something stands 1"),
@@ -90,7 +91,7 @@ def test_a_setup_without_a_fault_has_none_and_each_fault_is_named_alone(rng) -> 
         assert set(found) <= {name} | both.get(name, set()), found
 
     every_case(cases, check)
-    nothing = faults(SessionCheck(("TH", "MF"), ()).at_rest())
+    nothing = faults(SessionCheck(("TH", "MF"), TactileReader(READ)).at_rest())
     assert {"hand rate", "camera rate", "thumb", "middle finger", "table", "hand in view"} == set(nothing)
     assert to_celsius(2048.0) == pytest.approx(49.3, abs=0.05)  # 4025 / ln(131900 / 0.5001) - 273.15
 
@@ -102,7 +103,7 @@ def test_the_pressed_finger_must_answer_and_alone(rng) -> None:
     middle = np.where(np.isin(np.arange(50), own), REST, both)
 
     def press(*felt: Any) -> dict[str, str]:
-        check = SessionCheck(("TH", "MF"), ())
+        check = SessionCheck(("TH", "MF"), TactileReader(READ))
         sensor = Sensor(check, rng)
         sensor.feel(REST, 200)
         for finger, counts in zip(("TH", "MF"), felt, strict=True):

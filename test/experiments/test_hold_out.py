@@ -22,7 +22,7 @@ from foretouch.experiments.shared.tables import select
 from foretouch.learning.data import Dataset, labels_of, load_dataset, make_folds
 from foretouch.learning.evaluation.baselines import object_mean
 from foretouch.learning.evaluation.metrics import score
-from foretouch.tactile import MODALITIES
+from foretouch.tactile import MODALITIES, P2_RANGES
 
 RESULTS = Path(__file__).parents[2] / "docs/results"
 SAMPLES = make_samples(6, 10)
@@ -96,7 +96,7 @@ def test_cross_validation_is_what_the_metrics_say(collection) -> None:
         train, test = ([collection.samples[k] for k in side] for side in (fold.train, fold.test))
         predicted[fold.test] = object_mean(train, labels[fold.train], test, 0)
         mean[fold.test] = labels[fold.train].mean(axis=0)
-    scores = score(predicted, labels, mean)
+    scores = score(predicted, labels, mean, P2_RANGES.ranges)
     rows = {row["modality"]: row for row in select(table, object="all")}
     for modality in MODALITIES:
         assert rows[modality]["skill"] == pytest.approx(scores[modality].skill)

@@ -16,6 +16,7 @@ from foretouch.experiments.shared.simulated_data import SimulatedSettings, load_
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile.channels import BIOTAC
 
 GRASPS, SIGMA_M, SIGMA = 4000, 3.0, 4.0  # so 9 / 25 of the variance can be told
 TRUE_CEILING = SIGMA_M**2 / (SIGMA_M**2 + SIGMA**2)
@@ -30,7 +31,8 @@ def rows(repeats: int, predictors: dict[str, Any]) -> list[dict[str, Any]]:
     share = 1.0 - 1.0 / repeats
     columns = {"mean": mean, "rest": share * spread, "within": spread, "within_change": spread}
     columns["reference"] = mean**2 + share * spread
-    head = {"what": "repeats", "name": "all"}
+    sizes = {name: channel.size for name, channel in BIOTAC.channel_of.items()}
+    head = {"what": "repeats", "name": "all", "modalities": sizes}
     told = [{**head, "id": str(k), **{name: all_[k] for name, all_ in columns.items()}} for k in range(GRASPS)]
     for name, predict in predictors.items():
         said = predict(true)

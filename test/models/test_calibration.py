@@ -16,7 +16,7 @@ from foretouch.errors import ModelError
 from foretouch.models import load_model
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import biotac_touch
+from foretouch.tactile import BIOTAC, biotac_touch
 
 SIZE = 50
 Change = Callable[[np.ndarray], np.ndarray | None]
@@ -24,7 +24,7 @@ Change = Callable[[np.ndarray], np.ndarray | None]
 
 def group_of(between: np.ndarray, within: np.ndarray, difference_shrinkage: float) -> CalibrationGroup:
     return CalibrationGroup(
-        between, within, np.full(SIZE, difference_shrinkage), np.diag(between) + within, np.full(SIZE, 100.0)
+        BIOTAC, between, within, np.full(SIZE, difference_shrinkage), np.diag(between) + within, np.full(SIZE, 100.0)
     )
 
 
@@ -46,7 +46,7 @@ def test_touches_move_predictions_as_conditioning_does(rng) -> None:
     def check(between: np.ndarray, touches: int, difference_shrinkage: float, known: bool) -> None:
         group = group_of(between, rng.uniform(50.0, 900.0, SIZE), difference_shrinkage)
         # Of known objects, only the diagonals in the basis of new ones are used: both have the same group here.
-        parameters = Calibration(REST, {"known": group, "new": group}).tracker_parameters
+        parameters = Calibration(BIOTAC, REST, {"known": group, "new": group}).tracker_parameters
         tracker = SensorTracker(replace(parameters, alarm=np.full((2, 2), 1e6)))
         tracker.start_object(known=known)
         touched, readings = 3000.0 + 60.0 * rng.normal(size=(2, touches, SIZE))
@@ -69,7 +69,7 @@ def test_touches_move_predictions_as_conditioning_does(rng) -> None:
 def test_what_lasts_on_known_objects_too_is_of_the_sensors() -> None:
     groups = make_calibration().groups
     small = replace(groups["known"], between=0.3 * groups["new"].between, within=groups["new"].within)
-    parameters = Calibration(REST, {"known": small, "new": groups["new"]}).tracker_parameters
+    parameters = Calibration(BIOTAC, REST, {"known": small, "new": groups["new"]}).tracker_parameters
     lasting = parameters.object + parameters.slow
     assert_allclose(parameters.slow, 0.3 * lasting[0], rtol=1e-9)
     assert_allclose(parameters.object[1], 0.0, atol=1e-9)
@@ -87,7 +87,7 @@ def test_before_any_reading_intervals_are_conformal_or_those_of_the_fitted_track
 
 def test_tensors_give_it_back_to_the_bit() -> None:
     for calibration in (make_calibration(), make_tracked_calibration()):
-        again = Calibration.from_tensors(calibration.to_tensors())
+        again = Calibration.from_tensors(calibration.to_tensors(), BIOTAC)
         assert (again.tracker is None) == (calibration.tracker is None)
         assert again.to_tensors().keys() == calibration.to_tensors().keys()
         for name, array in calibration.to_tensors().items():
@@ -109,7 +109,7 @@ def test_damage_is_refused_by_name() -> None:
         if (value := change(tensors.pop(name))) is not None:
             tensors[name] = value
         with pytest.raises(ModelError, match=rule):
-            Calibration.from_tensors(tensors)
+            Calibration.from_tensors(tensors, BIOTAC)
 
     cases = [
         ("rest", lambda a: None, "rest: is missing"),
@@ -138,7 +138,7 @@ def test_a_calibration_that_amplifies_is_refused() -> None:
     tensors["new/between"][:2, :2] = [[1e6, 9.9e1], [9.9e1, 1e-2]]
     tensors["new/within"] = np.r_[1e6, 1e-3, np.ones(SIZE - 2)]
     with pytest.raises(ModelError, match=r"^between, within: no tracker can be made of them: .* 10 is allowed"):
-        Calibration.from_tensors(tensors)
+        Calibration.from_tensors(tensors, BIOTAC)
 
 
 def test_readings_in_contact_are_found_and_what_drifts_at_rest_is_not(rng: np.random.Generator, request) -> None:

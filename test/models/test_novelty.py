@@ -13,6 +13,7 @@ from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
+from foretouch.tactile import BIOTAC
 
 HERE = np.array([0.0, 0.0, 1.2])
 SIDES = np.array([[0.05, 0.08, 0.1], [0.06, 0.06, 0.15], [0.1, 0.12, 0.05]])
@@ -31,7 +32,7 @@ def trained(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.fixture
 def fallback(trained: np.ndarray) -> Fallback:
-    return Fallback.fit(trained, LABELS)
+    return Fallback.fit(BIOTAC, trained, LABELS)
 
 
 def test_sizes_are_what_they_are_called_and_do_not_depend_on_the_place(rng) -> None:
@@ -66,13 +67,13 @@ def test_the_score_falls_as_an_object_grows_and_one_size_in_all_of_training_is_f
     found = [fallback.score(trained[-1] * np.r_[np.full(7, factor), 1.0]) for factor in np.linspace(1.0, 3.0, 30)]
     assert (np.diff(found) <= 1e-12).all()
     assert (found[0] > 0.0, found[-1]) == (True, 0.0)
-    same = Fallback.fit(np.tile(trained[0], (8, 1)), LABELS[:8])
+    same = Fallback.fit(BIOTAC, np.tile(trained[0], (8, 1)), LABELS[:8])
     assert same.score(trained[0]) == pytest.approx(1.0)
     assert same.score(trained[-1]) == 0.0
 
 
 def test_tensors_give_it_back_to_the_bit_and_damage_is_refused_by_name(fallback, trained) -> None:
-    again = Fallback.from_tensors(fallback.to_tensors())
+    again = Fallback.from_tensors(fallback.to_tensors(), channels=BIOTAC)
     assert [again.score(one) for one in trained] == [fallback.score(one) for one in trained]
 
     def check(rule: str, name: str, value: Any) -> None:
@@ -80,7 +81,7 @@ def test_tensors_give_it_back_to_the_bit_and_damage_is_refused_by_name(fallback,
         if value is None:
             del tensors[name]
         with pytest.raises(ModelError, match=rule):
-            Fallback.from_tensors(tensors)
+            Fallback.from_tensors(tensors, channels=BIOTAC)
 
     cases = [
         ("span: is missing", "span", None),

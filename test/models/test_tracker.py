@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import ModelError, TactileError
-from foretouch.models.state_space import FINGERS, TrackerParameters
+from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
+from foretouch.tactile import BIOTAC
 
 SIZE, S, DAY = 50, 10**9, 86400 * 10**9
 START = 1_700_000_000 * S
@@ -115,7 +116,7 @@ def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> 
         others = np.setdiff1d(np.arange(SIZE), values)
         assert_allclose(after.variance[others], before.variance[others], rtol=0.1)
 
-    every_case(zip(FINGERS, (np.r_[0, 2:26], np.r_[1, 26:50]), strict=True), check)
+    every_case(zip(BIOTAC.fingers, (np.r_[0, 2:26], np.r_[1, 26:50]), strict=True), check)
 
 
 def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
@@ -244,7 +245,7 @@ def test_a_reading_a_little_late_counts_as_of_the_newest_time() -> None:
 
 
 def test_parameters_that_cannot_be_are_refused_by_name() -> None:
-    again = TrackerParameters.from_tensors(PARAMETERS.to_tensors())
+    again = TrackerParameters.from_tensors(PARAMETERS.to_tensors(), channels=BIOTAC)
     for name, array in PARAMETERS.to_tensors().items():
         assert_array_equal(again.to_tensors()[name], array)
 
@@ -259,7 +260,7 @@ def test_parameters_that_cannot_be_are_refused_by_name() -> None:
         else:
             tensors[name] = tensors[name].astype(np.int64)
         with pytest.raises(ModelError, match=f"^{name}: "):
-            TrackerParameters.from_tensors(tensors)
+            TrackerParameters.from_tensors(tensors, channels=BIOTAC)
 
     optional = ("slope", "slope_sd")  # of models that were fitted without temperatures
     harms = {name: (*HARM, "shape", "integer", *("missing",) * (name not in optional)) for name in again.to_tensors()}
@@ -271,11 +272,11 @@ HARM = {"nan": np.nan, "negative": -1e12, "huge": 1e12}
 
 def test_a_singular_or_amplifying_basis_is_refused() -> None:
     with pytest.raises(ModelError, match=r"^basis: is singular"):
-        TrackerParameters.from_tensors(replace(PARAMETERS, basis=np.ones((SIZE, SIZE))).to_tensors())
+        TrackerParameters.from_tensors(replace(PARAMETERS, basis=np.ones((SIZE, SIZE))).to_tensors(), channels=BIOTAC)
     skewed = np.eye(SIZE) * 20.0
     skewed[0, 1] = 1e5
     with pytest.raises(ModelError, match=r"^basis, object: [0-9]+ touches turn .* 10 is allowed"):
-        TrackerParameters.from_tensors(replace(PARAMETERS, basis=skewed).to_tensors())
+        TrackerParameters.from_tensors(replace(PARAMETERS, basis=skewed).to_tensors(), channels=BIOTAC)
 
 
 def test_a_state_that_cannot_be_is_refused_by_name() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from constant_models import sensor_with_dead
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -14,7 +15,10 @@ from sim_builders import CAN, run, scene
 from foretouch.pipeline import FoundObject
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_front, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
+from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Cloud, Grasp, GraspSample, Plane, Touch, TouchPrediction
+
+BIOTAC_SP = packaged_sensor("biotac_sp")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +72,7 @@ def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path) -> 
     nothing = picture(tmp_path / "a.png", target, refused)
     read = picture(tmp_path / "b.png", target, refused, rest=tare, read=prediction.value)
     assert (read < 0.9).sum() > 1.3 * (nothing < 0.9).sum()
-    assert _agreement(DrawnGrasp(target=target, prediction=refused)) == "not predicted: no usable model"
+    assert _agreement(DrawnGrasp(target=target, prediction=refused), BIOTAC_SP) == "not predicted: no usable model"
 
 
 def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_pressures_alone(sample, tmp_path) -> None:
@@ -78,11 +82,11 @@ def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_press
     shifted = value.copy()
     shifted[[0, 10, 11, 12]] += (-100.0, 50.0, 70.0, -80.0)
     one = DrawnGrasp(target=target, prediction=prediction, read=biotac_touch(shifted))
-    assert _agreement(one) == "mean difference 4 counts an electrode"
+    assert _agreement(one, BIOTAC_SP) == "mean difference of a taxel: E 4 counts"
     bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
-    text = "mean difference 4 counts an electrode; within their 90 % intervals: 46 of 48 electrodes, 1 of 2 pressures"
-    assert _agreement(bounded) == text
-    assert _agreement(replace(one, read=None)) == ""
+    text = "mean difference of a taxel: E 4 counts; within their 90 % intervals: 46 of 48 E, 1 of 2 PDC"
+    assert _agreement(bounded, BIOTAC_SP) == text
+    assert _agreement(replace(one, read=None), BIOTAC_SP) == ""
     plain, marked = (picture(tmp_path / "a.png", target, one, rest=tare) for one in (prediction, bounded.prediction))
     changed = np.flatnonzero((plain != marked).any(axis=(1, 2)))
     assert changed.size
@@ -113,7 +117,7 @@ def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None
     target, prediction, _ = sample
     figure = Figure(figsize=(3, 3))
     axes = figure.add_subplot()
-    _draw_front(axes, target.cloud, prediction.grasp)
+    _draw_front(axes, target.cloud, prediction.grasp, ["thumb", "middle finger"])
     figure.canvas.draw()
     names = {text.get_text(): text for text in axes.texts}
     assert names.keys() == {"thumb", "middle finger"}
@@ -153,3 +157,53 @@ def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> Non
     drawn, page = figure.get_tightbbox(), figure.bbox_inches
     assert drawn.x0 >= 0.0 <= drawn.y0
     assert (drawn.x1 <= page.x1, drawn.y1 <= page.y1) == (True, True)
+
+
+def of_any_sensor(name: str, rng: np.random.Generator, *dead: int) -> tuple:
+    """A sensor, with dead taxels, and a reading that a blunt contact in the middle of each pad changes, with its rest."""
+    sensor = sensor_with_dead(name, *dead)
+    tared = sensor.taxel_channels[0].tared
+    rest = np.where(not tared, 0.0, 1000.0 + rng.normal(0.0, 5.0, sensor.channels.size))
+    places = sensor.layout.positions
+    near = np.exp(-((places - places.mean(axis=0)) ** 2).sum(axis=1) / (2.0 * 0.003**2))
+    values = rest.copy()
+    for k, one in enumerate(sensor.taxel_channels):
+        size = (1500.0 if one.tared else 0.1) * (1.0 if one.name in ("Z", "BZ", "normal") else -0.2)
+        values[sensor.taxel_columns[..., k]] += size * near
+    return sensor, Touch(values, sensor.channels), Touch(rest, sensor.channels)
+
+
+def test_a_sensor_of_any_layout_is_drawn_by_its_chosen_channel_and_dead_taxels_are_hollow(
+    sample, tmp_path, monkeypatch, rng
+) -> None:
+    target, prediction, _ = sample
+    drawn: list[Figure] = []
+    monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path, dpi: drawn.append(figure) or path)
+    sensor, touch, rest = of_any_sensor("xela_uskin_4x4", rng, 5, 6)
+    predicted = replace(prediction, value=touch)
+    save_touch_picture(
+        tmp_path / "a.png", [DrawnGrasp(prediction=predicted, target=target, rest=rest, read=touch)], sensor
+    )
+    dots = [one for axes in drawn[0].axes for one in axes.collections if isinstance(one, PathCollection)]
+    taxels = [one for one in dots if one.get_array() is not None and len(one.get_offsets()) in (14, 16)]
+    assert [len(one.get_offsets()) for one in taxels] == [14, 14, 16, 16]  # of both fingers, predicted and read
+    hollow = [one for one in dots if not len(one.get_facecolor())]
+    assert [len(one.get_offsets()) for one in hollow] == [2, 2]
+    change = (touch.values - rest.values)[sensor.taxel_columns[1, :, 2]]
+    np.testing.assert_array_equal(taxels[2].get_array(), change)  # Z, from rest
+    low, high = taxels[0].get_clim()
+    assert low == -high < 0.0 < change.max() <= high  # it may rise or fall
+    assert [text.get_text() for axes in drawn[0].axes for text in [axes.title]][2:6] == [
+        "thumb predicted", "thumb read", "FF predicted", "FF read"]  # fmt: skip
+    assert "change of Z from rest [counts]" in drawn[0].axes[-1].get_xlabel()
+
+
+def test_places_of_a_flat_pad_are_seen_from_outside(rng) -> None:
+    sensor, _, _ = of_any_sensor("xela_uskin_4x4", rng)
+    across, along = sensor.layout.unrolled.T
+    np.testing.assert_allclose(along, sensor.layout.positions[:, 0])
+    np.testing.assert_allclose(across, -sensor.layout.positions[:, 1])  # z towards the eye, x up: y to the left
+    curved = BIOTAC_SP.layout
+    order = np.argsort(np.arctan2(curved.positions[:, 1], -curved.positions[:, 2]), kind="stable")
+    assert (np.diff(curved.unrolled[order, 0]) >= -1e-12).all()  # -z towards the eye: y to the right
+    np.testing.assert_array_equal(curved.unrolled[:, 1], curved.positions[:, 0])

@@ -23,7 +23,7 @@ from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S, C
 from foretouch.simulation.simulate import Simulation, explain_scene
 from foretouch.simulation.simulate import replay as made_again
 from foretouch.simulation.world import SampleKey, World
-from foretouch.tactile import tdc_of
+from foretouch.tactile import BIOTAC, tdc_of
 
 SCENES = Path(__file__).parents[2] / "config" / "scenes"
 HELD = {"grasps": {"insertion_m": 0.01}}
@@ -236,7 +236,9 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
         return Recording.of_samples(samples, labels, expected, labels[0]).ordered()
 
     first = recorded(0, warm_up)
-    group = fit_group(HeldOutPredictions(first.expected, first.readings, first.objects, first.objects), new=True)
+    group = fit_group(
+        HeldOutPredictions(first.expected, first.readings, first.objects, first.objects, BIOTAC), new=True
+    )
     parameters = fit_tracker(first, group, group)
     assert ((parameters.slope[2:] > 0.3) & (parameters.slope[2:] < 1.0)).all()
     warm = recorded(1, warm_up, first.expected[0])

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from foretouch.cli.output import print_json, print_text, warn
 from foretouch.dataset.recording.folder import opened_to_write
 from foretouch.dataset.session_check import CHECKS, CheckFinding, SessionCheck, store_check
-from foretouch.tactile.channels import FINGER_NAMES
-from foretouch.tactile.contact_detector import FINGER_COLUMNS
+from foretouch.tactile.channels import finger_label
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
@@ -37,7 +36,7 @@ def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
 
     assert node.input_topics is not None  # noqa: S101  an active node has them
     config, findings = node.config, list[CheckFinding]()
-    check = SessionCheck(config.tactile.fingers, node.reader.others)
+    check = SessionCheck(config.tactile.fingers, node.reader)
     feed = CheckFeed(check, node.input_topics, node.reader)
 
     def report(found: list[CheckFinding]) -> None:
@@ -54,9 +53,9 @@ def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
         warn(f"keep the fingers open and still for {_REST_S:g} s")
         feed.receive(_REST_S)
         report(check.at_rest())
-        for finger, name in zip(FINGER_COLUMNS, config.tactile.fingers, strict=True):
+        for finger, name in zip(node.reader.channels.fingers, config.tactile.fingers, strict=True):
             check.pressed.clear()
-            warn(f"press the {FINGER_NAMES[finger]} ({name}) on its pad, and let it go")
+            warn(f"press the {finger_label(finger)} ({name}) on its pad, and let it go")
             feed.receive(_PRESS_S, lambda: bool(check.pressed))
             feed.receive(_SETTLE_S)
             check.end_press(finger)

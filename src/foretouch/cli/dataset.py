@@ -247,9 +247,8 @@ def _show(arguments: argparse.Namespace) -> int:
     selected = list(_selected(samples, arguments))
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
-    save_contact_sheet(
-        arguments.out, selected, f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
-    )
+    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+    save_contact_sheet(arguments.out, selected, title, samples.sensor)
     record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
     return _print_result("drawn", record, as_json=arguments.json)
 

@@ -140,7 +140,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
     shown: list[GraspSample] = []
     start = time.perf_counter()
     with (
-        StoreWriter(arguments.out, about) as writer,
+        StoreWriter(arguments.out, about, scene.fingers.taxel_sensor()) as writer,
         progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
     ):
         for sample in _samples(simulation, arguments, advance):
@@ -156,7 +156,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
     if not arguments.no_sheet:
         from foretouch.report.touch_figure import save_contact_sheet
 
-        save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}")
+        save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}", writer.sensor)
     _report(simulation, writer.sha256, arguments, seconds)
     return 0
 

@@ -28,6 +28,7 @@ from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import StoreWriter, usable_sample
 from foretouch.errors import DatasetError, FileError
 from foretouch.ray_cluster import ray_results
+from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
 
 CHUNK_SAMPLES: Final = 512
@@ -50,6 +51,7 @@ def made_in_chunks(
     address: str,
     workers: int,
     progress: Callable[[int], None] = lambda _: None,
+    sensor: Sensor | None = None,
 ) -> Iterator[Store]:
     """Make the chunks that are missing, then open all of them in order.
 
@@ -61,6 +63,7 @@ def made_in_chunks(
         address: Of the cluster; and cores of a local one (see `ray_results`).
         workers: As of `ray_results`.
         progress: Called with the number of entries of each chunk that is there.
+        sensor: Of the readings, as of `StoreWriter`.
 
     Raises:
         FileError: If the folder holds chunks of another plan, a chunk is not there, or the disk fails.
@@ -77,7 +80,7 @@ def made_in_chunks(
     errors = {}
     if missing:
         for (k, _), _, error in ray_results(
-            partial(_make_chunk, folder, make), [(k, slots[k]) for k in missing], address, workers
+            partial(_make_chunk, folder, make, sensor=sensor), [(k, slots[k]) for k in missing], address, workers
         ):
             if error:
                 errors[k] = error
@@ -119,14 +122,14 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range]) -> str:
+def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range], sensor: Sensor | None = None) -> str:
     """Make one chunk on a node; gives its name. If a node that seemed lost made it too, both are equal."""
     number, slots = chunk
     path = _chunk(folder, number)
     if not folder.is_dir():
         raise DatasetError(f"node {socket.gethostname()} does not see {folder}, which all nodes must share")
     own = path.with_name(f"{path.name}-{socket.gethostname()}-{os.getpid()}")
-    with StoreWriter(own) as writer:
+    with StoreWriter(own, sensor=sensor) as writer:
         writer.about.update(make(slots, writer.write))
     with suppress(OSError):  # the other was earlier
         own.rename(path)
@@ -154,7 +157,13 @@ class ReadOnRay:
         }
         make = partial(_read_chunk, path)
         for store in made_in_chunks(
-            self.folder / f"source-{number}", plan, len(samples), make, self.address, self.workers
+            self.folder / f"source-{number}",
+            plan,
+            len(samples),
+            make,
+            self.address,
+            self.workers,
+            sensor=samples.sensor,
         ):
             yield from store
             yield from repeat(None, store.manifest["about"]["discarded"])

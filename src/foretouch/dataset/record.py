@@ -9,7 +9,6 @@ from typing import Final, Literal
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
 
 REST: Final = 0
@@ -35,23 +34,27 @@ class TouchSeries:
     """The readings around one grasp, in the order of their stamps; a `DatasetError` if a shape is another."""
 
     stamps_ns: Int64  # (T,) int64, from the sensor's headers [ns]; equal stamps are kept
-    counts: Float32  # (T, 50) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    counts: Float32  # (T, D) float32, each as `Touch.values`
     phases: UInt8  # (T,) uint8: REST, APPROACH or HOLD
-    others: Mapping[str, Float32] = field(default_factory=dict)  # such as `PAC0_TH`: (T,) float32 each [counts]
+    others: Mapping[str, Float32] = field(default_factory=dict)  # such as `PAC0_TH`: (T,) float32 each
 
     def __post_init__(self) -> None:
         length = len(self.stamps_ns)
         arrays: dict[str, AnyArray] = {"counts": self.counts, "phases": self.phases}
         arrays |= {f"others.{name}": values for name, values in self.others.items()}
         for name, array in arrays.items():
-            shape = (length, TOUCH_SIZE) if name == "counts" else (length,)
-            if array.shape != shape:
+            shape = (length, *array.shape[1:2]) if name == "counts" else (length,)
+            if array.shape != shape or array.ndim != 1 + (name == "counts"):
                 raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampleRecord:
-    """One recorded grasp; it is labelled if `sample.touch` is set, else its grasp is the best planned one."""
+    """One recorded grasp; it is labelled if `sample.touch` is set, else its grasp is the best planned one.
+
+    Raises:
+        DatasetError: If the readings are not of the sensor of the touch.
+    """
 
     sample: GraspSample  # if its id is "", the writer assigns `<object>/<number>`
     candidates: tuple[Grasp, ...] = ()  # the other grasps planned on the same cloud
@@ -62,6 +65,12 @@ class SampleRecord:
     detector: str = ""  # description of the method that detected the contact
     pairing_error_ns: int | None = None  # widest gap between the requested interval and the readings found [ns]
     flags: tuple[str, ...] = ()  # such as `arrival_stamped`
+
+    def __post_init__(self) -> None:
+        series, touch = self.series, self.sample.touch
+        if series is not None and touch is not None and series.counts.shape[1] != touch.channels.size:
+            shape = (len(series.stamps_ns), touch.channels.size)
+            raise DatasetError(f"series.counts: shape {series.counts.shape} is not {shape}")
 
 
 def readings(record: SampleRecord) -> TouchSeries | None:

@@ -18,15 +18,15 @@ import numpy as np
 from foretouch import __version__
 from foretouch.checked_files import open_own, parse_json
 from foretouch.dataset.files import disk_errors
-from foretouch.dataset.pairing.sensors import ALIVE, SensorHealth
-from foretouch.tactile.channels import FINGER_NAMES
-from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactDetector, contact_scores
-from foretouch.tactile.messages.table import TactileReading
+from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, SensorHealth
+from foretouch.tactile.channels import finger_label
+from foretouch.tactile.contact_detector import ContactDetector, contact_scores
+from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.tactile.readings import is_tdc, to_celsius
-from foretouch.types import Float32, Float64, Plane
+from foretouch.types import Float32, Float64, Index, Plane
 
 CHECKS: Final = "checks.jsonl"
-HAND_HZ: Final = 50.0  # least rate of the tactile messages [Hz]
+HAND_SHARE: Final = 0.5  # least rate of the tactile messages, as a share of the sensor's own
 CAMERA_HZ: Final = 10.0  # least rate of the clouds [Hz]
 HAND_OFFSET_S: Final = 0.1  # largest offset of the hand's clock [s]: `guard_s` of the pairing
 CAMERA_OFFSET_S: Final = 0.5  # largest delay of the clouds [s], which includes their computation
@@ -52,8 +52,8 @@ class SessionCheck:
     """Collects messages for a while, then reports; not thread-safe.
 
     Args:
-        fingers: Names of thumb and middle finger in the tactile messages.
-        others: Names of the further channels, as of `TactileReader`.
+        fingers: Names of both fingers in the tactile messages.
+        reader: Of these messages.
 
     Attributes:
         pressed: Fingers that were in contact, in order.
@@ -61,14 +61,14 @@ class SessionCheck:
         scene, targets: Points of the camera, and (N, 3) of each object that was found in them [m].
     """
 
-    def __init__(self, fingers: tuple[str, str], others: Sequence[str]) -> None:
+    def __init__(self, fingers: Sequence[str], reader: TactileReader) -> None:
         self.pressed: list[str] = []
         self.table: Plane | None = None
         self.scene: Float32 | None = None
         self.targets: Sequence[Float32] = ()
-        self._fingers = dict(zip(FINGER_COLUMNS, fingers, strict=True))
-        self._others = list(others)
-        self._contacts, self._health = ContactDetector(), SensorHealth()
+        self._reader, self._channels = reader, reader.channels
+        self._fingers = dict(zip(reader.channels.fingers, fingers, strict=True))
+        self._contacts, self._health = ContactDetector(None, reader.channels), SensorHealth(reader.channels)
         self._readings: deque[TactileReading] = deque(maxlen=2000)
         self._received: dict[str, list[int]] = defaultdict(list)
         self._behind: dict[str, list[int]] = defaultdict(list)
@@ -81,21 +81,27 @@ class SessionCheck:
             self._behind[what].append(received_ns - stamp_ns)
 
     def add_reading(self, reading: TactileReading, received_ns: int) -> None:
-        """Add a tactile reading."""
+        """Add a tactile reading; one in which a finger was not read shows only that."""
         self.add_message("hand", received_ns, reading.stamp_ns)
-        self._readings.append(reading)
         self._health.update(reading.counts)
+        if np.isnan(reading.counts).any():
+            return
+        self._readings.append(reading)
         events = self._contacts.update(received_ns, reading.counts)
         self.pressed += [event.finger for event in events if event.kind == "onset"]
 
     def end_press(self, finger: str) -> None:
-        """Take what is `pressed` for the answer to the press of a finger, `TH` or `MF`."""
+        """Take what is `pressed` for the answer to the press of a finger, such as `TH`."""
         self._answers[finger] = tuple(dict.fromkeys(self.pressed))
 
     def at_rest(self) -> list[CheckFinding]:
         """What the messages so far show, while nothing was to be touched."""
         found = [
-            self._rate("hand", HAND_HZ, "is the driver running, and --tactile-topic its topic?"),
+            self._rate(
+                "hand",
+                HAND_SHARE * self._reader.sensor.config.update_rate,
+                "is the driver running, and --tactile-topic its topic?",
+            ),
             self._clock("hand", HAND_OFFSET_S),
             self._rate("camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),
             self._clock("camera", CAMERA_OFFSET_S),
@@ -109,13 +115,14 @@ class SessionCheck:
         """Whether each pressed finger has answered."""
         found = []
         for finger, answers in self._answers.items():
-            other = next(name for name in FINGER_COLUMNS if name != finger)
+            first, second = self._fingers.values()
+            other = next(name for name in self._fingers if name != finger)
             text, fix = f"{' and '.join(answers) or 'no finger'} answered", ""
             if answers == (other,):
-                fix = f"fingers are swapped: --thumb {self._fingers['MF']} --middle {self._fingers['TH']}"
+                fix = f"fingers are swapped: --thumb {second} --middle {first}"
             elif answers != (finger,):
                 fix = "press one finger alone, on its pad; else check its cable" if answers else "check its cable"
-            found.append(CheckFinding(f"press {FINGER_NAMES[finger]}", text, fix))
+            found.append(CheckFinding(f"press {finger_label(finger)}", text, fix))
         return found
 
     def _rate(self, what: str, least_hz: float, fix: str) -> CheckFinding:
@@ -135,25 +142,35 @@ class SessionCheck:
         return CheckFinding(f"{what} clock", found, fix * far)
 
     def _fingers_at_rest(self) -> list[CheckFinding]:
-        counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, 50)
+        channels = self._channels
+        counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, channels.size)
         half = len(counts) // 2
-        restless = np.median(contact_scores(counts[half:], counts[:half]), axis=0) > 1.0 if half > 4 else [False] * 2
-        found = []
-        for k, (finger, columns) in enumerate(FINGER_COLUMNS.items()):
-            state, fix = self._health.states[finger] if half else "no readings", "check cable and power of the finger"
-            still = np.flatnonzero((counts[:, columns[1:]] == counts[:1, columns[1:]]).all(axis=0)) + 1 if half else ()
+        scores = contact_scores(counts[half:], counts[:half], None, channels) if half > 4 else np.zeros((1, 2))
+        restless, found = np.median(scores, axis=0) > 1.0, []
+        for k, (finger, columns) in enumerate(channels.finger_columns.items()):
+            state, fix = self._health.states[finger], "check cable and power of the finger"
+            if not half and state in (ALIVE, NO_DATA):
+                state = "no readings"
+            still = self._still(counts, columns) if half else ()
             if state == ALIVE and len(still):
-                state = f"electrodes {', '.join(map(str, still))} never change"
+                state = f"taxels {', '.join(map(str, still))} (the first is 0) never change"
             elif state == ALIVE and restless[k]:
                 state, fix = "is touched: no tare", "keep the fingers open and still"
-            found.append(CheckFinding(FINGER_NAMES[finger], state, fix * (state != ALIVE)))
-        return [*found, *(self._temperature(finger) for finger in FINGER_COLUMNS)]
+            found.append(CheckFinding(finger_label(finger), state, fix * (state != ALIVE)))
+        has_tdc = any(one.name == "TDC" for one in self._reader.sensor.config.scalars)
+        return [*found, *(self._temperature(finger) for finger in channels.fingers if has_tdc)]
+
+    def _still(self, counts: Float64, columns: Index) -> Index:
+        """Indices of the taxels of which no value has changed; forces at rest may be zero for any time."""
+        moved = (counts[:, columns] != counts[:1, columns]).any(axis=0) | ~self._channels.tared[columns]
+        values, size = sum(one.predicted for one in self._reader.sensor.config.values), self._reader.sensor.size
+        return np.flatnonzero(~moved[len(moved) - values * size :].reshape(values, size).any(axis=0))
 
     def _temperature(self, finger: str) -> CheckFinding:
-        name = f"{FINGER_NAMES[finger]} temperature"
-        if (channel := f"TDC_{finger}") not in self._others or not self._readings:
+        name, others = f"{finger_label(finger)} temperature", self._reader.others
+        if (channel := f"TDC_{finger}") not in others or not self._readings:
             return CheckFinding(name, "this type of message has none")
-        tdc = float(np.median([one.others[self._others.index(channel)] for one in self._readings]))
+        tdc = float(np.median([one.others[others.index(channel)] for one in self._readings]))
         if not is_tdc(np.array([tdc]))[0]:
             return CheckFinding(name, f"TDC is {tdc:g}: the driver sends none")
         celsius = to_celsius(tdc)

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
@@ -65,6 +65,7 @@ _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplemented
 _verified: dict[tuple[Path, Version | None, int], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
 
 _POINTS: Final = ("xyz", "rgb")
+_VECTORS: Final = ("g1", "g2", "rotation", "touch", "tare")
 _NULLABLE: Final = ("rgb", "touch", "tare")
 _MANIFEST_SCHEMA: Final = {
     "samples": int,
@@ -100,7 +101,7 @@ class _Part(NamedTuple):
 
 
 class _Batch(NamedTuple):
-    """The columns of one record batch by name, as views of its bytes where they have no nulls."""
+    """The columns of one record batch by name; points are views of its bytes where they have no nulls."""
 
     plain: dict[str, Sequence[Any]]  # texts and numbers
     offsets: dict[str, Any]  # of the points
@@ -132,6 +133,10 @@ class Store(Sequence[GraspSample]):
     def sha256(self) -> str:
         """Content hash as the writer computed it; `verify` computes it again."""
         return str(self.manifest["sha256"])
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
+        """Another process opens the store again."""
+        return type(self), (self.path,)
 
     def __len__(self) -> int:
         return int(self._starts[-1])
@@ -312,11 +317,14 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
 
 def _columns(batch: Any) -> _Batch:
     column = {name: batch.column(name) for name in batch.schema.names}
-    vectors = ("g1", "g2", "rotation", "touch", "tare")
+    values = {name: column[name].values.to_numpy(zero_copy_only=False) for name in (*_POINTS, *_VECTORS)}
+    for name in _VECTORS:  # copied, so that a sample without its cloud does not keep the bytes of the batch
+        values[name] = values[name].copy()
+        values[name].setflags(write=False)
     return _Batch(
         plain={name: column[name].to_pylist() for name in ("id", "object", "frame_id", "extra", "stamp_ns", "score")},
         offsets={name: column[name].offsets.to_numpy() for name in _POINTS},
-        values={name: column[name].values.to_numpy(zero_copy_only=False) for name in (*_POINTS, *vectors)},
+        values=values,
         valid={name: column[name].is_valid().to_numpy(zero_copy_only=False) for name in _NULLABLE},
     )
 

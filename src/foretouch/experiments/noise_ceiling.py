@@ -25,6 +25,7 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError, SimulationError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
@@ -44,7 +45,6 @@ from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.world import SampleKey
-from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
 # Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads makes contact;
@@ -77,8 +77,8 @@ class NoiseCeilingSettings(SimulatedSettings):
     )
     split: str = setting(
         "labels",
-        "labels: test on 200 grasps per object; object: test on a fifth of the objects",
-        choices=("labels", "object"),
+        "labels: test on 200 grasps per object; time: on a block of time of each object; object: on a fifth of the objects",
+        choices=("labels", "time", "object"),
     )
     predictors: tuple[str, ...] = setting(
         ("object_mean", "geometry_trees", "contact"),
@@ -147,6 +147,7 @@ def _repeated(repeater: "Repeater", grasps: Sequence[GraspSample], count: int, m
             "within": variance.tolist(),  # eq. 1
             "within_change": (made.touches - made.tares).var(axis=0, ddof=1).tolist(),
             "reference": ((mean - centre) ** 2 + share * variance).tolist(),  # eq. 3
+            "modalities": {name: channel.size for name, channel in made.channels.channel_of.items()},
         }
 
 
@@ -154,8 +155,9 @@ def _repeated(repeater: "Repeater", grasps: Sequence[GraspSample], count: int, m
 class _Repeats:
     """Repeats of one grasp."""
 
-    touches: Float64  # (n, 50) [counts]
-    tares: Float64  # (n, 50) [counts]
+    touches: Float64  # (n, D)
+    tares: Float64  # (n, D)
+    channels: Channels  # what the D values are
 
 
 class Repeater:
@@ -204,7 +206,7 @@ class Repeater:
                 tares.append(state.tare.values)
         if len(touches) < 2:
             raise SimulationError(f"slot {slot}: {len(touches)} of {_TRIES * count} repeats succeed", "repeats")
-        return _Repeats(np.array(touches), np.array(tares))
+        return _Repeats(np.array(touches), np.array(tares), self._engine.world.channels())
 
     def _item(self, slot: int, number: int) -> ObjectConfig:
         """Object of a slot, with the material of another object in each repeat if the object is new."""
@@ -228,22 +230,27 @@ def ceiling_rows(rows: Sequence[Row], draws: int) -> list[Row]:
     causes = dict(grouped(select(rows, what="repeats"), "name"))
     all_hidden, new_object = causes.pop("all", []), causes.pop(NEW_OBJECT, [])
     result: list[Row] = []
+    modalities: dict[str, int] = next((row["modalities"] for row in rows if row["what"] == "repeats"), {})
+    ends = np.cumsum([0, *modalities.values()])
+    parts = {name: slice(*ends[k : k + 2]) for k, name in enumerate(modalities)}
     for name, repeated in ((_CEILING, all_hidden), (f"{_CEILING}, object never touched", new_object)):
         if repeated:
             reference = _table(repeated, "reference")
-            result += _score(name, _table(repeated, "within"), reference, draws)
-            result += _score(f"{name}, change from the tare", _table(repeated, "within_change"), reference, draws)
+            result += _score(parts, name, _table(repeated, "within"), reference, draws)
+            result += _score(
+                parts, f"{name}, change from the tare", _table(repeated, "within_change"), reference, draws
+            )
     known = {row["id"]: row["reference"] for row in all_hidden}
     for cause, repeated in causes.items():
         if all(row["id"] in known for row in repeated):
             same = np.array([known[row["id"]] for row in repeated])
-            result += _score(f"only {cause} hidden", _table(repeated, "within"), same, draws)
+            result += _score(parts, f"only {cause} hidden", _table(repeated, "within"), same, draws)
     repeated = new_object or all_hidden
     for name, own in grouped(select(rows, what="predictor"), "name") if repeated else ():
         by_id = {row["id"]: row["predicted"] for row in own}
         predicted = np.array([by_id[row["id"]] for row in repeated])
         squared = (predicted - _table(repeated, "mean")) ** 2 + _table(repeated, "rest")  # eq. 2
-        result += _score(name, squared, _table(repeated, "reference"), draws, _table(repeated, "within"))
+        result += _score(parts, name, squared, _table(repeated, "reference"), draws, _table(repeated, "within"))
     return result
 
 
@@ -251,25 +258,27 @@ def _table(rows: Sequence[Row], column: str) -> Float64:
     return np.array([row[column] for row in rows], np.float64)
 
 
-def _score(name: str, squared: Float64, reference: Float64, draws: int, ceiling: Float64 | None = None) -> list[Row]:
-    """One row per modality; with a ceiling also the share of it."""
+def _score(
+    parts: dict[str, slice], name: str, squared: Float64, reference: Float64, draws: int, ceiling: Float64 | None = None
+) -> list[Row]:
+    """One row per modality, by its columns; with a ceiling also the share of it."""
     size = len(squared)
     weights = np.random.default_rng(0).multinomial(size, np.full(size, 1.0 / size), draws).astype(np.float64)
     weights = np.vstack([np.ones(size), weights])
-    skill = _skills(squared, reference, weights)
-    share = None if ceiling is None else skill / _skills(ceiling, reference, weights)
+    skill = _skills(parts, squared, reference, weights)
+    share = None if ceiling is None else skill / _skills(parts, ceiling, reference, weights)
     rows = []
-    for k, modality in enumerate(MODALITIES):
-        rmse = float(np.sqrt(squared[:, columns([modality])].mean()))
+    for k, (modality, part) in enumerate(parts.items()):
+        rmse = float(np.sqrt(squared[:, part].mean()))
         row = {"name": name, "modality": modality, "grasps": size, "rmse": rmse}
         rows.append(row | _ends("skill", skill[:, k]) | _ends("share", None if share is None else share[:, k]))
     return rows
 
 
-def _skills(squared: Float64, reference: Float64, weights: Float64) -> Float64:
-    """(draws, 4): 1 - sum S / sum R per value, averaged over the modality's values."""
+def _skills(parts: dict[str, slice], squared: Float64, reference: Float64, weights: Float64) -> Float64:
+    """(draws, M): 1 - sum S / sum R per value, averaged over the modality's values."""
     per_value = 1.0 - (weights @ squared) / (weights @ reference)
-    return np.stack([per_value[:, columns([name])].mean(axis=1) for name in MODALITIES], axis=1)
+    return np.stack([per_value[:, part].mean(axis=1) for part in parts.values()], axis=1)
 
 
 def _ends(column: str, drawn: Float64 | None) -> Row:
@@ -283,21 +292,24 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         "skill: 0 is the mean of the training labels; [95 % interval by bootstrap over grasps]",
         "only ... hidden: the ceiling if all other causes were known",
     ]
-    scored = [row for row in rows if row["share"] is not None]
+    scored, modalities = [row for row in rows if row["share"] is not None], unique(rows, "modality")
     ceilings = grouped([row for row in rows if row["name"].startswith(_CEILING)], "name")
-    sentences = [f"{name}: skills of {listed(own, 'skill')} ({', '.join(MODALITIES)})" for name, own in ceilings]
+    sentences = [f"{name}: skills of {listed(own, 'skill')} ({', '.join(modalities)})" for name, own in ceilings]
     shares = grouped(scored, "name")
     sentences += [f"`{name}` reaches {span(row['share'] for row in own)} of the ceiling" for name, own in shares]
     tables = [
         findings(sentences),
-        Table(f"noise ceiling: {rows[0]['grasps']} grasps", ["skill", *MODALITIES], _body(rows, "skill"), notes),
-        Table("share of the ceiling", ["share", *MODALITIES], _body(scored, "share")),
+        Table(f"noise ceiling: {rows[0]['grasps']} grasps", ["skill", *modalities], _body(rows, "skill"), notes),
+        Table("share of the ceiling", ["share", *modalities], _body(scored, "share")),
     ]
     return [table for table in tables if table.rows or table.notes]
 
 
 def _body(rows: Sequence[Row], name: str) -> list[list[str]]:
-    return pivot(rows, "name", lambda row: f"{row[name]:.2f} [{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}]")
+    def text(row: Row) -> str:
+        return f"{row[name]:.2f} [{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}]"
+
+    return pivot(rows, "name", text, names=unique(rows, "modality"))
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:

@@ -46,7 +46,7 @@ from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.processes import one_thread_each
-from foretouch.tactile import MODALITIES, TOUCH_SIZE
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
 from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample
 
 if TYPE_CHECKING:
@@ -187,7 +187,8 @@ def _fitted(data: Described, train: Indices, seed: int) -> Callable[[Mapping[str
     def variant(values: Mapping[str, Any]) -> ContactEstimator:
         if "refit" not in values:
             return _reduced(shipped, values)
-        return replace(shipped, forests=fit_forests(rows, labels, ContactConfig(seed=seed, **values["refit"]), thinned))
+        config = ContactConfig(seed=seed, **values["refit"])
+        return replace(shipped, forests=fit_forests(rows, labels, BIOTAC, config, thinned))
 
     return variant
 
@@ -235,7 +236,7 @@ def _with_readings(
     level, _ = rest_level([data.samples[k] for k in train])
     for name, expected in ((_MEAN, plain), (SHIPPED, seen)):
         recording = Recording.of_samples(data.samples, data.labels, expected, level)
-        held_out = HeldOutPredictions(expected[train], data.labels[train], names[train], sessions[train])
+        held_out = HeldOutPredictions(expected[train], data.labels[train], names[train], sessions[train], BIOTAC)
         group = fit_group(held_out, new=not known_objects)
         tracker = SensorTracker(fit_tracker(recording.take(train), group, group))
         counts = np.empty_like(expected)
@@ -265,7 +266,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
     run: Any = load_run_config(NETWORK)
     train, tested = ([data.samples[k] for k in side] for side in (fold.train, fold.test))
     net = train_network(TrainingSet.build(train, run.model), np.arange(len(train)), run.train.replace(seed=0))
-    fallback = Fallback.fit(describe_objects(train), data.labels[fold.train])
+    fallback = Fallback.fit(BIOTAC, describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):
         if variant.values["kind"] == "network" and variant.factor not in _SERVED:
             estimator = _network(variant.values, net, fallback)
@@ -278,7 +279,7 @@ def _timed_network(values: Mapping[str, Any]) -> Estimator:
     from foretouch.models.network.checkpoint import load_network
 
     path = find_card(NETWORK)
-    return _network(values, load_network(path)[0], load_calibration(path, read_card(path))[1])
+    return _network(values, load_network(path)[0], load_calibration(path, read_card(path), BIOTAC)[1])
 
 
 def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:

@@ -31,6 +31,7 @@ from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import SAMPLE_KEYS, Simulation
 from foretouch.simulation.world import SampleKey
+from foretouch.tactile import BIOTAC
 from foretouch.types import Float64, GraspSample
 
 RIGID: Final = "rigid"
@@ -220,7 +221,7 @@ def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings)
     test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
     predictor = ContactPredictor(train, labels_of(train), ContactConfig(trees=settings.trees))
     return ObjectErrors.of_predictions(
-        np.array([one.id for one in test]), predictor.predict(test), labels_of(test), mean
+        np.array([one.id for one in test]), predictor.predict(test), labels_of(test), mean, BIOTAC
     )
 
 

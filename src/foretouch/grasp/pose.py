@@ -6,7 +6,8 @@ import math
 import numpy as np
 
 from foretouch.errors import GraspError
-from foretouch.tactile.channels import electrode_normals, electrode_positions
+from foretouch.tactile.description import packaged_sensor
+from foretouch.tactile.layout import Layout
 from foretouch.types import SQUARABLE, Bool, Float64, Grasp
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
@@ -136,12 +137,17 @@ def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
 
 
 def electrodes_at(grasp: Grasp, contact: Float64, lift_m: float = 0.0) -> Float64:
-    """(24, 3) positions of the electrodes of a fingertip at a contact of a grasp, its g1 or g2 (3,) [m].
+    """(24, 3) `taxels_at` of a BioTac SP."""
+    return taxels_at(packaged_sensor("biotac_sp").layout, grasp, contact, lift_m)
 
-    Oriented as `fingertip_rotation`; the lowest electrodes, on the surface of the pad, are at the contact. `lift_m` moves
+
+def taxels_at(layout: Layout, grasp: Grasp, contact: Float64, lift_m: float = 0.0) -> Float64:
+    """(N, 3) positions of the taxels of a fingertip at a contact of a grasp, its g1 or g2 (3,) [m].
+
+    Oriented as `fingertip_rotation`; the outermost taxels, on the surface of the pad, are at the contact. `lift_m` moves
     each along its normal.
     """
-    positions = electrode_positions() + lift_m * electrode_normals()
+    positions = (layout.positions + lift_m * layout.normals) @ layout.to_fingertip.T
     positions -= [positions[:, 0].mean(), 0.0, positions[:, 2].min()]
     return np.asarray(positions @ fingertip_rotation(grasp, contact).T + contact, np.float64)
 

@@ -29,7 +29,6 @@ from foretouch import __version__
 from foretouch.checked_files import read_json, write_text
 from foretouch.errors import FileError, shown
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
-from foretouch.models.contact.estimator import by_modality
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
 from foretouch.tactile import Ranges
@@ -60,7 +59,7 @@ class Level:
 class _Mean:
     """Predicts the mean of the training labels for every grasp."""
 
-    mean: Float64  # (50,) [counts]
+    mean: Float64  # (D,) [counts]
     ranges: Ranges
 
     def estimate(self, _: Cloud, grasps: Sequence[Grasp]) -> Estimate:
@@ -85,7 +84,7 @@ def levels_of(model: TouchModel) -> list[Level]:
     levels = [Level(model.name, known.get(model.name, {}).get("skill"), model)]
     for name, entry in sorted(known.items(), key=lambda item: -item[1]["skill"]):
         if name in _MAKERS:
-            reduced = model.reduced(_MAKERS[name](model.estimator), by_modality(np.array(entry["widen"])))
+            reduced = model.reduced(_MAKERS[name](model.estimator), model.sensor.channels.by_modality(entry["widen"]))
             levels.append(Level(name, entry["skill"], reduced))
     mean = getattr(model.estimator, "mean", None)
     if isinstance(mean, np.ndarray):

@@ -15,19 +15,18 @@ from typing import Final, Self
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
 from foretouch.types import AnyArray, Float64, Touch
 
 GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""
 
 _TRACKER: Final = "tracker/"
-_MIN_VALUE: Final = 1e-9  # [counts²] of a variance; that of rounding is 0.08
-_MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
+_MIN_VALUE: Final = 1e-9  # [resolution²] of a variance; that of rounding is 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +34,16 @@ class CalibrationGroup(TensorRecord):
     """Statistics of the residuals under one condition.
 
     Attributes:
-        between: (50, 50) float64 [counts²], B: covariance of the part that stays with an object and its day.
-        within: (50,) float64 [counts²], W: variance of the part that is new with each grasp, after shrinkage of the
+        channels: Of the readings, D values.
+        between: (D, D) float64 [counts²], B: covariance of the part that stays with an object and its day.
+        within: (D,) float64 [counts²], W: variance of the part that is new with each grasp, after shrinkage of the
             predicted differences.
-        difference_shrinkage: (50,) float64 in [0, 1], shrinkage factor of predicted differences between two grasps on an object.
-        spread: (50,) float64 [counts²], variance of the residuals before any touch.
-        half_width: (50,) float64 [counts], of the interval before any touch.
+        difference_shrinkage: (D,) float64 in [0, 1], shrinkage factor of predicted differences between two grasps on an object.
+        spread: (D,) float64 [counts²], variance of the residuals before any touch.
+        half_width: (D,) float64 [counts], of the interval before any touch.
     """
 
+    channels: Channels
     between: Float64
     within: Float64
     difference_shrinkage: Float64
@@ -50,10 +51,11 @@ class CalibrationGroup(TensorRecord):
     half_width: Float64
 
     def _check(self) -> None:
+        most = max(1e12, float(self.channels.most.max()) ** 2)
         for name, array in self.to_tensors().items():
-            _check_array(name, array)
-            if np.abs(array).max() > _MAX_VALUE:
-                raise ModelError(f"{name}: {np.abs(array).max():.3g} exceeds {_MAX_VALUE:g}, the square of 1e6 counts")
+            _check_array(name, array, self.channels)
+            if np.abs(array).max() > most:
+                raise ModelError(f"{name}: {np.abs(array).max():.3g} exceeds {most:g}, the square of {most**0.5:g}")
         tolerance = 1e-6 * np.abs(self.between).max()
         if np.abs(self.between - self.between.T).max() > tolerance:
             raise ModelError("between: is not symmetric")
@@ -68,12 +70,14 @@ class Calibration:
     """Rest level, adaptation and intervals of one model.
 
     Attributes:
-        rest: (50,) float64 [counts]: readings of the training sensors without contact. A tare shifts predictions by its
+        channels: Of the readings.
+        rest: (D,) float64 [counts]: readings of the training sensors without contact. A tare shifts predictions by its
             difference from it.
         groups: By name from `GROUPS`.
         tracker: Parameters fitted to recordings with stamps; None without such recordings.
     """
 
+    channels: Channels
     rest: Float64
     groups: Mapping[str, CalibrationGroup]
     tracker: TrackerParameters | None = None
@@ -94,47 +98,50 @@ class Calibration:
         try:
             with np.errstate(all="ignore"):  # what is not finite is refused below
                 found = TrackerParameters.from_calibration(
+                    self.channels,
                     (new.between, known.between),
                     (new.within, known.within),
                     (new.difference_shrinkage, known.difference_shrinkage),
-                    np.array([ratio[columns([name])].mean() for name in MODALITIES]),
+                    np.array([ratio[self.channels.columns([name])].mean() for name in self.channels.modalities]),
                 )
             sensors = found.object.min(axis=0)
             found = replace(found, slow=sensors, object=found.object - sensors)
-            return TrackerParameters.from_tensors(found.to_tensors())
+            return TrackerParameters.from_tensors(found.to_tensors(), channels=self.channels)
         except (ModelError, np.linalg.LinAlgError) as err:
             raise ModelError(f"between, within: no tracker can be made of them: {err}") from err
 
     def contact_signs(self, tare: Touch) -> tuple[str, ...]:
         """Why a reading may be one in contact and thus no tare, a line each; empty for one at rest.
 
-        A finger in contact has a higher PDC than at rest, and lower electrodes. The rule is three deviations of the drift that the tracker
-        expects, of PDC or of three electrodes. It is for the fingers of the training data: the rest of others may be elsewhere. Of the
-        400 grasps of vision2tactile it finds 99 %; what drifts as the tracker expects is found in less than 1 %.
+        Contact moves values to the side that the sensor's description states: PDC up, electrodes down. The rule is three deviations of
+        the drift that the tracker expects, of a scalar such as PDC or of three taxels. It is for the fingers of the training data: the
+        rest of others may be elsewhere. Of the 400 grasps of vision2tactile it finds 99 %; what drifts as the tracker expects is found
+        in less than 1 %.
         """
         tracker = self.tracker_parameters
         deviation = np.sqrt(tracker.basis**2 @ (tracker.slow + tracker.fast + tracker.tare_noise))
-        offset, signs = tare.values - self.rest, []
-        for name in MODALITIES:
-            where = columns([name])
-            pressed = offset[where] * (1.0 if name.startswith("PDC") else -1.0) > 3.0 * deviation[where]
-            if pressed.size == 1 and pressed[0]:
+        offset, signs = tare_offset(tare, self.rest), []
+        for name, channel in self.channels.channel_of.items():
+            where, side = self.channels.columns([name]), ("far from", "far above", "far below")[channel.contact]
+            moved = offset[where] * channel.contact if channel.contact else np.abs(offset[where])
+            count = np.count_nonzero(moved > 3.0 * deviation[where])
+            if channel.size == 1 and count:
                 k = where[0]
                 signs.append(
-                    f"{name}: {tare.values[k]:.0f} is far above the rest level, {self.rest[k]:.0f} ± {deviation[k]:.0f}"
+                    f"{name}: {tare.values[k]:.0f} is {side} the rest level, {self.rest[k]:.0f} ± {deviation[k]:.0f}"
                 )
-            elif np.count_nonzero(pressed) >= 3:
-                signs.append(f"{name}: {np.count_nonzero(pressed)} electrodes are far below their rest level")
+            elif count >= 3:
+                signs.append(f"{name}: {count} values are {side} their rest level")
         return tuple(signs)
 
     @cached_property
     def unread_half_widths(self) -> Mapping[str, Float64]:
-        """(50,) half widths before any reading, by group [counts]."""
+        """(D,) half widths before any reading, by group [counts]."""
         if self.tracker is None:
             return {name: group.half_width for name, group in self.groups.items()}
         tracker = SensorTracker(self.tracker)
         levels = {name: tracker.level(0, same_object=False, known=name == "known") for name in GROUPS}
-        return {name: tracker.adapt(level, np.zeros((1, TOUCH_SIZE)))[1][0] for name, level in levels.items()}
+        return {name: tracker.adapt(level, np.zeros((1, self.channels.size)))[1][0] for name, level in levels.items()}
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
@@ -146,8 +153,8 @@ class Calibration:
         return tensors
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, AnyArray]) -> Self:
-        """From `to_tensors`.
+    def from_tensors(cls, tensors: Mapping[str, AnyArray], channels: Channels) -> Self:
+        """From `to_tensors`, for a model of these channels.
 
         Raises:
             ModelError: Names the array that is missing, of another shape or not finite, or no variance, width,
@@ -156,23 +163,30 @@ class Calibration:
         if "rest" not in tensors:
             raise ModelError("rest: is missing")
         tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
-        _check_array("rest", tensors["rest"])
+        _check_array("rest", tensors["rest"], channels)
         tracked = any(name.startswith(_TRACKER) for name in tensors)
         calibration = cls(
+            channels,
             tensors["rest"],
-            {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in GROUPS},
-            read_part(TrackerParameters, tensors, _TRACKER) if tracked else None,
+            {name: read_part(CalibrationGroup, tensors, f"{name}/", channels=channels) for name in GROUPS},
+            read_part(TrackerParameters, tensors, _TRACKER, channels=channels) if tracked else None,
         )
         _ = calibration.tracker_parameters  # refuses groups of which none can be made
         return calibration
 
 
-def _check_array(name: str, array: AnyArray) -> None:
-    shape = (TOUCH_SIZE, TOUCH_SIZE) if name == "between" else (TOUCH_SIZE,)
+def tare_offset(tare: Touch, rest: Float64) -> Float64:
+    """(D,) a tare minus a rest level; 0 of channels that are not tared."""
+    return np.where(tare.channels.tared, tare.values - rest, 0.0)
+
+
+def _check_array(name: str, array: AnyArray, channels: Channels) -> None:
+    shape = (channels.size,) * (2 if name == "between" else 1)
     if array.shape != shape:
         raise ModelError(f"{name}: shape {array.shape} is not {shape}")
     positive = name in {"within", "spread", "half_width"}
-    if not np.isfinite(array).all() or (positive and not (array >= _MIN_VALUE).all()):
+    least = _MIN_VALUE * channels.resolution ** (1 if name == "half_width" else 2)
+    if not np.isfinite(array).all() or (positive and not (array >= least).all()):
         raise ModelError(
-            f"{name}: holds a value that is not finite{f' and at least {_MIN_VALUE:g}' if positive else ''}"
+            f"{name}: holds a value that is not finite{f' and at least {least.min():g}' if positive else ''}"
         )

@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from foretouch.channels import Channels
 from foretouch.checked_files import read_json, require_schema
-from foretouch.errors import FileError, ModelError, quoted, shown
+from foretouch.errors import ConfigError, FileError, ModelError, TactileError, quoted, shown
+from foretouch.tactile.description import Sensor, require_same, sensor_in
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 2
@@ -67,6 +69,23 @@ def read_card(path: str | Path) -> dict[str, Any]:
     except FileError as err:
         raise ModelError(str(err)) from err
     return card
+
+
+def card_sensor(card: Mapping[str, Any], where: str | Path) -> Sensor:
+    """The sensor whose readings a model predicts.
+
+    Raises:
+        ModelError: Names `where` the card was read: its description is damaged, or has changed since the card was written.
+    """
+    try:
+        sensor = sensor_in(card, where)
+        name, sha256 = (
+            card.get(f"sensor_{key}", own) for key, own in (("name", sensor.config.name), ("sha256", sensor.sha256))
+        )
+        require_same(Channels(str(name), str(sha256), (), ()), sensor.channels, f"{shown(where)}: sensor_sha256")
+    except (ConfigError, TactileError) as err:
+        raise ModelError(str(err)) from err
+    return sensor
 
 
 def card_text(card: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -11,6 +11,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from foretouch.channels import Channels
 from foretouch.checked_files import read_bytes
 from foretouch.errors import FileError, ModelError, shown
 from foretouch.types import AnyArray
@@ -63,24 +64,27 @@ def read_tensors(
 
 
 class TensorRecord:
-    """Base of a dataclass whose fields are arrays, stored in a file under the names of the fields."""
+    """Base of a dataclass whose fields are arrays, stored in a file under the names of the fields.
+
+    A field `channels` is not stored: the sensor is stated by the card.
+    """
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
+        names = (one.name for one in fields(self) if one.name != "channels")  # type: ignore[arg-type]
+        return {name: np.asarray(getattr(self, name)) for name in names}
 
     @classmethod
-    def from_tensors(cls, tensors: Mapping[str, AnyArray]) -> Self:
-        """From `to_tensors`.
+    def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
+        """From `to_tensors`, with `channels` where the record has that field.
 
         Raises:
             ModelError: Names the array that is missing, or breaks a rule of `_check`.
         """
-        known = fields(cls)  # type: ignore[arg-type]
-        required = (one.name for one in known if one.default_factory is MISSING)
-        if missing := next((name for name in required if name not in tensors), None):
+        known = [one for one in fields(cls) if one.name not in stated]  # type: ignore[arg-type]
+        if missing := next((one.name for one in known if one.name not in tensors), None):
             raise ModelError(f"{missing}: is missing")
-        record = cls(**{one.name: tensors[one.name] for one in known if one.name in tensors})
+        record = cls(**{one.name: tensors[one.name] for one in known}, **stated)
         record._check()
         return record
 
@@ -100,10 +104,10 @@ class TensorRecord:
 Record = TypeVar("Record", bound=TensorRecord)
 
 
-def read_part(record: type[Record], tensors: Mapping[str, AnyArray], prefix: str) -> Record:
-    """The record whose arrays are stored under names that begin with a prefix, which errors name too."""
+def read_part(record: type[Record], tensors: Mapping[str, AnyArray], prefix: str, **stated: Channels) -> Record:
+    """The record whose arrays are stored under names that begin with a prefix, which errors name too; see `from_tensors`."""
     part = {name.removeprefix(prefix): array for name, array in tensors.items() if name.startswith(prefix)}
     try:
-        return record.from_tensors(part)
+        return record.from_tensors(part, **stated)
     except ModelError as err:
         raise ModelError(f"{prefix}{err}") from err

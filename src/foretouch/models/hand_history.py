@@ -22,13 +22,15 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
+from foretouch.channels import Channels
 from foretouch.checked_files import free_name, open_own, read_bytes, replace_files
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import touch_faults
+from foretouch.tactile import BIOTAC, touch_faults
+from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Float64, Grasp, Touch, UInt8
 
 VERSION: Final = 2
@@ -118,15 +120,15 @@ class HandHistory:
             new_object: Whether it is another object than before.
             limits: Range and size of objects.
             estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
-            tdc: (2,) [counts].
+            tdc: (F,) [counts].
 
         Raises:
-            TactileError: If the reading is not that of working sensors, or the stamp cannot be used.
+            TactileError: If the reading is of another sensor or not of working ones, or the stamp cannot be used.
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute the grasp.
         """
-        faults = touch_faults(reading)
-        if faults:
+        require_same(reading.channels, self.model.sensor.channels, "touched")
+        if faults := touch_faults(reading):
             raise TactileError(f"touched: {faults[0]}")
         estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
@@ -214,7 +216,7 @@ class HandHistory:
             stamp_ns: Time of the predictions [ns].
             same_object: Whether they are for the current object, else for one that was not touched.
             tare: Whether a tare was taken shortly before.
-            tdc: (2,) TDC at that time [counts]; where it is not known, the latest one counts.
+            tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
         return History(self.tracker.copy(), stamp_ns, same_object=same_object, tare=tare, tdc=tdc)
 
@@ -262,7 +264,7 @@ class HistoryFile:
         If there is none, the newest file that was set aside and is of this hand and model becomes it again.
 
         Raises:
-            FileError: If the file is damaged, or of another version, hand or model.
+            FileError: If the file is damaged, or of another version, sensor, hand or model.
         """
         if self.path.is_symlink() or self.path.exists():
             return read_history(self.path, model, self._hand)
@@ -299,6 +301,9 @@ class HistoryFile:
 def _content(history: HandHistory, hand: str) -> bytes:
     tensors = history.to_tensors()
     tensors |= {"version": np.array([VERSION], np.int64), "hand": _text(hand), "model": _text(history.model.name)}
+    channels = history.model.sensor.channels
+    if channels != BIOTAC:  # files of the BioTac SP state none
+        tensors["sensor"] = _text(f"{channels.sensor} {channels.sha256}")
     sha256 = hashlib.sha256(packed(tensors)[0]).digest()
     return packed({**tensors, "sha256": np.frombuffer(sha256, np.uint8)})[0]
 
@@ -312,7 +317,7 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hand
         hand: Name of the hand; None accepts any.
 
     Raises:
-        FileError: If the file is absent or damaged, or of another version, hand or model.
+        FileError: If the file is absent or damaged, or of another version, sensor, hand or model.
         ModelError: If the model has no calibration.
     """
     model.new_tracker()  # a model without a calibration is named before the file
@@ -326,6 +331,12 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hand
     version = tensors.get("version", np.array([-1]))
     if version.shape != (1,) or version.dtype.kind not in "iu" or int(version[0]) != VERSION:
         raise FileError(path, f"version: {version.tolist()} is not [{VERSION}]")
+    try:
+        name, _, sha256 = _read_text(tensors, "sensor").partition(" ")
+        sensor = Channels(name, sha256, (), ()) if name else BIOTAC
+        require_same(sensor, model.sensor.channels, "sensor")
+    except TactileError as err:
+        raise FileError(path, str(err)) from err
     for name, own in (("hand", hand), ("model", model.name)):
         stored = _read_text(tensors, name)
         if own is not None and stored != own:

@@ -10,10 +10,11 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.checked_files import replace_files
 from foretouch.errors import ModelError
 from foretouch.models.calibration import Calibration
-from foretouch.models.card import card_text, new_card
+from foretouch.models.card import card_sensor, card_text, new_card
 from foretouch.models.files import file_beside, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.types import AnyArray
@@ -58,6 +59,8 @@ def save_model(
     content, sha256 = packed(tensors)
     files = {weights: content}
     card = new_card(card_path.stem, kind, weights=weights.name, sha256=sha256, **{**_EMPTY, **facts})
+    sensor = card_sensor(card, card_path)
+    card |= {"sensor_name": sensor.config.name, "sensor_sha256": sensor.sha256}
     if calibration is not None:
         own = calibration[0].to_tensors()
         if fallback is not None:
@@ -69,8 +72,10 @@ def save_model(
     return card_path
 
 
-def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibration | None, Fallback | None]:
-    """The calibration that a card names, and the fallback in the same file; None where there is none.
+def load_calibration(
+    card_path: Path, card: Mapping[str, Any], channels: Channels
+) -> tuple[Calibration | None, Fallback | None]:
+    """The calibration of a model of some channels that a card names, and the fallback in the same file; None where there is none.
 
     Raises:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
@@ -86,6 +91,9 @@ def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibrat
     try:
         fallback = any(name.startswith(_FALLBACK) for name in tensors)
         own = {name: np.asarray(array) for name, array in tensors.items() if not name.startswith(_FALLBACK)}
-        return Calibration.from_tensors(own), read_part(Fallback, tensors, _FALLBACK) if fallback else None
+        return (
+            Calibration.from_tensors(own, channels),
+            read_part(Fallback, tensors, _FALLBACK, channels=channels) if fallback else None,
+        )
     except ModelError as err:
         raise ModelError(f"{path}: {err}") from err

@@ -18,9 +18,9 @@ from typing import Final, Self
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import Bool, Float32, Float64
 
 IN_DISTRIBUTION: Final = 0.5
@@ -41,20 +41,21 @@ def standardisation(rows: Float64) -> tuple[Float64, Float64]:
 class Fallback(TensorRecord):
     """Sizes of S training clouds, and the mean of the training labels, to which predictions fade on other objects."""
 
+    channels: Channels  # of the labels
     centre: Float64  # (8,) float64, which standardise `object_sizes`
     scale: Float64  # (8,) float64, which standardise `object_sizes`
     known: Float32  # (S, 8) float32, standardised
     span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
-    mean: Float64  # (50,) float64 of the training labels [counts]
+    mean: Float64  # (D,) float64 of the training labels [counts]
 
     @classmethod
-    def fit(cls, sizes: Float64, labels: Float64) -> Self:
-        """From the (S, 8) sizes of the training clouds, S of at least 5, and their (S, 50) labels [counts]."""
+    def fit(cls, channels: Channels, sizes: Float64, labels: Float64) -> Self:
+        """From the (S, 8) sizes of the training clouds, S of at least 5, and their (S, D) labels [counts]."""
         centre, scale = standardisation(sizes)
         known = ((sizes - centre) / scale).astype(np.float32)
         distance = np.sort(cdist(known, known, "cityblock"), axis=1)[:, 1 : _NEAREST + 1].mean(axis=1)
         low, high = np.quantile(distance, _USUAL)
-        return cls(centre, scale, known, np.array([low, max(high, low + 1e-9)]), labels.mean(axis=0))
+        return cls(channels, centre, scale, known, np.array([low, max(high, low + 1e-9)]), labels.mean(axis=0))
 
     def score(self, sizes: Float64) -> float:
         """1 for a cloud of (8,) sizes like those of training, 0 for one unlike them; compare with `IN_DISTRIBUTION`."""
@@ -66,11 +67,11 @@ class Fallback(TensorRecord):
         """Predictions, the closer to the mean the less an object resembles the training objects.
 
         Args:
-            counts: (K, 50) of the network [counts].
+            counts: (K, D) of the network [counts].
             sizes: (K, 8) of their clouds, or (1, 8) if all were made from one cloud.
 
         Returns:
-            (K, 50) [counts], and (K,) whether the object is in distribution.
+            (K, D) [counts], and (K,) whether the object is in distribution.
         """
         scores = np.array([self.score(row) for row in sizes])
         weight = scores[:, None]
@@ -78,8 +79,8 @@ class Fallback(TensorRecord):
         return weight * counts + (1.0 - weight) * self.mean, inside
 
     def _check(self) -> None:
-        sizes = (_SIZES,)
-        self._require({"centre": sizes, "scale": sizes, "known": (-1, _SIZES), "span": (2,), "mean": (TOUCH_SIZE,)})
+        sizes, mean = (_SIZES,), (self.channels.size,)
+        self._require({"centre": sizes, "scale": sizes, "known": (-1, _SIZES), "span": (2,), "mean": mean})
         if not (self.scale > 0.0).all():
             raise ModelError("scale: a value is not above 0")
         if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:

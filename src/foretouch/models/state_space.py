@@ -10,26 +10,21 @@ than a resting sensor's noise, is taken for how hand and object lie, as the simu
 no tare to decide this. Where tares were observed that do not read it, a filter whose tares read both states kept nothing
 of it.) x is the temperature of the finger, its TDC minus the first one of the history, and the slope of each value
 over it is estimated with the rest; without TDC that term is left out, to the bit. In the coordinates of a fixed basis in
-which all covariances are diagonal, (1) falls apart into 50 independent filters of four numbers each [Kalman 1960], so
-that a reading and a prediction cost the same however many were before.
+which all covariances are diagonal, (1) falls apart into D independent filters of four numbers each [Kalman 1960], one for
+each of the D values of a touch, so that a reading and a prediction cost the same however many were before.
 """
 
 import copy
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
-from foretouch.types import Float64, Index
-
-FINGERS: Final = ("TH", "MF")
-"""Thumb and middle finger."""
-
-FINGER_OF_VALUE: Final = np.array([name.endswith("MF") for name in MODALITIES for _ in columns([name])], np.intp)
-"""(50,) index in `FINGERS` of each value of a reading."""
+from foretouch.types import AnyArray, Float64, Index
 
 NEW, KNOWN = 0, 1
 """Rows of the arrays that differ between objects out of the training distribution and in it."""
@@ -43,26 +38,22 @@ _ALARM: Final = (10.0, 7.7)
 """Limits of the innovation test without a fit: of the mean square as on the public recordings, whose noise has heavier
 tails than a Gaussian (2.0), and of the squared mean at their correlation of .84 within a finger (.84 · 9.14)."""
 
-_RULES: Final[dict[str, tuple[tuple[int, ...], float, float]]] = {  # shape, and bounds, which are inclusive
-    "basis": ((TOUCH_SIZE, TOUCH_SIZE), -1e6, 1e6),
-    **dict.fromkeys(("slow", "fast"), ((TOUCH_SIZE,), 0.0, 1e6)),
-    **dict.fromkeys(("slow_time_s", "fast_time_s"), ((TOUCH_SIZE,), 1.0, 1e10)),
-    "tare_noise": ((TOUCH_SIZE,), 1e-6, 1e3),
-    "object": ((2, TOUCH_SIZE), 0.0, 1e6),
-    "noise": ((2, TOUCH_SIZE), 1e-3, 1e3),
-    "difference_shrinkage": ((2, TOUCH_SIZE), 0.0, 1.0),
-    "factor": ((len(MODALITIES),), 0.1, 100.0),
-    "alarm": ((len(FINGERS), 2), 1e-3, 1e6),
-    "slope": ((TOUCH_SIZE,), -10.0, 10.0),
-    "slope_sd": ((TOUCH_SIZE,), 0.0, 10.0),
+_RULES: Final[dict[str, tuple[str, float, float]]] = {  # letters of the shape, and bounds, which are inclusive
+    "basis": ("DD", -1e10, 1e10),
+    **dict.fromkeys(("slow", "fast"), ("D", 0.0, 1e6)),
+    **dict.fromkeys(("slow_time_s", "fast_time_s"), ("D", 1.0, 1e10)),
+    "tare_noise": ("D", 1e-6, 1e3),
+    "object": ("2D", 0.0, 1e6),
+    "noise": ("2D", 1e-3, 1e3),
+    "difference_shrinkage": ("2D", 0.0, 1.0),
+    "factor": ("M", 0.1, 100.0),
+    "alarm": ("F2", 1e-3, 1e6),
+    "slope": ("D", -10.0, 10.0),
+    "slope_sd": ("D", 0.0, 10.0),
 }
 _TOUCHES: Final = (1, 10, 100, 1000)
 _MAX_GAIN: Final = 10.0  # as of the calibration: counts per count of the largest residual
 _MAX_CONDITION: Final = 1e6  # of the basis, its rows scaled to length 1
-
-
-def _no_slope() -> Float64:
-    return np.zeros(TOUCH_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,23 +63,31 @@ class TrackerParameters(TensorRecord):
     Variances are in the coordinates of the basis, in units of the noise of a grasp on a new object.
     """
 
-    basis: Float64  # (50, 50) [counts]: residual = basis @ coordinates
-    slow: Float64  # (50,) variance of the slow state
-    slow_time_s: Float64  # (50,) its time constant [s]
-    fast: Float64  # (50,) variance of the fast state
-    fast_time_s: Float64  # (50,) its time constant [s]
-    object: Float64  # (2, 50) variance between objects, new and known
-    noise: Float64  # (2, 50) variance of the noise of a grasp, on new and known objects
-    tare_noise: Float64  # (50,) variance of a tare around the slow state
-    difference_shrinkage: Float64  # (2, 50) in [0, 1], factor on predicted differences between grasps, per value
-    factor: Float64  # (4,) by modality: first half width of a 90 % interval over the predicted deviation
-    alarm: Float64  # (2, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
-    slope: Float64 = field(default_factory=_no_slope)  # (50,) expected counts per count of TDC, by value
-    slope_sd: Float64 = field(default_factory=_no_slope)  # (50,) standard deviation of the slopes between sensors
+    channels: Channels  # of the readings: D values, M modalities, F fingers
+    basis: Float64  # (D, D) [counts]: residual = basis @ coordinates
+    slow: Float64  # (D,) variance of the slow state
+    slow_time_s: Float64  # (D,) its time constant [s]
+    fast: Float64  # (D,) variance of the fast state
+    fast_time_s: Float64  # (D,) its time constant [s]
+    object: Float64  # (2, D) variance between objects, new and known
+    noise: Float64  # (2, D) variance of the noise of a grasp, on new and known objects
+    tare_noise: Float64  # (D,) variance of a tare around the slow state
+    difference_shrinkage: Float64  # (2, D) in [0, 1], factor on predicted differences between grasps, per value
+    factor: Float64  # (M,) by modality: first half width of a 90 % interval over the predicted deviation
+    alarm: Float64  # (F, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
+    slope: Float64  # (D,) expected counts per count of TDC, by value; absent in files of models without
+    slope_sd: Float64  # (D,) standard deviation of the slopes between sensors
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
+        """As `TensorRecord.from_tensors`."""
+        none = np.zeros(stated["channels"].size)
+        return super().from_tensors({"slope": none, "slope_sd": none, **tensors}, **stated)
 
     @classmethod
     def from_calibration(
         cls,
+        channels: Channels,
         between: tuple[Float64, Float64],
         within: tuple[Float64, Float64],
         difference_shrinkage: tuple[Float64, Float64],
@@ -103,28 +102,32 @@ class TrackerParameters(TensorRecord):
         used. Variances beyond their bounds, as of a model without errors, are set to these.
 
         Args:
-            between: B of new and of known objects, (50, 50) each [counts²].
-            within: W of both, (50,) each [counts²].
-            difference_shrinkage: Of both, (50,) each.
-            factor: (4,) as of the record.
+            channels: Of the readings.
+            between: B of new and of known objects, (D, D) each [counts²].
+            within: W of both, (D,) each [counts²].
+            difference_shrinkage: Of both, (D,) each.
+            factor: (M,) as of the record.
         """
-        scale = np.sqrt(within[NEW])
+        scale, size = np.sqrt(within[NEW]), channels.size
         values, vectors = np.linalg.eigh(between[NEW] / np.outer(scale, scale))
         inverse = (vectors / scale[:, None]).T
         known_object = np.einsum("ki,ij,kj->k", inverse, between[KNOWN], inverse)
         known_noise = (inverse**2) @ within[KNOWN]
         return cls(
+            channels=channels,
             basis=scale[:, None] * vectors,
-            slow=np.zeros(TOUCH_SIZE),
-            slow_time_s=np.full(TOUCH_SIZE, SLOW_TIME_S),
-            fast=np.zeros(TOUCH_SIZE),
-            fast_time_s=np.full(TOUCH_SIZE, FAST_TIME_S),
+            slow=np.zeros(size),
+            slow_time_s=np.full(size, SLOW_TIME_S),
+            fast=np.zeros(size),
+            fast_time_s=np.full(size, FAST_TIME_S),
             object=np.clip([values, known_object], *_RULES["object"][1:]),
-            noise=np.clip([np.ones(TOUCH_SIZE), known_noise], *_RULES["noise"][1:]),
-            tare_noise=np.full(TOUCH_SIZE, TARE_NOISE),
+            noise=np.clip([np.ones(size), known_noise], *_RULES["noise"][1:]),
+            tare_noise=np.full(size, TARE_NOISE),
             difference_shrinkage=np.array(difference_shrinkage),
             factor=factor,
-            alarm=np.tile(_ALARM, (len(FINGERS), 1)),
+            alarm=np.tile(_ALARM, (len(channels.fingers), 1)),
+            slope=np.zeros(size),
+            slope_sd=np.zeros(size),
         )
 
     @property
@@ -133,22 +136,23 @@ class TrackerParameters(TensorRecord):
         return bool(self.slope.any() or self.slope_sd.any())
 
     def slopes(self) -> Float64:
-        """(2, 50) mean and variance of the slopes of the coordinates of the basis."""
+        """(2, D) mean and variance of the slopes of the coordinates of the basis."""
         inverse = np.linalg.inv(self.basis)
         return np.array([inverse @ self.slope, inverse**2 @ self.slope_sd**2])
 
     def finger_of(self) -> Index:
-        """(50,) index in `FINGERS` of the values that each coordinate of the basis changes most."""
-        return np.asarray(FINGER_OF_VALUE[np.argmax(np.abs(self.basis), axis=0)], np.intp)
+        """(D,) index of the finger of the values that each coordinate of the basis changes most."""
+        return np.asarray(self.channels.finger_of_value[np.argmax(np.abs(self.basis), axis=0)], np.intp)
 
     def _keeps_fingers_apart(self) -> bool:
-        other = FINGER_OF_VALUE[:, None] != self.finger_of()
+        other = self.channels.finger_of_value[:, None] != self.finger_of()
         largest = np.abs(self.basis).max(axis=0)
         return bool((np.abs(self.basis) * other <= 1e-9 * largest).all())
 
     def _check(self) -> None:
-        for name, (shape, low, high) in _RULES.items():
-            array = getattr(self, name)
+        sizes = {"D": self.channels.size, "M": len(self.channels.modalities), "F": len(self.channels.fingers), "2": 2}
+        for name, (letters, low, high) in _RULES.items():
+            array, shape = getattr(self, name), tuple(sizes[letter] for letter in letters)
             if array.shape != shape or array.dtype != np.float64:
                 raise ModelError(f"{name}: {array.dtype} {array.shape} is not float64 {shape}")
             if not ((array >= low) & (array <= high)).all():  # NaN fails too

@@ -17,10 +17,11 @@ from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_
 from foretouch.errors import GraspError, ModelError, TactileError
 from foretouch.grasp.pose import check_rotation, fast_accept_rotations
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, fast_accept_reach
-from foretouch.models.calibration import Calibration
+from foretouch.models.calibration import Calibration, tare_offset
+from foretouch.models.card import card_sensor
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges, touch_faults
-from foretouch.tactile.description import sensor_in
+from foretouch.tactile.description import require_same
 from foretouch.types import (
     Bool,
     Cloud,
@@ -46,7 +47,7 @@ _FLAGS = {
 class Estimate:
     """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
 
-    counts: Float64  # (K, 50) float64 [counts]
+    counts: Float64  # (K, D) float64 [counts]
     in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble those of training
 
 
@@ -58,10 +59,10 @@ class History:
     stamp_ns: int  # time of the predictions [ns]
     same_object: bool = True  # whether they are for the object that was touched last
     tare: bool = False  # whether a tare was taken shortly before
-    tdc: Float64 | None = None  # (2,) TDC of thumb and middle finger at that time [counts]; None: the latest one
+    tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; None: the latest one
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
-        """(K, 50) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        """(K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
             rows = estimate.in_distribution == known
@@ -111,7 +112,7 @@ class TouchModel:
         estimator: Predicts from the cloud and the grasp alone.
         card: The card of the model.
         calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
-        widen: (50,) factors of the half widths of the intervals; 1 by default.
+        widen: (D,) factors of the half widths of the intervals; 1 by default.
 
     Attributes:
         name, sha256: From the card; the hash is of the weights, or over those of all members.
@@ -131,7 +132,7 @@ class TouchModel:
         self.sha256: str = card["sha256"]
         self.card = dict(card)
         self.calibration = calibration
-        self.sensor = sensor_in(card, self.name)
+        self.sensor = card_sensor(card, self.name)
         self.ranges = estimator.ranges
         self.estimator = estimator
         self._widen = widen
@@ -142,7 +143,7 @@ class TouchModel:
         return "scene_sha256" in self.card.get("data", {})
 
     def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
-        """The same model with a cheaper estimator, and (50,) factors of the half widths of its intervals."""
+        """The same model with a cheaper estimator, and (D,) factors of the half widths of its intervals."""
         return TouchModel(estimator, self.card, self.calibration, widen)
 
     def new_tracker(self) -> SensorTracker:
@@ -234,16 +235,17 @@ class TouchModel:
         return estimate
 
     def tare_offset(self, tare: Touch) -> Float64:
-        """(50,) a tare minus the rest level of the model [counts].
+        """(D,) a tare minus the rest level of the model [counts].
 
         Raises:
             ModelError: If the model has no calibration.
-            TactileError: If the tare is not a reading of working sensors.
+            TactileError: If the tare is of another sensor, or not a reading of working sensors.
         """
         rest = self._calibrated().rest
+        require_same(tare.channels, self.sensor.channels, "tare")
         if faults := touch_faults(tare):
             raise TactileError(f"tare: {faults[0]}")
-        return tare.values - rest
+        return tare_offset(tare, rest)
 
     def _calibrated(self) -> Calibration:
         if self.calibration is None:

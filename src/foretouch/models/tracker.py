@@ -11,7 +11,7 @@ logarithm: log factor += rate · (share of values outside - 0.1). Over many touc
 whatever the sensors do, as long as the factor stays within its limits. What was adapted is partly of the object: at
 another object, the logarithm goes half of the way back to its first value.
 
-Innovation test. For each finger, of the innovations of its 25 values in units of their predicted deviations, the mean
+Innovation test. For each finger, of the innovations of its values in units of their predicted deviations, the mean
 square (a wrong pattern) and the squared mean (a common jump) are compared with limits: scaled chi-square variables for
 Gaussian noise; since recorded noise has heavier tails, each limit is above in one of 100 recorded touches. A touch that
 fails is not used. If the next one fails as well, the finger was exchanged or jumped: it is named, and all that was
@@ -30,17 +30,18 @@ after a power cycle, moves the reference.
 import copy
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
-from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
-from foretouch.tactile import FULL_SCALE, MODALITIES, TOUCH_SIZE, columns, is_tdc
-from foretouch.types import AnyArray, Bool, Evidence, Float64, Index, UInt8
+from foretouch.models.state_space import KNOWN, NEW, StateFilter, TrackerParameters
+from foretouch.tactile import is_tdc
+from foretouch.types import AnyArray, Bool, Evidence, Float64, UInt8
 
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
@@ -57,29 +58,14 @@ _KEPT: Final = 16
 _LEAP_NS: Final = 10 * 365 * 86400 * 10**9  # no sensor is stored for longer
 _TDC_JUMP: Final = (150.0, 2.0, 800.0)  # at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
-_MOST_COUNTS: Final = 10.0 * FULL_SCALE  # of a prediction, which may leave the range of readings
-
-
-def _mean_rows(groups: Sequence[Index]) -> Float64:
-    """(G, 50) matrix that takes the mean of each group of values."""
-    rows = np.zeros((len(groups), TOUCH_SIZE))
-    for row, values in zip(rows, groups, strict=True):
-        row[values] = 1.0 / len(values)
-    return rows
-
-
-_VALUES_OF: Final = {"TH": columns(["PDC_TH", "E_TH"]), "MF": columns(["PDC_MF", "E_MF"])}
-_MODALITY: Final = np.repeat(np.arange(len(MODALITIES)), [len(columns([name])) for name in MODALITIES])
-_MODALITY_MEANS: Final = _mean_rows([columns([name]) for name in MODALITIES])
-_FINGER_MEANS: Final = _mean_rows(list(_VALUES_OF.values()))
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
     """What readings differ by from predictions by vision, at one time."""
 
-    offset: Float64  # (50,) [counts]
-    variance: Float64  # (50,) of the offset, without the noise of a grasp [counts²]
+    offset: Float64  # (D,) [counts]
+    variance: Float64  # (D,) of the offset, without the noise of a grasp [counts²]
     same_object: bool  # whether it is for the current object
     kind: int  # of the object, KNOWN or NEW
     evidence: Evidence  # readings behind it
@@ -105,22 +91,23 @@ class SensorTracker:
 
     def __init__(self, parameters: TrackerParameters) -> None:
         self.parameters = parameters
+        self._channels = parameters.channels
         self._inverse = np.linalg.inv(parameters.basis)
         self._squared = parameters.basis**2
         largest = np.abs(parameters.basis).max(axis=1)
         used = np.abs(parameters.basis) > 1e-9 * largest[:, None]
-        self._coordinates = {name: used[values].any(axis=0) for name, values in _VALUES_OF.items()}
+        self._coordinates = [used[values].any(axis=0) for values in self._channels.finger_columns.values()]
         prior = np.array([parameters.slow, parameters.fast, parameters.object[NEW]])
         times_s = np.array([parameters.slow_time_s, parameters.fast_time_s])
         self._filter = StateFilter(prior, times_s, parameters.slopes() if parameters.thermal else None)
         self._finger = parameters.finger_of()
-        self._tdc = np.full((2, len(FINGERS)), np.nan)  # reference and latest, as far as one was read
+        self._tdc = np.full((2, len(self._channels.fingers)), np.nan)  # reference and latest, as far as one was read
         self._tdc_ns = -1
         self.tdc_readings = self.tdc_jumps = 0
         self._kind = NEW
-        self._suspect = np.zeros(len(FINGERS), np.bool_)
+        self._suspect = np.zeros(len(self._channels.fingers), np.bool_)
         self._first_log_factor = self._log_factor = np.log(parameters.factor)
-        self._expected = np.zeros(TOUCH_SIZE)  # sum over the touches of the object
+        self._expected = np.zeros(self._channels.size)  # sum over the touches of the object
         self.touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
         self.revision = self.set_aside = 0
@@ -161,16 +148,16 @@ class SensorTracker:
 
         Args:
             stamp_ns: When it was taken [ns].
-            offset: (50,) tare minus rest level of the model [counts].
-            tdc: (2,) TDC of thumb and middle finger [counts]; NaN or None where it was not read.
+            offset: (D,) tare minus rest level of the model [counts].
+            tdc: (F,) TDC of the fingers [counts]; NaN or None where it was not read.
 
         Returns:
-            Names from `FINGERS` that the innovation test restarted.
+            Names of the fingers that the innovation test restarted.
 
         Raises:
             TactileError: If the stamp or a value cannot be used; nothing is changed then.
         """
-        _check_counts("tare", offset)
+        self._check("tare", offset)
         stamp = self._checked_stamp(stamp_ns)
         self._filter.advance(self._seconds_to(stamp))
         x = self._add_tdc(tdc, stamp)
@@ -182,17 +169,17 @@ class SensorTracker:
         self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1, x=x)
         self._newest_ns, self._readings = stamp, self._readings + 1
         self.revision += 1
-        return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
+        return self._names(failed)
 
     def add_touch(
         self, stamp_ns: int, reading: Float64, expected: Float64, *, tdc: Float64 | None = None
     ) -> tuple[str, ...]:
-        """Add the (50,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
+        """Add the (D,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
 
         The other arguments, the result and the errors are as of `add_tare`.
         """
-        _check_counts("reading", reading, 0.0, FULL_SCALE)
-        _check_counts("expected", expected)
+        self._check("reading", reading, working=True)
+        self._check("expected", expected)
         stamp = self._checked_stamp(stamp_ns)
         self._filter.advance(self._seconds_to(stamp))
         self._newest_ns = stamp
@@ -212,7 +199,7 @@ class SensorTracker:
         self._object_ns = stamp
         self._readings, self.touches = self._readings + 1, self.touches + 1
         self.revision += 1
-        return tuple(name for name, one in zip(FINGERS, restarted, strict=True) if one)
+        return self._names(restarted)
 
     def start_object(self, *, known: bool = False) -> None:
         """Another object: forget the object's part, keep the state.
@@ -223,7 +210,7 @@ class SensorTracker:
         self._kind = KNOWN if known else NEW
         self._filter.start_object(self.parameters.object[self._kind])
         self._log_factor = self._other_log_factor()
-        self._expected = np.zeros(TOUCH_SIZE)
+        self._expected = np.zeros(self._channels.size)
         self.touches, self._object_ns = 0, -1
         self.revision += 1
 
@@ -236,7 +223,7 @@ class SensorTracker:
             stamp_ns: Time of the prediction [ns].
             same_object: Whether it is for the current object, else for one that was not touched.
             known: Of another object, as of `start_object`.
-            tdc: (2,) TDC at that time [counts]; where it is not known, the latest one counts.
+            tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
         kind = self._kind if same_object else (KNOWN if known else NEW)
         at = self._filter.copy()
@@ -253,7 +240,7 @@ class SensorTracker:
         )
 
     def _followed(self, tdc: Float64 | None, stamp_ns: int) -> tuple[Float64, int]:
-        """(2, 2) reference and latest TDC by finger after a reading of it, NaN without any, and how many jumped."""
+        """(2, F) reference and latest TDC by finger after a reading of it, NaN without any, and how many jumped."""
         reference, before = self._tdc
         if tdc is None or not self.parameters.thermal:
             return self._tdc, 0
@@ -265,7 +252,7 @@ class SensorTracker:
         return np.stack([reference, latest]), int(jumped.sum())
 
     def _change(self, tdc: Float64) -> Float64 | None:
-        """(50,) latest TDC minus reference, of each coordinate's finger; None where there is none."""
+        """(D,) latest TDC minus reference, of each coordinate's finger; None where there is none."""
         if np.isnan(tdc).all():
             return None
         return np.asarray(np.nan_to_num(tdc[1] - tdc[0])[self._finger], np.float64)
@@ -290,51 +277,66 @@ class SensorTracker:
         )
 
     def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
-        """(K, 50) predictions adapted to all readings, and (K, 50) half widths of their 90 % intervals [counts].
+        """(K, D) predictions adapted to all readings, and (K, D) half widths of their 90 % intervals [counts].
 
         After touches of the object, differences of the predictions by vision from their mean at the touches are
         multiplied by `difference_shrinkage`.
 
         Args:
             level: Of this tracker since its last reading.
-            expected: (K, 50) predictions by vision [counts].
+            expected: (K, D) predictions by vision [counts].
         """
         counts = expected + level.offset
         if level.evidence.touches:
             anchor = self._expected / level.evidence.touches
             counts = anchor + self.parameters.difference_shrinkage[level.kind] * (expected - anchor) + level.offset
-        factor = np.exp(self._log_factor if level.same_object else self._other_log_factor())[_MODALITY]
+        factor = self._channels.by_modality(np.exp(self._log_factor if level.same_object else self._other_log_factor()))
         half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])
         return counts, np.broadcast_to(half, counts.shape)
 
     def _adapt_factor(self, outside: Bool) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""
-        moved = self._log_factor + _ADAPTATION_RATE * (_MODALITY_MEANS @ outside - MISS_RATE)
+        moved = self._log_factor + _ADAPTATION_RATE * (self._channels.modality_means @ outside - MISS_RATE)
         self._log_factor = np.minimum(
             np.maximum(moved, self._first_log_factor - _FACTOR_RANGE), self._first_log_factor + _FACTOR_RANGE
         )
 
     def _other_log_factor(self) -> Float64:
-        """(4,) logarithm of the factor for another object."""
+        """(M,) logarithm of the factor for another object."""
         return self._first_log_factor + _KEPT_SHARE * (self._log_factor - self._first_log_factor)
 
     def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> Bool:
-        """(2,) whether each finger fails the test, from (50,) innovations [counts] and variances in coordinates."""
-        statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance))
+        """(F,) whether each finger fails the test, from (D,) innovations [counts] and variances in coordinates."""
+        statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance), self._channels)
         return np.asarray((statistics > limits).any(axis=1), np.bool_)
 
     def _coordinates_of(self, fingers: Bool) -> Bool:
-        """(50,) which coordinates the chosen fingers' values depend on."""
-        chosen = np.zeros(TOUCH_SIZE, np.bool_)
-        for name, one in zip(FINGERS, fingers, strict=True):
+        """(D,) which coordinates the chosen fingers' values depend on."""
+        chosen = np.zeros(self._channels.size, np.bool_)
+        for own, one in zip(self._coordinates, fingers, strict=True):
             if one:
-                chosen |= self._coordinates[name]
+                chosen |= own
         return chosen
+
+    def _names(self, fingers: Bool) -> tuple[str, ...]:
+        return tuple(name for name, one in zip(self._channels.fingers, fingers, strict=True) if one)
 
     def _restart(self, fingers: Bool) -> None:
         if fingers.any():
             self._filter.restart(self._coordinates_of(fingers))
             self._suspect = self._suspect & ~fingers
+
+    def _check(self, name: str, values: Float64, *, working: bool = False) -> None:
+        """Refuse values that are not finite, or that neither a reading of a working sensor nor a prediction can be."""
+        channels = self._channels
+        if values.shape != (channels.size,):
+            raise TactileError(f"{name}: shape {values.shape} is not ({channels.size},)")
+        low, high = (channels.low, channels.high) if working else (-channels.most, channels.most)
+        wrong = np.flatnonzero(~((values >= low) & (values <= high)))  # NaN fails too
+        if wrong.size:
+            k = int(wrong[0])
+            unit = channels.channel_of[channels.modalities[channels.modality_of_value[k]]].unit
+            raise TactileError(f"{name}: value {k}: {values[k]:g} is not within [{low[k]:g}, {high[k]:g}] {unit}")
 
     def _seconds_to(self, stamp_ns: int) -> float:
         return max(0, int(stamp_ns) - self._newest_ns) / 1e9 if self._newest_ns >= 0 else 0.0
@@ -409,7 +411,8 @@ class SensorTracker:
             raise ModelError(f"stamps_ns: {[newest, last_of_object]} cannot be")
         if (np.abs(tensors["log_factor"] - self._first_log_factor) > _FACTOR_RANGE + 1e-9).any():
             raise ModelError("log_factor: leaves its limits")
-        if np.abs(tensors["expected"]).max() > _MOST_COUNTS * max(touches, 1) or np.abs(tensors["mean"]).max() > 1e6:
+        unlikely = np.abs(tensors["expected"]) > self._channels.most * max(touches, 1)
+        if unlikely.any() or np.abs(tensors["mean"]).max() > 1e6:
             raise ModelError("mean, expected: hold values that readings cannot give")
         self._kind = kind
         self._filter.start_object(self.parameters.object[kind])
@@ -419,7 +422,7 @@ class SensorTracker:
             mean[3], covariance[3], covariance[:, 3] = tensors["slope"][0], tensors["slope"][1:], tensors["slope"][1:]
             tdc = tensors["tdc"]
             self._tdc_ns, self.tdc_readings, self.tdc_jumps = (int(value) for value in tensors["tdc_counts"])
-            if ((tdc[1] < 0.0) | (tdc[1] >= FULL_SCALE)).any() or np.abs(mean[3]).max() > _MOST_SLOPE:
+            if not (is_tdc(tdc[1]) | (tdc[1] == 0.0)).all() or np.abs(mean[3]).max() > _MOST_SLOPE:
                 raise ModelError("slope, tdc: hold values that readings cannot give")
             self._tdc = np.where(tdc[1] == 0.0, np.nan, tdc)
         variances = np.einsum("iik->ik", covariance)
@@ -434,18 +437,10 @@ class SensorTracker:
         self._newest_ns, self._object_ns = newest, last_of_object
 
 
-def innovation_statistics(standard: Float64) -> Float64:
-    """(2, 2) by finger: mean square and squared mean of the (50,) innovations in units of their deviations."""
-    return np.stack([_FINGER_MEANS @ standard**2, (_FINGER_MEANS @ standard) ** 2], axis=1)
-
-
-def _check_counts(name: str, values: Float64, low: float = -_MOST_COUNTS, high: float = _MOST_COUNTS) -> None:
-    if values.shape != (TOUCH_SIZE,):
-        raise TactileError(f"{name}: shape {values.shape} is not ({TOUCH_SIZE},)")
-    wrong = np.flatnonzero(~((values >= low) & (values <= high)))  # NaN fails too
-    if wrong.size:
-        k = int(wrong[0])
-        raise TactileError(f"{name}: value {k}: {values[k]:g} is not within [{low:g}, {high:g}] counts")
+def innovation_statistics(standard: Float64, channels: Channels) -> Float64:
+    """(F, 2) by finger: mean square and squared mean of the (D,) innovations in units of their deviations."""
+    means = channels.finger_means
+    return np.stack([means @ standard**2, (means @ standard) ** 2], axis=1)
 
 
 def _digest(parameters: TrackerParameters) -> UInt8:

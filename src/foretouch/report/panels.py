@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What figures share: creation without a display, saving, fingers; matplotlib is imported when a figure is drawn."""
+"""What figures share: creation without a display, saving; matplotlib is imported when a figure is drawn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from foretouch.checked_files import replace_files
 from foretouch.errors import FileError
-from foretouch.types import Float64, Touch
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -57,14 +56,3 @@ def save_small(figure: Figure, path: Path) -> Path:
         image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(content, "PNG", optimize=True)
     replace_files({path: content.getvalue()})
     return path
-
-
-def finger_parts(touch: Touch, name: str) -> tuple[float, Float64]:
-    """Pressure, and (24,) float64 electrodes, of `TH` or `MF` [counts]."""
-    return float(touch[f"PDC_{name}"][0]), touch[f"E_{name}"]
-
-
-def electrode_levels(touch: Touch, rest: Touch | None, name: str) -> Float64:
-    """(24,) float64: what the electrodes of a finger are coloured by, their drop from rest or their counts."""
-    electrodes = finger_parts(touch, name)[1]
-    return electrodes if rest is None else finger_parts(rest, name)[1] - electrodes

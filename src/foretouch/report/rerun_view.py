@@ -3,8 +3,8 @@
 
 /scene/cloud, table, objects, candidates        what the camera saw and what was found in it
 /scene/hand, thumb, middle_finger               the pose of the hand, and both fingertips at their contacts
-/electrodes/TH, MF                              the electrodes unrolled from the core, predicted beside read
-/touch/PDC_TH, PDC_MF, E_TH/01 ... E_MF/24      value, bounds and reading over time [counts]
+/taxels/TH, MF                                  the taxels unrolled, predicted beside read, in one channel
+/touch/PDC_TH, PDC_MF, E_TH/01 ... E_MF/24      value, bounds and reading over time, by modality and number of the taxel
 /answer                                         the same as text, with flags and reasons
 """
 
@@ -21,14 +21,15 @@ import numpy as np
 from foretouch.checked_files import open_own
 from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.grasp.pose import fingertip_rotation
-from foretouch.report.panels import electrode_levels, finger_parts
+from foretouch.report.taxel_view import TaxelView
 from foretouch.simulation.contact.pad import PadConfig
-from foretouch.tactile import ELECTRODES, electrode_normals, electrode_positions
-from foretouch.tactile.channels import FINGER_NAMES
+from foretouch.tactile import BIOTAC
+from foretouch.tactile.description import Sensor, packaged_sensor
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
-_PAD: Final = PadConfig()
-_COLOURS: Final = {"TH": (240, 115, 130), "MF": (60, 190, 205)}
+_SKIN: Final = PadConfig()  # of the BioTac SP
+_COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2
+_DEAD: Final = (128, 128, 128, 90)
 _TARGET, _OTHER = (60, 160, 80), (150, 150, 150)
 _CANDIDATE: Final = (120, 120, 120)
 _TABLE: Final = (120, 128, 140, 255)
@@ -37,6 +38,7 @@ _BOUND: Final = ((170, 140, 90), 1.5)
 _LINES: Final = {"predicted": ((230, 150, 0), 2.5), "lower": _BOUND, "upper": _BOUND, "read": ((90, 140, 255), 3.0)}
 _MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
 _AXIS_M: Final = 0.06
+_ALL_CURVES: Final = 64  # taxels of a finger which all get curves; of more, only the one that varies most
 _LEAST_SIZE_M: Final = 0.1  # of what is looked at
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
 
@@ -53,16 +55,16 @@ class ViewStep:
     candidates: Sequence[Grasp] = ()  # the other planned grasps
     prediction: TouchPrediction | None = None  # for `grasp`
     model: str = ""  # that predicted
-    read: Touch | None = None  # of the executed grasp [counts]
-    tare: Touch | None = None  # reading without contact [counts]
+    read: Touch | None = None  # of the executed grasp
+    tare: Touch | None = None  # reading without contact
     stamp_ns: int = 0  # time of the cloud [ns]; 0 if it is not known
     reason: str = ""  # why there is no prediction
 
 
-def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
+def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor | None = None) -> int:
     """Write a Rerun recording (`.rrd`) with a layout, which appears when it is complete; returns the number of steps.
 
-    Each step is written before the next one is asked for. A `ForetouchError` if there is none, the file cannot be written,
+    The sensor of all touches is the BioTac SP unless given. Each step is written before the next one is asked for. A `ForetouchError` if there is none, the file cannot be written,
     or Rerun is not installed.
     """
     try:
@@ -75,7 +77,7 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
         recording = rerun.RecordingStream("foretouch")
         recording.save(part)
         recording.send_recording_name(title)
-        written = _Writer(rerun, recording).write(steps)
+        written = _Writer(rerun, recording, TaxelView(sensor or packaged_sensor("biotac_sp"))).write(steps)
         recording.flush()
         recording.disconnect()
         if not written:
@@ -90,7 +92,9 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
 class _Writer:
     """Writes clouds one by one, and at the end, in columns, what is small or needs all steps."""
 
-    def __init__(self, rerun: Any, recording: Any) -> None:
+    def __init__(self, rerun: Any, recording: Any, view: TaxelView) -> None:
+        self._view = view
+        self._names = view.sensor.channels.fingers
         self._rr = rerun
         self._to = recording
         self._steps: list[ViewStep] = []  # without their clouds
@@ -110,11 +114,11 @@ class _Writer:
             self._scene(step)
             self._steps.append(replace(step, cloud=None, objects=None))
         if self._steps:
-            texts, kinds = [_text(step) for step in self._steps], ["text/markdown"] * len(self._steps)
+            texts, kinds = [_text(step, self._view) for step in self._steps], ["text/markdown"] * len(self._steps)
             self._send("/answer", rr.TextDocument.columns(text=texts, media_type=kinds))
             self._hands()
-            self._electrodes()
-            layout = _layout([self._curves(name) for name in FINGER_NAMES], self._eye)
+            self._taxels()
+            layout = _layout(self._view, [self._curves(k) for k in range(len(self._names))], self._eye)
             self._to.send_blueprint(layout, make_active=True, make_default=True)
         return len(self._steps)
 
@@ -184,37 +188,57 @@ class _Writer:
             for one in grasps
         ]
         self._column("/scene/hand/line", rr.LineStrips3D, lines, radii=0.0006)
-        for name, finger in FINGER_NAMES.items():
-            path, colour = _path(finger), _COLOURS[name]
-            ends = [_fingertip_pose(one, one.g1 if name == "TH" else one.g2) for one in grasps if one is not None]
+        for k, finger in enumerate(self._view.fingers):
+            path, colour = _path(finger), _COLOURS[k]
+            depth = _SKIN.skin_axes[2] if self._has_skin else 0.0  # of the surface below the origin
+            ends = [_fingertip_pose(one, (one.g1, one.g2)[k], depth) for one in grasps if one is not None]
             self._poses(path, found, ends)
-            skin = [None if one is None else {"half_sizes": [_PAD.skin_axes]} for one in grasps]
-            self._column(f"{path}/skin", rr.Ellipsoids3D, skin, colors=colour, line_radii=0.0001)
-            lowest = [None if one is None else {"positions": [[0.0, 0.0, -_PAD.skin_axes[2]]]} for one in grasps]
+            if self._has_skin:
+                skin = [None if one is None else {"half_sizes": [_SKIN.skin_axes]} for one in grasps]
+                self._column(f"{path}/skin", rr.Ellipsoids3D, skin, colors=colour, line_radii=0.0001)
+            lowest = [None if one is None else {"positions": [[0.0, 0.0, -depth]]} for one in grasps]
             self._column(f"{path}/contact", rr.Points3D, lowest, colors=colour, radii=0.002, labels=[finger])
+
+    @property
+    def _has_skin(self) -> bool:
+        return self._view.sensor.sha256 == BIOTAC.sha256
+
+    def _on_finger(self) -> Float64:
+        """(N, 3) taxels in the frame of a fingertip [m], where they are drawn: on the skin, else on the surface of the pad."""
+        layout = self._view.sensor.layout
+        if self._has_skin:
+            return layout.positions + _SKIN.layer_m * layout.normals
+        placed = layout.positions @ layout.to_fingertip.T
+        return np.asarray(placed - [placed[:, 0].mean(), 0.0, placed[:, 2].min()], np.float64)
 
     def _poses(self, path: str, steps: Sequence[int], poses: Sequence[tuple[Float64, Float64]]) -> None:
         origins, rotations = zip(*poses, strict=True)
         self._send(path, self._rr.Transform3D.columns(translation=origins, mat3x3=rotations), steps)
 
-    def _electrodes(self) -> None:
-        """Electrodes of all steps, coloured by one scale for each finger, predicted as read."""
+    def _taxels(self) -> None:
+        """Taxels of all steps, coloured by one scale for each finger, predicted as read."""
         from matplotlib import colormaps
 
-        rr, steps = self._rr, self._steps
+        rr, steps, view = self._rr, self._steps, self._view
         touches = {
             "predicted": [None if one.prediction is None else one.prediction.value for one in steps],
             "read": [one.read for one in steps],
         }
-        tared = all(one.tare is not None for one in steps if one.read is not None or one.prediction is not None)
+        shown = [one for one in steps if one.read is not None or one.prediction is not None]
+        tared = all(view.has_rest(one.tare) for one in shown)
         colours = colormaps["plasma" if tared else "viridis"]
-        on_skin = electrode_positions() + _PAD.layer_m * electrode_normals()
-        along, across, depth = 1e3 * electrode_positions().T
-        flat = np.column_stack([0.15 * np.degrees(np.arctan2(across, -depth)), -along])  # [mm]; the core's radius is 8
-        for name, finger in FINGER_NAMES.items():
+        on_finger, layout = self._on_finger(), view.sensor.layout
+        flat = 1e3 * layout.unrolled * [1.0, -1.0]  # [mm], y down
+        low_x, low_y = flat.min(axis=0)
+        aside, above = (
+            np.array([np.ptp(flat[:, 0]) + 8.0, 0.0]),
+            np.array([low_x + np.ptp(flat[:, 0]) / 2.0, low_y - 3.0]),
+        )
+        radius = min(1.0, 0.4e3 * _spacing_m(layout.positions))  # [mm]
+        for k, (name, finger) in enumerate(zip(self._names, view.fingers, strict=True)):
             levels = {
                 what: [
-                    None if touch is None else electrode_levels(touch, step.tare if tared else None, name)
+                    None if touch is None else view.levels(touch, step.tare if tared else None, k)
                     for touch, step in zip(column, steps, strict=True)
                 ]
                 for what, column in touches.items()
@@ -222,47 +246,54 @@ class _Writer:
             }
             if not levels:
                 continue
-            low, high = np.percentile([one for column in levels.values() for one in column if one is not None], [1, 99])
+            dead = ~view.sensor.valid[k]
+            known = [one[~dead] for column in levels.values() for one in column if one is not None]
+            low, high = np.percentile(known, [1, 99])
             for what, column in levels.items():
-                path, place = f"/electrodes/{name}/{what}", np.array([28.0 * (what == "read"), 0.0])
-                heading = rr.Points2D([place - [0.0, 15.0]], radii=0.01, labels=[what], colors=_CANDIDATE)
+                path, place = f"/taxels/{name}/{what}", aside * (what == "read")
+                heading = rr.Points2D([above + place], radii=0.01, labels=[what], colors=_CANDIDATE)
                 self._to.log(f"{path}_title", heading, static=True)
+                span = max(high - low, view.channel.resolution)
                 shades = [
-                    None if one is None else colours(np.clip((one - low) / max(high - low, 1.0), 0.0, 1.0), bytes=True)
+                    None if one is None else colours(np.clip((one - low) / span, 0.0, 1.0), bytes=True)
                     for one in column
                 ]
+                for shade in shades:
+                    if shade is not None:
+                        shade[dead] = _DEAD
+                labels = [None if one is None else [view.channel.text(x) for x in one] for one in column]
                 rows = [
-                    one
-                    if one is None
-                    else {"positions": flat + place, "colors": shade, "labels": [f"{x:.0f}" for x in one]}
-                    for one, shade in zip(column, shades, strict=True)
+                    None if shade is None else {"positions": flat + place, "colors": shade, "labels": texts}
+                    for shade, texts in zip(shades, labels, strict=True)
                 ]
-                self._column(path, rr.Points2D, rows, radii=1.0, show_labels=False)
+                self._column(path, rr.Points2D, rows, radii=radius, show_labels=False)
                 if what == "predicted":
-                    spheres = [one if one is None else {"positions": on_skin, "colors": one} for one in shades]
-                    self._column(f"{_path(finger)}/electrodes", rr.Points3D, spheres, radii=0.0012)
+                    spheres = [one if one is None else {"positions": on_finger, "colors": one} for one in shades]
+                    self._column(f"{_path(finger)}/taxels", rr.Points3D, spheres, radii=0.0012 * radius)
 
-    def _curves(self, name: str) -> int:
-        """Pressure and all electrodes of a finger over time; returns the electrode that varies most."""
-        rows = np.full((len(self._steps), len(_CURVES), 1 + ELECTRODES), np.nan)
+    def _curves(self, finger: int) -> int:
+        """All values of a finger over time; returns the number, from 1, of the taxel that varies most in the shown channel."""
+        sensor, name = self._view.sensor, self._names[finger]
+        rows = np.full((len(self._steps), len(_CURVES), sensor.channels.size), np.nan)
         for number, step in enumerate(self._steps):
             one = step.prediction
             touches = (None, None, None) if one is None else (one.value, one.lower, one.upper)
             for k, touch in enumerate((*touches, step.read)):
                 if touch is not None:
-                    rows[number, k] = np.hstack(finger_parts(touch, name))
+                    rows[number, k] = touch.values
+        lively = _lively(rows[:, :, self._view.columns(finger)])
+        scalars = zip(sensor.scalar_channels, sensor.scalar_columns[finger], strict=True)
+        paths = {f"{channel.name}_{name}": column for channel, column in scalars}
+        for k in range(sensor.size) if sensor.size <= _ALL_CURVES else (lively,):
+            for channel, column in zip(sensor.taxel_channels, sensor.taxel_columns[finger, k], strict=True):
+                paths[f"{channel.name}_{name}/{k + 1:02d}"] = column
         for k, (what, label) in enumerate(_CURVES.items()):
-            known = np.flatnonzero(np.isfinite(rows[:, k, 0])).tolist()
+            known = np.flatnonzero(np.isfinite(rows[:, k]).any(axis=1)).tolist()
             style = self._style(what, label)
-            for column in range(1 + ELECTRODES) if known else ():
-                path = f"/touch/E_{name}/{column:02d}/{what}" if column else f"/touch/PDC_{name}/{what}"
-                self._to.log(path, style, static=True)
-                self._send(path, self._rr.Scalars.columns(scalars=rows[known, k, column]), known)
-        for k in (3, 0):  # what was read, else what was predicted
-            seen = rows[np.isfinite(rows[:, k, 0]), k, 1:]
-            if len(seen) > 1:
-                return int(np.argmax(seen.std(axis=0))) + 1
-        return 1
+            for path, column in paths.items() if known else ():
+                self._to.log(f"/touch/{path}/{what}", style, static=True)
+                self._send(f"/touch/{path}/{what}", self._rr.Scalars.columns(scalars=rows[known, k, column]), known)
+        return lively + 1
 
     def _style(self, what: str, label: str) -> Any:
         colour, width = _LINES[what]
@@ -271,10 +302,26 @@ class _Writer:
         return self._rr.SeriesLines(colors=colour, widths=width, names=label)
 
 
-def _fingertip_pose(grasp: Grasp, contact: Float64) -> tuple[Float64, Float64]:
-    """Origin (3,) [m] and rotation (3, 3) of a fingertip whose skin meets a contact in the middle of its pad."""
+def _lively(rows: Float64) -> int:
+    """Which of (steps, curves, N) values varies most over the steps: what was read, else what was predicted."""
+    for k in (3, 0):
+        seen = rows[np.isfinite(rows[:, k, 0]), k]
+        if len(seen) > 1:
+            return int(np.argmax(seen.std(axis=0)))
+    return 0
+
+
+def _spacing_m(positions: Float64) -> float:
+    """Distance of the two nearest of (N, 3) positions [m]; infinite for one."""
+    from scipy.spatial import KDTree
+
+    return float(KDTree(positions).query(positions, 2)[0][:, 1].min())
+
+
+def _fingertip_pose(grasp: Grasp, contact: Float64, depth_m: float) -> tuple[Float64, Float64]:
+    """Origin (3,) [m] and rotation (3, 3) of a fingertip whose surface, so far below its origin, meets a contact."""
     rotation = fingertip_rotation(grasp, contact)
-    return contact + rotation @ [0.0, 0.0, _PAD.skin_axes[2]], rotation
+    return contact + rotation @ [0.0, 0.0, depth_m], rotation
 
 
 def _table_corners(table: Plane, points: Float32) -> Float64:
@@ -316,7 +363,7 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
     return points, colormaps["cividis_r"](np.clip((points[:, 2] - near) / max(far - near, 1e-3), 0.0, 1.0), bytes=True)
 
 
-def _text(step: ViewStep) -> str:
+def _text(step: ViewStep, view: TaxelView) -> str:
     """The answer in Markdown."""
     one, value = step.prediction, None if step.prediction is None else step.prediction.value
     lines = [f"**{step.name}**", ""]
@@ -328,35 +375,41 @@ def _text(step: ViewStep) -> str:
     else:
         reason = step.reason or (one.reason if one is not None else "")
         lines += [f"not predicted: {reason}" if reason else "not predicted", ""]
-    if value is None and step.read is None:
+    if (value is None and step.read is None) or not view.sensor.scalar_channels:
         return "\n".join(lines)
-    lines += ["| counts | predicted | read |", "|---|---|---|"]
-    for name, finger in FINGER_NAMES.items():
-        cells = ["–" if touch is None else f"{finger_parts(touch, name)[0]:.0f}" for touch in (value, step.read)]
-        if one is not None and one.lower is not None and one.upper is not None:
-            low, high = (finger_parts(touch, name)[0] for touch in (one.lower, one.upper))
-            cells[0] += f" ({low:.0f} to {high:.0f})"
-        lines.append(f"| PDC of the {finger} | {' | '.join(cells)} |")
+    units = dict.fromkeys(channel.unit for channel in view.sensor.scalar_channels)
+    lines += [f"| {', '.join(units)} | predicted | read |", "|---|---|---|"]
+    for k, finger in enumerate(view.fingers):
+        for channel, column in zip(view.sensor.scalar_channels, view.sensor.scalar_columns[k], strict=True):
+            cells = ["–" if touch is None else channel.text(touch.values[column]) for touch in (value, step.read)]
+            if one is not None and one.lower is not None and one.upper is not None:
+                low, high = (channel.text(touch.values[column]) for touch in (one.lower, one.upper))
+                cells[0] += f" ({low} to {high})"
+            lines.append(f"| {channel.name} of the {finger} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _layout(electrodes: Sequence[int], eye: tuple[Float64, float] | None) -> Any:
-    """The scene with the answer, beside pressure, one electrode and all electrodes of each finger."""
+def _layout(view: TaxelView, lively: Sequence[int], eye: tuple[Float64, float] | None) -> Any:
+    """The scene with the answer, beside the scalars, the liveliest taxel and all taxels of each finger."""
     import rerun.blueprint as rrb
 
-    columns = [
-        rrb.Vertical(
-            *(
-                rrb.TimeSeriesView(origin=f"/touch/{path}", name=f"{finger}: {what} [counts]", plot_legend=legend)
-                for path, what, legend in (
-                    (f"PDC_{name}", "pressure PDC", rrb.PlotLegend(visible=name == "TH")),
-                    (f"E_{name}/{k:02d}", f"electrode {k}", rrb.PlotLegend(visible=False)),
-                )
-            ),
-            rrb.Spatial2DView(origin=f"/electrodes/{name}", name=f"{finger}: electrodes"),
+    columns = []
+    for number, (name, finger, k) in enumerate(zip(view.sensor.channels.fingers, view.fingers, lively, strict=True)):
+        curves = [(f"{one.name}_{name}", one.name, one) for one in view.sensor.scalar_channels]
+        curves.append((f"{view.channel.name}_{name}/{k:02d}", f"{view.channel.name} of taxel {k}", view.channel))
+        columns.append(
+            rrb.Vertical(
+                *(
+                    rrb.TimeSeriesView(
+                        origin=f"/touch/{path}",
+                        name=f"{finger}: {what} [{one.unit}]",
+                        plot_legend=rrb.PlotLegend(visible=number == 0 and place == 0),
+                    )
+                    for place, (path, what, one) in enumerate(curves)
+                ),
+                rrb.Spatial2DView(origin=f"/taxels/{name}", name=f"{finger}: {view.channel.name} of all taxels"),
+            )
         )
-        for (name, finger), k in zip(FINGER_NAMES.items(), electrodes, strict=True)
-    ]
     controls = None
     if eye is not None:
         target, size = eye

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw grasps: the scene, the object with its contacts, and both fingertips with their electrodes.
+"""Draw grasps: the scene, the object with its contacts, and both fingertips with their taxels.
 
 `save_touch_picture` draws predictions beside what was read, `save_contact_sheet` many labelled samples on one page.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -16,16 +17,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.panels import electrode_levels, finger_parts, new_figure, save
-from foretouch.tactile import electrode_positions
-from foretouch.tactile.channels import FINGER_NAMES
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.report.panels import new_figure, save
+from foretouch.report.taxel_view import TaxelView
+from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Index, Touch, TouchPrediction
 
-_FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
+_FINGER_COLOURS = ("#d1495b", "#00798c")  # at g1, at g2
 _SHEET_COLUMNS = 2  # samples side by side
 _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
+_LINE = 140  # characters of a title
+_FEW = 32  # taxels that are drawn at full size
 _TARGET_COLOUR = "#ff8000"
 
 
@@ -33,24 +36,26 @@ _TARGET_COLOUR = "#ff8000"
 class DrawnGrasp:
     """One grasp to draw: its object, its prediction, and what was read where it was executed."""
 
-    prediction: TouchPrediction  # a refused one is drawn without its electrodes
+    prediction: TouchPrediction  # a refused one is drawn without its taxels
     target: FoundObject | None = None  # the object; None draws neither scene nor contacts
     scene: Cloud | None = None  # the whole cloud; None if there is only the object
-    rest: Touch | None = None  # reading without contact; electrodes are then coloured by their drop from it
+    rest: Touch | None = None  # reading without contact; taxels are then coloured by their change from it
     read: Touch | None = None  # reading of the executed grasp
     title: str = ""
 
 
-def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
-    """Write one PNG with a row for each grasp: scene, contacts, electrodes predicted and read, and how they agree.
+def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: Sensor | None = None) -> Path:
+    """Write one PNG with a row for each grasp: scene, contacts, taxels predicted and read, and how they agree.
 
-    Electrodes that were read outside of their intervals have a ring. The folder of the file is created.
+    Taxels that were read outside of their intervals have a ring, dead ones are hollow. The folder of the file is created. The sensor
+    of all touches is the BioTac SP unless given.
     """
-    # Finger, `predicted` or `read`, and touch of each panel of electrodes; those of a finger are side by side.
+    view = TaxelView(sensor or packaged_sensor("biotac_sp"))
+    # Finger, `predicted` or `read`, and touch of each panel of taxels; those of a finger are side by side.
     panels = [
         [
-            (name, what, touch)
-            for name in _FINGER_COLOURS
+            (finger, what, touch)
+            for finger in range(len(view.fingers))
             for what, touch in (("predicted", grasp.prediction.value), ("read", grasp.read))
             if touch is not None
         ]
@@ -59,68 +64,72 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     most = max(map(len, panels))
     left = [2.6, 1.9] if any(one.target for one in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
-    scale = _Scale([(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
+    scale = _Scale(view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     for part, one, row in zip(parts, grasps, panels, strict=True):
-        part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=10)
+        part.suptitle("\n".join(filter(None, (one.title, _agreement(one, view.sensor)))), fontsize=10)
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
         views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
         if one.target is not None:
             _draw_scene(views[0], one.scene if one.scene is not None else one.target.cloud, one.target)
-            _draw_front(views[1], one.target.cloud, one.prediction.grasp)
+            _draw_front(views[1], one.target.cloud, one.prediction.grasp, view.fingers)
         for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
-        for panel, (name, what, touch) in zip(fingers, row, strict=True):
-            scale.draw(panel, touch, one.rest, name, size=100, outside=_outside(one, name) if what == "read" else None)
-            half = _half_width(one.prediction, name) if what == "predicted" else ""
-            title = f"{FINGER_NAMES[name]} {what}\nPDC {finger_parts(touch, name)[0]:.0f}{half}"
-            panel.set_title(title, color=_FINGER_COLOURS[name], fontsize=10)
+        for panel, (finger, what, touch) in zip(fingers, row, strict=True):
+            outside = _outside(one, view.columns(finger)) if what == "read" else None
+            scale.draw(panel, touch, one.rest, finger, size=100, outside=outside)
+            scalars = view.scalars(finger, touch, one.prediction if what == "predicted" else None)
+            title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
+            panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
     if scale.drawn is not None:
         scale.add_to(below, None)
     return save(figure, Path(path), dpi=100)
 
 
-def _outside(one: DrawnGrasp, name: str) -> Bool | None:
-    """(24,) which electrodes of a finger were read outside of their intervals; None without both."""
+def _outside(one: DrawnGrasp, columns: Index) -> Bool | None:
+    """(N,) which values were read outside of their intervals; None without both."""
     lower, upper = one.prediction.lower, one.prediction.upper
     if one.read is None or lower is None or upper is None:
         return None
-    read, low, high = (finger_parts(touch, name)[1] for touch in (one.read, lower, upper))
+    read, low, high = (touch.values[columns] for touch in (one.read, lower, upper))
     return (read < low) | (read > high)
 
 
-def _half_width(prediction: TouchPrediction, name: str) -> str:
-    """Half width of the interval of one finger's pressure [counts]; "" without a calibration."""
-    if prediction.lower is None or prediction.upper is None:
-        return ""
-    return f" ± {(finger_parts(prediction.upper, name)[0] - finger_parts(prediction.lower, name)[0]) / 2.0:.0f}"
-
-
-def _agreement(one: DrawnGrasp) -> str:
+def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
     value, read = one.prediction.value, one.read
     if value is None:
         return f"not predicted: {one.prediction.reason}"
     if read is None:
         return ""
-    text = f"mean difference {np.mean(np.abs(value.values - read.values)[2:]):.0f} counts an electrode"
+    columns = {channel: sensor.taxel_columns[..., k].ravel() for k, channel in enumerate(sensor.taxel_channels)}
+    apart = np.abs(value.values - read.values)
+    means = [f"{name.name} {name.text(apart[part].mean())} {name.unit}" for name, part in columns.items()]
+    text = f"mean difference of a taxel: {', '.join(means)}"
     if one.prediction.lower is None or one.prediction.upper is None:
         return text
+    columns |= {channel: sensor.scalar_columns[:, k] for k, channel in enumerate(sensor.scalar_channels)}
     inside = (read.values >= one.prediction.lower.values) & (read.values <= one.prediction.upper.values)
-    of = f"{inside[2:].sum()} of {inside[2:].size} electrodes, {inside[:2].sum()} of 2 pressures"
-    return f"{text}; within their 90 % intervals: {of}"
+    shares = [f"{inside[part].sum()} of {part.size} {name.name}" for name, part in columns.items()]
+    return fill(f"{text}; within their 90 % intervals: {', '.join(shares)}", _LINE)
 
 
-def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
-    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers."""
+def save_contact_sheet(
+    path: str | Path, samples: Sequence[GraspSample], title: str = "", sensor: Sensor | None = None
+) -> Path:
+    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers.
+
+    The sensor of all touches is the BioTac SP unless given.
+    """
+    view = TaxelView(sensor or packaged_sensor("biotac_sp"))
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
     figure = new_figure(7.6 * _SHEET_COLUMNS, 2.6 * rows + 1.3)  # below title and scale
     figure.suptitle(title)
     grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
     for axes in grid.flat:
         axes.set_axis_off()
-    scale = _Scale([(one.touch, one.tare) for one in samples if one.touch is not None for _ in _FINGER_COLOURS])
+    scale = _Scale(view, [(one.touch, one.tare) for one in samples if one.touch is not None])
     for front, sample in zip(grid.reshape(-1, 3), samples, strict=False):
         _draw_sample(list(front), sample, scale)
     if scale.drawn is not None:
@@ -132,57 +141,72 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> 
     """Draw object and fingers of a sample."""
     front, *fingers = panels
     front.set_axis_on()
-    _draw_front(front, sample.cloud, sample.grasp)
+    _draw_front(front, sample.cloud, sample.grasp, scale.view.fingers)
     front.set_title(f"{sample.id}, {1e3 * sample.grasp.width_m:.0f} mm", fontsize=9)
     if sample.touch is None:
         return
-    for axes, (name, colour) in zip(fingers, _FINGER_COLOURS.items(), strict=True):
+    for k, (axes, name) in enumerate(zip(fingers, sample.touch.channels.fingers, strict=True)):
         axes.set_axis_on()
-        scale.draw(axes, sample.touch, sample.tare, name, size=110)
+        scale.draw(axes, sample.touch, sample.tare, k, size=110)
         force = sample.extra.get(f"force_{name.lower()}_n")
-        title = f"{FINGER_NAMES[name]}\nPDC {finger_parts(sample.touch, name)[0]:.0f}"
-        axes.set_title(title if force is None else f"{title}, {force:.1f} N", fontsize=9, color=colour)
+        numbers = [scale.view.scalars(k, sample.touch), "" if force is None else f"{force:.1f} N"]
+        title = f"{scale.view.fingers[k]}\n{', '.join(filter(None, numbers))}"
+        axes.set_title(title, fontsize=9, color=_FINGER_COLOURS[k])
 
 
 class _Scale:
-    """Draws electrodes, all of a page by one scale of colours: their drop from rest where all touches have one.
+    """Draws taxels, all of a page by one scale of colours: their change from rest where all touches have one.
 
     Args:
+        view: Of the sensor of all touches.
         touches: Of the page, with their rest.
     """
 
-    def __init__(self, touches: Sequence[tuple[Touch, Touch | None]]) -> None:
-        self._tared = all(rest is not None for _, rest in touches)
-        levels = [self._levels(*one, name) for one in touches for name in _FINGER_COLOURS]
-        self.limits = (float(np.min(levels)), float(np.max(levels))) if levels else (0.0, 1.0)
+    def __init__(self, view: TaxelView, touches: Sequence[tuple[Touch, Touch | None]]) -> None:
+        self.view = view
+        self._tared = all(view.has_rest(rest) for _, rest in touches)
+        levels = [
+            self._levels(*one, finger)[valid] for one in touches for finger, valid in enumerate(view.sensor.valid)
+        ]
+        known = np.concatenate([[], *levels])
+        self.limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        self._colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
+        if self._tared and not view.channel.contact:  # in both directions from rest
+            largest = max(map(abs, self.limits))
+            self.limits, self._colours = (-largest, largest), "PuOr"
         self.drawn: Any = None  # what a bar of colours is made for
 
-    def _levels(self, touch: Touch, rest: Touch | None, name: str) -> Float64:
-        return electrode_levels(touch, rest if self._tared else None, name)
+    def _levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
+        return self.view.levels(touch, rest if self._tared else None, finger)
 
     def draw(
-        self, axes: Axes, touch: Touch, rest: Touch | None, name: str, size: float, outside: Bool | None = None
+        self, axes: Axes, touch: Touch, rest: Touch | None, finger: int, size: float, outside: Bool | None = None
     ) -> None:
-        """Draw the 24 electrodes of one fingertip, unrolled from the core, and a ring around some of them.
+        """Draw the taxels of one fingertip as `Layout.unrolled`, and a ring around some of them.
 
-        Across is the angle around the core, up the place along the finger; size is that of a dot [points squared].
+        The size is that of a dot of few taxels [points squared].
         """
-        levels, (low, high) = self._levels(touch, rest, name), self.limits
-        x, y, z = 1e3 * electrode_positions().T
-        around = np.degrees(np.arctan2(y, -z))
-        colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
-        style: dict[str, Any] = {"vmin": low, "vmax": high, "edgecolors": _FINGER_COLOURS[name]}
-        self.drawn = axes.scatter(around, x, s=size, c=levels, cmap=colours, **style)
+        sensor, (low, high), valid = self.view.sensor, self.limits, self.view.sensor.valid[finger]
+        across, along = sensor.layout.unrolled.T
+        few = sensor.size <= _FEW
+        size *= 1.0 if few else 2.0 * _FEW / sensor.size
+        levels = self._levels(touch, rest, finger)
+        style: dict[str, Any] = {"edgecolors": _FINGER_COLOURS[finger]} if few else {"linewidths": 0.0}
+        style |= {"vmin": low, "vmax": high, "cmap": self._colours}
+        self.drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **style)
+        hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
+        if not valid.all():
+            axes.scatter(across[~valid], along[~valid], s=size, edgecolors="grey", **hollow)
         if outside is not None:
-            ring: dict[str, Any] = {"s": 2.2 * size, "facecolors": "none", "edgecolors": "black", "linewidths": 1.3}
-            axes.scatter(around[outside], x[outside], **ring)
+            ringed = outside & valid
+            axes.scatter(across[ringed], along[ringed], s=2.2 * size, edgecolors="black", **hollow)
         axes.set(xticks=[], yticks=[])
         axes.margins(0.15)
 
     def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
         """Add the bar of colours below some axes, or alone to a figure without any."""
-        what = "drop of an electrode from rest [counts]" if self._tared else "electrode [counts]"
-        label = f"{what}\nacross: around the core; up: towards the tip; ringed: outside of its 90 % interval"
+        what = self.view.label(from_rest=self._tared)
+        label = f"{what}\nseen from outside, unrolled; up: towards the tip; ringed: outside of its 90 % interval"
         own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}
@@ -215,7 +239,7 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
         _as_image(axes, title)
 
 
-def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
+def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
     points = _finite_subset(target)
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
@@ -223,13 +247,13 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
     middle, half = (points.min(axis=0) + points.max(axis=0)) / 2.0, 0.9 * float(np.ptp(points[:, :2], axis=0).max())
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
-    for k, (name, colour) in enumerate(_FINGER_COLOURS.items()):
+    for k, (name, colour) in enumerate(zip(fingers, _FINGER_COLOURS, strict=True)):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
         offset, va = (8, "bottom") if k == upper else (-8, "top")
         style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 9, "fontweight": "bold"}
         box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
         place = (ends[k, 0], ends[k, 1])
-        axes.annotate(FINGER_NAMES[name], place, (0, offset), va=va, color=colour, bbox=box, **style)
+        axes.annotate(name, place, (0, offset), va=va, color=colour, bbox=box, **style)
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 

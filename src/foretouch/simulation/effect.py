@@ -53,16 +53,18 @@ class SampleState:
     contacts: tuple[ContactSolution, ContactSolution]  # solved contacts of both fingers
     campaign_time: CampaignTime  # when in the campaign the grasp is executed
     sensors: tuple[Finger, Finger]  # the fingertips that are mounted
-    readings: Float64  # (2, 2, 25) [counts], at rest and in contact, PDC then electrodes: ideal, not rounded
+    readings: (
+        Float64  # (2, 2, V) at rest and in contact, ideal, not rounded; V = 25, PDC then electrodes, of a BioTac SP
+    )
     times: Float64  # (T,) [s] of the messages; without a timeline two, for tare and touch, at one time
     load: Float64  # (T,), 0 without contact and 1 in full contact
     hold_row: int  # the message that is the touch; the tare is the median of those before the first load
     level: Float64  # (T, 2, 25) [counts], how far the readings have drifted in the course of the campaign
     others: Float64  # (T, 2, 4) [counts], PAC0, PAC1, TAC and TDC of both fingers, not rounded; 0 if not simulated
     slid: Float64  # (T,) [m], how far the object has slid
-    series: Float64  # (T, 2, 25) [counts], with what the sensor adds
-    touch: Touch  # readings in contact [counts]
-    tare: Touch | None  # readings before contact [counts]; None where no tare is recorded
+    series: Float64  # (T, 2, V), with what the sensor adds
+    touch: Touch  # readings in contact
+    tare: Touch | None  # readings before contact; None where no tare is recorded
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import setting
-from foretouch.errors import SimulationError
+from foretouch.errors import ConfigError, SimulationError
 from foretouch.simulation.contact.pad import ContactFrame
 from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
@@ -76,10 +76,16 @@ class SimulatedHand:
     Args:
         scene: The scene. Its camera is not used, and its `fingers.timeline` is replaced by `config`.
         config: Timing of a grasp.
+
+    Raises:
+        ConfigError: If the fingers of the scene carry another sensor than the BioTac SP.
     """
 
     def __init__(self, scene: SceneConfig, config: GraspTimingConfig | None = None) -> None:
         self.config = config = config or GraspTimingConfig()
+        if scene.fingers.taxels is not None:
+            sensor = scene.fingers.sensor
+            raise ConfigError(f"fingers.sensor: {sensor}: the simulated hand sends messages of the BioTac SP alone")
         timeline = TimelineConfig(
             rate_hz=config.rate_hz,
             rest_s=config.rest_s + config.approach_s,
@@ -143,7 +149,7 @@ class SimulatedHand:
     def press(self, finger: int) -> Counts:
         """(25,) int16: what a press by a person adds to the counts of the thumb, 0, or the middle finger, 1."""
         one = self._resting.world.fingers[finger]
-        return np.asarray(read_press(one) - np.append(one.pdc_rest, one.electrode_rest)).round().astype(np.int16)
+        return np.asarray(read_press(one) - one.rest).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
         """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
@@ -161,7 +167,7 @@ class SimulatedHand:
         state.grasp = replace(self._grasp, object_id=job.item.name)
 
     def _no_contact(self, _job: Job, state: SampleState) -> None:
-        low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
+        low = np.array([finger.rest for finger in state.sensors])
         state.series = np.repeat(low[None], self._idle_rows, axis=0)
         state.times = np.arange(self._idle_rows) / self.config.rate_hz
         state.load, state.slid = np.zeros((2, self._idle_rows))

@@ -90,6 +90,11 @@ class Finger:
     electrode_rest: Float64  # (24,) float64 [counts]
     electrode_gain: Float64  # (24,) float64, factor on the approach of the skin
 
+    @property
+    def rest(self) -> Float64:
+        """(25,) counts without contact: PDC, then electrodes."""
+        return np.append(self.pdc_rest, self.electrode_rest)
+
 
 def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
     """One fingertip of a kind."""
@@ -111,7 +116,7 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
         (25,) float64 [counts], PDC then electrodes.
     """
     if solution.force_n == 0.0:
-        return np.append(finger.pdc_rest, finger.electrode_rest)
+        return finger.rest
     skin = solution.displacement[0]
     volume = _displaced_volume(skin, pad.step_m**2)
     approach = _skin_approach(_electrode_weights(pad, window.frame, window.points), skin, volume)

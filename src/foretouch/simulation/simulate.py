@@ -95,7 +95,8 @@ class Simulation:
         _require_length(self.scene, count)
         plan = {"foretouch": __version__, "scene_sha256": self.scene.sha256(), "samples": count}
         make = partial(_write_chunk, self.scene)
-        for store in made_in_chunks(folder, plan, count, make, address, workers, progress):
+        sensor = self.scene.fingers.taxel_sensor()
+        for store in made_in_chunks(folder, plan, count, make, address, workers, progress, sensor):
             about = store.manifest["about"]
             self._add(
                 {name: EffectTiming(**timing) for name, timing in about["timings"].items()},

@@ -12,9 +12,12 @@ from typing import Self
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.simulation.fingertip import Finger, draw_finger
 from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.taxels import TaxelArray, TaxelConfig
 from foretouch.simulation.view import CameraView
+from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Float64, Plane
 
 CAMERA_FRAME = "camera_depth_optical_frame"
@@ -56,6 +59,7 @@ class World:
     rays: Float64  # (H, W, 3) float64, ray of each pixel in the world, one metre deep along the optical axis
     plane: Plane  # the table top in the camera frame, its normal towards the camera
     fingers: tuple[Finger, Finger]  # thumb and middle finger of the scene's hand, whatever its seed
+    array: TaxelArray | None  # of the same hand, in their place; None for the BioTac SP
 
     @classmethod
     def of(cls, scene: SceneConfig) -> Self:
@@ -64,4 +68,11 @@ class World:
         plane = Plane.from_coefficients(view.table_plane())
         hand = SampleKey(scene.fingers.hand, 0).stream("fingers of the scene")
         fingers = draw_finger(scene.fingers.thumb, hand), draw_finger(scene.fingers.middle, hand)
-        return cls(view, view.directions(), plane, fingers)
+        sensor, stream = scene.fingers.taxel_sensor(), SampleKey(scene.fingers.hand, 0).stream("taxels of the scene")
+        taxels, pad = scene.fingers.taxels or TaxelConfig(), scene.fingers.pad
+        array = None if sensor is None else TaxelArray.of(sensor, taxels, pad, stream)
+        return cls(view, view.directions(), plane, fingers, array)
+
+    def channels(self) -> Channels:
+        """What the values of a touch are."""
+        return BIOTAC if self.array is None else self.array.sensor.channels

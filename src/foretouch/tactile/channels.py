@@ -25,6 +25,12 @@ BIOTAC: Final = packaged_sensor("biotac_sp").channels
 FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 """Names of the fingers that touch g1 and g2, for people."""
 
+
+def finger_label(finger: str) -> str:
+    """Name of a finger for people: that of its sensor's description where there is no other."""
+    return FINGER_NAMES.get(finger, finger)
+
+
 MODALITIES: Final = BIOTAC.modalities
 ELECTRODES: Final = packaged_sensor("biotac_sp").size
 TOUCH_SIZE: Final = BIOTAC.size

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Online contact detection from the counts of a BioTac SP.
+"""Online contact detection from the readings of a tactile sensor.
 
 Each reading of a finger is compared with a recent reference of the same finger without contact. Every change is
 divided by the noise of its channel, and
 
-    score = max(rms over the 24 electrodes of |change| / noise / electrode_limit,  |PDC change| / noise / pdc_limit)
+    score = max over the channels of the rms over the channel's values of |change| / noise / limit
 
-so that a score above 1 is contact. The noise is the spread at rest (1.4826 times the median absolute deviation), but
-at least what sensors showed without contact: 4.4 counts (electrodes), 0.4 counts (PDC). With noise alone the rms is
-1 +- 0.14, far below the limit of 3; one electrode that moves by fifteen deviations reaches it, and so do all
-together that move by 2.8. A steady touch relaxes by up to 8 counts/s: over 45 s of such recordings the limit of 3
-causes no false alarm, 2.5 causes two.
+so that a score above 1 is contact. The limit is `electrode_limit` for a channel of taxels, `pdc_limit` for one of a single
+value. The noise is the spread at rest (1.4826 times the median absolute deviation), but at least what the description
+states, or the resolution of the channel where it states none. That of the BioTac SP states what sensors showed without
+contact: 4.4 counts (electrodes), 0.4 counts (PDC). With noise alone the rms over its 24 electrodes is 1 +- 0.14, far below
+the limit of 3; one electrode that moves by fifteen deviations reaches it, and so do all together that move by 2.8. A steady
+touch relaxes by up to 8 counts/s: over 45 s of such recordings the limit of 3 causes no false alarm, 2.5 causes two.
 
 Contact begins with the first of `confirm` consecutive readings above 1 and ends with the first of `confirm` consecutive
 readings below `release_level`. The reference follows drift: it is the median over `window_s` that end `lag_s` ago, and
@@ -25,13 +26,10 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channels
 from foretouch.config import Settings, setting
-from foretouch.tactile import columns
-from foretouch.tactile.description import packaged_sensor
+from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Float64, Int64
-
-#: Columns of PDC and the electrodes of each finger in a vector of 50 counts.
-FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_MF", "E_MF"))}
 
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
@@ -44,12 +42,15 @@ class ContactConfig(Settings):
 
     electrode_limit: float = setting(
         3.0,
-        "Root mean square of the electrodes' changes that counts as contact",
+        "Root mean square of the taxels' changes (electrodes of a BioTac) that counts as contact",
         unit="deviations",
         bounds=(1.2, 100.0),
     )
     pdc_limit: float = setting(
-        12.0, "Change of the static pressure that counts as contact", unit="deviations", bounds=(3.0, 1e4)
+        12.0,
+        "Change of a finger's single value (PDC of a BioTac) that counts as contact",
+        unit="deviations",
+        bounds=(3.0, 1e4),
     )
     release_level: float = setting(
         0.7, "Score below which contact ends, relative to the score at which it begins", bounds=(0.1, 1.0)
@@ -65,7 +66,7 @@ class ContactConfig(Settings):
 class ContactEvent(NamedTuple):
     """The onset or the release of a contact."""
 
-    finger: str  # `TH` or `MF`
+    finger: str  # such as `TH`
     kind: Literal["onset", "release"]
     stamp_ns: int  # stamp of the first reading that shows it [ns]; it is confirmed a few readings later
 
@@ -78,8 +79,9 @@ class FingerContact:
         score: Score of the last reading; 0 until a reference exists.
     """
 
-    def __init__(self, finger: str, config: ContactConfig) -> None:
+    def __init__(self, finger: str, config: ContactConfig, channels: Channels = BIOTAC) -> None:
         self.finger = finger
+        self._channels = channels
         self.config = config
         self.touching: bool | None = None
         self.score = 0.0
@@ -90,13 +92,13 @@ class FingerContact:
         self._state = _Hysteresis(config)
 
     def update(self, stamp_ns: int, counts: npt.ArrayLike) -> ContactEvent | None:
-        """Process a reading, (25,) PDC and electrodes with its stamp [ns]; stamps may go back."""
+        """Process a reading, (M,) values of the finger with its stamp [ns]; stamps may go back."""
         reading = np.asarray(counts, np.float64)
         if not self.touching:
             self._update_reference(stamp_ns, reading)
         if self._reference is None:
             return None
-        self.score = float(_scores((reading - self._reference) / self._noise, self.config))
+        self.score = float(_scores((reading - self._reference) / self._noise, self.config, self._channels))
         change = self._state.update(stamp_ns, self.score)
         self.touching = self._state.touching
         if change is None:
@@ -126,20 +128,21 @@ class FingerContact:
         window = np.array([counts for stamp, counts in self._recent if stamp <= newest])
         if len(window) > 1:
             self._reference = np.median(window, axis=0)
-            self._noise = _resting_noise(window)
+            self._noise = _resting_noise(window, self._channels)
             self._since_update = 0
 
 
 class ContactDetector:
-    """Contact detectors of thumb and middle finger.
+    """Contact detectors of both fingers.
 
     Attributes:
         fingers: Detector of each finger, by name.
     """
 
-    def __init__(self, config: ContactConfig | None = None) -> None:
+    def __init__(self, config: ContactConfig | None = None, channels: Channels = BIOTAC) -> None:
         self.config = config or ContactConfig()
-        self.fingers = {name: FingerContact(name, self.config) for name in FINGER_COLUMNS}
+        self.fingers = {name: FingerContact(name, self.config, channels) for name in channels.fingers}
+        self._columns = channels.finger_columns
 
     @property
     def holding(self) -> bool:
@@ -147,9 +150,9 @@ class ContactDetector:
         return all(finger.touching for finger in self.fingers.values())
 
     def update(self, stamp_ns: int, counts: npt.ArrayLike) -> list[ContactEvent]:
-        """Process a reading of both fingers, (50,) as `Touch.values`."""
+        """Process a reading of both fingers, (D,) as `Touch.values`."""
         vector = np.asarray(counts)
-        events = (self.fingers[name].update(stamp_ns, vector[index]) for name, index in FINGER_COLUMNS.items())
+        events = (self.fingers[name].update(stamp_ns, vector[index]) for name, index in self._columns.items())
         return [event for event in events if event is not None]
 
     def reset(self) -> None:
@@ -158,42 +161,49 @@ class ContactDetector:
             finger.reset()
 
 
-def _resting_noise(readings: Float64) -> Float64:
-    """(25,) standard deviation of each channel in (T, 25) readings without contact, at least what sensors showed."""
+def _resting_noise(readings: Float64, channels: Channels) -> Float64:
+    """(M,) standard deviation of each value in (T, M) readings of a finger without contact, at least what is stated."""
     spread = 1.4826 * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
-    sensor = packaged_sensor("biotac_sp")
-    noise = {one.name: one.noise or 0.0 for one in (*sensor.config.scalars, *sensor.config.values)}
-    return np.asarray(np.maximum(spread, [noise["PDC"], *[noise["E"]] * sensor.size]), np.float64)
+    stated = [value for one in channels.channels for value in [one.noise or one.resolution] * one.size]
+    return np.asarray(np.maximum(spread, stated), np.float64)
 
 
-def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None) -> Float64:
-    """(T, 2) scores of thumb and middle finger; above 1 a finger is in contact.
+def contact_scores(
+    counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None, channels: Channels = BIOTAC
+) -> Float64:
+    """(T, F) scores of the fingers; above 1 a finger is in contact.
 
     Args:
-        counts: (T, 50) readings.
-        rest: (R, 50) readings without contact: their median is the reference.
+        counts: (T, D) readings.
+        rest: (R, D) readings without contact: their median is the reference.
         config: Settings.
+        channels: Of a touch.
     """
     settings = config or ContactConfig()
     values, resting = np.asarray(counts, np.float64), np.asarray(rest, np.float64)
-    scores = [
-        _scores((values[:, index] - np.median(resting[:, index], axis=0)) / _resting_noise(resting[:, index]), settings)
-        for index in FINGER_COLUMNS.values()
-    ]
+    scores = []
+    for index in channels.finger_columns.values():
+        still = resting[:, index]
+        change = (values[:, index] - np.median(still, axis=0)) / _resting_noise(still, channels)
+        scores.append(_scores(change, settings, channels))
     return np.stack(scores, axis=-1)
 
 
 def find_contact(
-    stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None
-) -> tuple[int | None, int | None]:
-    """First contacts of thumb and middle finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
+    stamps_ns: Sequence[int] | Int64,
+    counts: npt.ArrayLike,
+    rest: npt.ArrayLike,
+    config: ContactConfig | None = None,
+    channels: Channels = BIOTAC,
+) -> tuple[int | None, ...]:
+    """First contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
     settings = config or ContactConfig()
     onsets: list[int | None] = []
-    for scores in contact_scores(counts, rest, settings).T:
+    for scores in contact_scores(counts, rest, settings, channels).T:
         state = _Hysteresis(settings)
         changes = (state.update(int(stamp), float(score)) for stamp, score in zip(stamps_ns, scores, strict=True))
         onsets.append(next((change[1] for change in changes if change is not None), None))
-    return onsets[0], onsets[1]
+    return tuple(onsets)
 
 
 class _Hysteresis:
@@ -222,7 +232,13 @@ class _Hysteresis:
         return ("onset" if self.touching else "release"), self._first_ns
 
 
-def _scores(change: Float64, config: ContactConfig) -> Float64:
-    """(...) scores of (..., 25) changes in units of each channel's noise."""
-    score = np.sqrt(np.mean(np.square(change[..., 1:]), axis=-1)) / config.electrode_limit
-    return np.asarray(np.maximum(score, np.abs(change[..., 0]) / config.pdc_limit), np.float64)
+def _scores(change: Float64, config: ContactConfig, channels: Channels) -> Float64:
+    """(...) scores of (..., M) changes of a finger in units of each value's noise."""
+    scores, first = [], 0
+    for one in channels.channels:
+        part, first = change[..., first : first + one.size], first + one.size
+        if one.size == 1:
+            scores.append(np.abs(part[..., 0]) / config.pdc_limit)
+        else:
+            scores.append(np.sqrt(np.mean(np.square(part), axis=-1)) / config.electrode_limit)
+    return np.asarray(np.maximum.reduce(scores), np.float64)

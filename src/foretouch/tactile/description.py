@@ -243,7 +243,8 @@ class Sensor:
         """All that `sensor_of` needs, as plain types, for manifests and cards."""
         stated: dict[str, Any] = _stated(self.config.to_mapping())
         if self.config.taxels:
-            stated["taxels"] = [None if one is None else one.tolist() for one in vars(self.layout).values()]
+            parts = self.layout.positions, self.layout.normals, self.layout.pixels
+            stated["taxels"] = [None if one is None else one.tolist() for one in parts]
         return stated
 
 

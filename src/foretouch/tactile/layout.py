@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,29 @@ class Layout:
 
     def __post_init__(self) -> None:
         self.positions.flags.writeable = self.normals.flags.writeable = False
+
+    @cached_property
+    def to_fingertip(self) -> Float64:
+        """(3, 3) rotation, p_fingertip = R @ p_sensor, to the frame of fingertips: x along the finger, -z out of the pad.
+
+        x stays x, where the pad does not face along it, and becomes z otherwise.
+        """
+        facing = self.normals.mean(axis=0)
+        depth = int(np.abs(facing).argmax())
+        inward = np.eye(3)[depth] * (1.0 if facing[depth] < 0.0 else -1.0)
+        along = np.eye(3)[2 if depth == 0 else 0]
+        return np.array([along, np.cross(inward, along), inward])
+
+    @cached_property
+    def unrolled(self) -> Float64:
+        """(N, 2) float64 [m]: across the pad to the right and along the finger, seen from outside; a curved pad is unrolled."""
+        _, y, _ = self.to_fingertip @ self.positions.T
+        normals = self.to_fingertip @ self.normals.T
+        angle = np.arctan2(normals[1], -normals[2])
+        if np.ptp(angle) > 1e-3:
+            centred = normals[1] - normals[1].mean()
+            y = angle * (centred @ y) / (centred @ centred)  # the radius
+        return np.column_stack([y, self.to_fingertip[0] @ self.positions.T])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channel
+from foretouch.channels import Channel, Channels
 from foretouch.errors import TactileError
 from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Bool, Float64, Touch
@@ -25,18 +25,22 @@ FULL_SCALE: Final = 4095  # largest count of the 12-bit converter of the BioTac 
 _REFERENCE_KOHM: Final = 10.0
 
 
-def touch_faults(touch: Touch) -> tuple[str, ...]:
-    """Why working sensors cannot have produced a reading, one line each; empty if they can have."""
-    if ((touch.values >= touch.channels.low) & (touch.values <= touch.channels.high)).all():
+def touch_faults(touch: Touch, finger: str = "") -> tuple[str, ...]:
+    """Why working sensors cannot have produced a reading, or the part of one finger; one line each, empty if they can."""
+    channels = touch.channels
+    if ((touch.values >= channels.low) & (touch.values <= channels.high)).all():
         return ()
-    pairs = ((name, channel, touch[name]) for name, channel in touch.channels.channel_of.items())
-    return tuple(filter(None, (_fault(name.lower(), channel, values) for name, channel, values in pairs)))
+    first, step = (channels.fingers.index(finger), len(channels.fingers)) if finger else (0, 1)
+    names = channels.modalities[first::step]
+    return tuple(filter(None, (_fault(name.lower(), channels.channel_of[name], touch[name]) for name in names)))
 
 
 def _fault(name: str, channel: Channel, values: Float64) -> str:
     wrong = np.flatnonzero(~((values >= channel.low) & (values <= channel.high)))  # NaN is a fault too
     if not wrong.size:
         return ""
+    if np.isnan(values).all():
+        return f"{name}: was not read"
     rule = f"is not between {channel.low:g} and {channel.high:g} {channel.unit}"
     if channel.size == 1:
         return f"{name}: {values[0]:g} {rule}, an absent or dead sensor"
@@ -52,7 +56,12 @@ def make_tare(readings: Sequence[Touch]) -> Touch:
     for i, reading in enumerate(readings):
         if faults := touch_faults(reading):
             raise TactileError(f"tare: reading {i}: {faults[0]}")
-    return Touch(np.median([reading.values for reading in readings], axis=0), readings[0].channels)
+    return rest_of(np.median([reading.values for reading in readings], axis=0), readings[0].channels)
+
+
+def rest_of(values: npt.ArrayLike, channels: Channels) -> Touch:
+    """The tare of (D,) values at rest, which is 0 for a channel whose rest level is zero, whatever was read."""
+    return Touch(np.where(channels.tared, np.asarray(values, np.float64), 0.0), channels)
 
 
 def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:

@@ -20,7 +20,7 @@ from foretouch.learning.evaluation.metrics import (
     score,
     skills,
 )
-from foretouch.tactile import MODALITIES, P2_RANGES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES, columns
 
 
 def errors(own, reference=None, counts=None) -> ObjectErrors:
@@ -29,7 +29,7 @@ def errors(own, reference=None, counts=None) -> ObjectErrors:
     reference = np.ones(len(own)) if reference is None else np.asarray(reference, np.float64)
     counts = np.ones(len(own)) if counts is None else np.asarray(counts, np.float64)
     names = tuple(f"o{k}" for k in range(len(own)))
-    return ObjectErrors(names, counts, np.tile(own[:, None], (1, 50)), np.tile(reference[:, None], (1, 50)))
+    return ObjectErrors(names, counts, np.tile(own[:, None], (1, 50)), np.tile(reference[:, None], (1, 50)), BIOTAC)
 
 
 def test_skill_and_rmse_by_hand() -> None:
@@ -45,10 +45,10 @@ def test_pools_as_the_metrics_do_and_those_agree_with_scikit_learn(rng) -> None:
     names = np.array(["a", "b", "c"])[rng.integers(0, 3, 30)]
     squared, reference = (predicted - actual) ** 2, (mean - actual) ** 2
     parts = [(str(names[k]), 1.0, squared[k], reference[k]) for k in rng.permutation(30)]
-    ours, theirs = skills(ObjectErrors.total(parts)), score(predicted, actual, mean)
+    ours, theirs = skills(ObjectErrors.total(parts, BIOTAC)), score(predicted, actual, mean, P2_RANGES.ranges)
     assert_allclose([ours[name].value for name in MODALITIES], [theirs[name].skill for name in MODALITIES])
     assert ours[MEAN].value == pytest.approx(mean_skill(theirs))
-    assert ObjectErrors.total(parts).rmse()["E_TH"] == pytest.approx(theirs["E_TH"].rmse)
+    assert ObjectErrors.total(parts, BIOTAC).rmse()["E_TH"] == pytest.approx(theirs["E_TH"].rmse)
     for name in MODALITIES:
         column = columns([name])
         assert theirs[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
@@ -89,7 +89,7 @@ def test_what_is_hard_for_both_counts_for_neither() -> None:
 def test_same_seed_same_interval_units_do_not_matter_and_few_objects_have_none() -> None:
     one = errors([0.2, 0.5, 0.9, 1.1, 0.4, 0.7])
     assert skills(one) == skills(one)
-    scaled = ObjectErrors(one.objects, one.counts, 100.0 * one.squared, 100.0 * one.reference)
+    scaled = ObjectErrors(one.objects, one.counts, 100.0 * one.squared, 100.0 * one.reference, BIOTAC)
     assert_allclose(skills(scaled)["E_MF"].low, skills(one)["E_MF"].low)
     assert skills(one, BootstrapConfig(seed=1))["E_MF"].low != skills(one)["E_MF"].low
 
@@ -100,11 +100,11 @@ def test_same_seed_same_interval_units_do_not_matter_and_few_objects_have_none()
 
 def test_bad_input_is_named() -> None:
     cases = (
-        ("no object", lambda: ObjectErrors.total([])),
+        ("no object", lambda: ObjectErrors.total([], BIOTAC)),
         ("squared", lambda: errors([np.nan, 1.0])),
         ("the training mean is exact", lambda: skills(errors([1.0] * 6, [0.0] * 6))),
         ("not tested on the same grasps", lambda: compare(errors([1.0] * 6), errors([1.0] * 7))),
         ("not tested on the same grasps", lambda: compare(errors([1.0] * 6), errors([1.0] * 6, [2.0] * 6))),
-        (r"predicted: shape \(30, 24\)", lambda: score(np.ones((30, 24)), *np.ones((2, 30, 50)))),
+        (r"predicted: shape \(30, 24\)", lambda: score(np.ones((30, 24)), *np.ones((2, 30, 50)), P2_RANGES.ranges)),
     )
     every_refusal(DatasetError, cases, lambda call: call())

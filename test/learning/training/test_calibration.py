@@ -15,7 +15,7 @@ from foretouch.learning.training.calibration import (
     make_calibration,
 )
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, columns
 
 SIZE = 50
 W = np.linspace(100.0, 900.0, SIZE)
@@ -38,18 +38,18 @@ def population(
     noise = np.sqrt(W) * rng.normal(size=predicted.shape)
     labels = centre + kept * (predicted - centre) + offsets[owner] + noise
     who = np.array([f"object{k}" for k in owner])
-    return HeldOutPredictions(predicted, labels, who, who)
+    return HeldOutPredictions(predicted, labels, who, who, BIOTAC)
 
 
 def of(residuals: np.ndarray, objects: list[str], sessions: list[str] | None = None) -> HeldOutPredictions:
     """The same residual in all values."""
     labels = np.tile(np.asarray(residuals, np.float64)[:, None], (1, SIZE))
-    return HeldOutPredictions(np.zeros_like(labels), labels, np.array(objects), np.array(sessions or objects))
+    return HeldOutPredictions(np.zeros_like(labels), labels, np.array(objects), np.array(sessions or objects), BIOTAC)
 
 
 def after_touches(group: CalibrationGroup, one: HeldOutPredictions, touches: int) -> tuple[np.ndarray, np.ndarray]:
     """Predictions and half widths of the samples of an object after the first ones."""
-    calibration = Calibration(np.zeros(SIZE), {"known": group, "new": group})
+    calibration = Calibration(BIOTAC, np.zeros(SIZE), {"known": group, "new": group})
     # Residuals alone matter; readings must be those of a sensor.
     shift = 2000.0 * np.ones(SIZE)
     made = Recording(np.ones(len(one.labels), np.int64), one.objects, one.labels + shift, one.predicted + shift)
@@ -103,7 +103,7 @@ def test_every_object_weighs_the_same_and_each_modality_has_its_own_cut() -> Non
     column = columns(["E_TH"])
     labels[:, column] = rng.standard_t(3, (400, 24)) * 10.0  # heavy tails
     names = np.array([f"{k % 40:02}" for k in range(400)])
-    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names))
+    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names, BIOTAC))
     factor = regime.half_width / np.sqrt(regime.spread)
     for modality in MODALITIES:
         scores = np.abs(labels[:, columns([modality])]) / np.sqrt(regime.spread[columns([modality])])
@@ -157,14 +157,14 @@ def test_the_covariance_is_positive_and_touches_never_blow_up(objects: int, each
     regime = fit_group(population(rng, B, objects, each))
     assert np.linalg.eigvalsh(regime.between)[0] > 0.0
     assert (np.diag(regime.between) >= 0.05 * regime.within - 1e-9).all()
-    Calibration.from_tensors(Calibration(np.zeros(SIZE), {"known": regime, "new": regime}).to_tensors())
+    Calibration.from_tensors(Calibration(BIOTAC, np.zeros(SIZE), {"known": regime, "new": regime}).to_tensors(), BIOTAC)
 
 
 def test_sessions_of_one_sample_tell_nothing_of_what_lasts_and_objects_count() -> None:
     rng = np.random.default_rng(7)
     labels = 20.0 * rng.normal(size=(30, SIZE))
     names = np.array([f"{k:02}" for k in range(30)])
-    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names))
+    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names, BIOTAC))
     assert_allclose(regime.within, regime.spread)
     assert_allclose(np.diag(regime.between), 0.05 * regime.within, rtol=1e-9)  # the least that is allowed
     assert_allclose(regime.difference_shrinkage, 1.0)
@@ -174,7 +174,7 @@ def test_sessions_of_one_sample_tell_nothing_of_what_lasts_and_objects_count() -
     stretches = np.array([f"{name}/{k // 10 % 5}" for k, name in enumerate(objects)])
     offset = {name: 30.0 * rng.normal(size=SIZE) for name in np.unique(stretches)}
     labels = np.array([offset[name] for name in stretches]) + 10.0 * rng.normal(size=(500, SIZE))
-    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, objects, stretches))
+    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, objects, stretches, BIOTAC))
     assert_allclose(regime.within, 100.0, rtol=0.35)
     assert np.diag(regime.between).mean() == pytest.approx(900.0, rel=0.1)
 
@@ -209,7 +209,9 @@ def test_the_card_s_facts_name_what_the_promise_rests_on_whatever_the_order_of_s
     rng = np.random.default_rng(12)
     held = population(rng, lasting(rng), 10, 6, 0.6)
     order = rng.permutation(60)
-    mixed = HeldOutPredictions(held.predicted[order], held.labels[order], held.objects[order], held.sessions[order])
+    mixed = HeldOutPredictions(
+        held.predicted[order], held.labels[order], held.objects[order], held.sessions[order], BIOTAC
+    )
     one, other = fit_group(held), fit_group(mixed)
     for field in ("between", "within", "difference_shrinkage", "spread", "half_width"):
         assert_allclose(getattr(other, field), getattr(one, field), rtol=1e-9, atol=1e-9)
@@ -220,7 +222,7 @@ def test_heavy_objects_do_not_set_how_much_a_pressure_lasts(rng) -> None:
     objects = np.array([f"o{k // 20}" for k in range(160)])
     residuals = rng.normal(0.0, 30.0, (160, 50))
     residuals[:40] += 400.0
-    held_out = HeldOutPredictions(np.zeros_like(residuals), residuals, objects, objects)
+    held_out = HeldOutPredictions(np.zeros_like(residuals), residuals, objects, objects, BIOTAC)
     capped, free = fit_group(held_out, new=True), fit_group(held_out)
     pressure = columns(["PDC_TH", "PDC_MF"])
     assert (np.diag(free.between)[pressure] > 10.0 * free.within[pressure]).all()

@@ -19,6 +19,7 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
+from foretouch.tactile import BIOTAC
 from foretouch.types import GraspSample
 
 BARE = make_samples(5, 10)
@@ -91,7 +92,7 @@ def test_calibration_is_that_of_models_that_never_saw_the_sample(bare, name: str
     for fold in folds:
         fitted = fit_contact(rows[fold.train], labels[fold.train], list(objects[fold.train]), FEW_TREES)
         predicted[fold.test] = fitted.predict_rows(rows[fold.test])[0]
-    wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions), new=name == "new")
+    wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions, BIOTAC), new=name == "new")
     found = bare.calibration[0].groups[name]
     for field in ("between", "within", "difference_shrinkage", "spread", "half_width"):
         assert_allclose(getattr(found, field), getattr(wanted, field))

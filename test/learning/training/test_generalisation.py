@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.learning.training.generalisation import _RIDGES, choose_ridge, shrunken_slope, training_kernel
+from foretouch.tactile import BIOTAC
 
 
 def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -20,18 +21,18 @@ def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tupl
 
 def test_what_generalises_has_a_gain_each_object_weighs_the_same_and_a_single_one_has_none(rng) -> None:
     """A slope that is zero exceeds its own standard error, above which there is a gain, in one of six draws."""
-    found = {share: [choose_ridge(*made(rng, share)) for _ in range(30)] for share in (0.0, 1.0)}
+    found = {share: [choose_ridge(*made(rng, share), BIOTAC) for _ in range(30)] for share in (0.0, 1.0)}
     assert all(ridge < max(_RIDGES) and (gain > 0.7).all() for ridge, gain in found[1.0])
     assert np.mean([gain > 0.3 for _, gain in found[0.0]]) < 0.35  # 120 draws, four of a set not independent
     rows, labels, _ = made(rng, 1.0)
-    ridge, gain = choose_ridge(rows, labels, ["only"] * len(rows))
+    ridge, gain = choose_ridge(rows, labels, ["only"] * len(rows), BIOTAC)
     assert ridge == max(_RIDGES)
     assert_array_equal(gain, np.zeros(4))
     rows, labels, objects = made(rng, 1.0)
     far = labels.copy()
     far[np.array(objects) == "o0"] *= 30.0
-    assert_allclose(choose_ridge(rows, labels, objects)[1], 1.0, atol=0.3)
-    assert (choose_ridge(rows, far, objects)[1] < 1.0).any()
+    assert_allclose(choose_ridge(rows, labels, objects, BIOTAC)[1], 1.0, atol=0.3)
+    assert (choose_ridge(rows, far, objects, BIOTAC)[1] < 1.0).any()
 
 
 def test_slope_and_jackknife_by_hand() -> None:

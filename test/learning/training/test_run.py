@@ -24,6 +24,7 @@ from foretouch.learning.evaluation.metrics import score
 from foretouch.learning.training.run import train_run
 from foretouch.learning.training.run_config import RunConfig, load_run_config
 from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, TENSORBOARD_FOLDER, read_state, write_state
+from foretouch.tactile import P2_RANGES
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
@@ -73,7 +74,9 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
     labels = labels_of(data.samples)
     train, test = (labels[data.index(ids)] for ids in (part.train, part.test))
     mean = np.tile(train.mean(0), (len(test), 1))
-    assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(score(mean, test, mean)["PDC_TH"].rmse)
+    assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(
+        score(mean, test, mean, P2_RANGES.ranges)["PDC_TH"].rmse
+    )
     assert card["skill"]["labels/T30"] == result["scores"]["model"]
     assert card["data"]["sha256"] == data.sha256
     assert card["split"]["train"] == len(part.train)

@@ -28,7 +28,7 @@ from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.network.preparation import prepare_grasps
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import biotac_touch
+from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Grasp
 
 QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
@@ -116,7 +116,7 @@ def test_cross_validation_scores_network_and_baselines_on_the_same_folds(samples
     quick = {"training_mean": training_mean, "object_mean": object_mean}
     folds = make_folds(samples, "random", 0)
     scores, predicted = cross_validate(
-        samples, labels_of(samples), learner.predict_fold, folds, learner.config.ranges, baselines=quick
+        samples, labels_of(samples), learner.predict_fold, folds, learner.config.ranges(BIOTAC), baselines=quick
     )
     assert set(scores) == {"model", "training_mean", "object_mean"}
     assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)

@@ -15,8 +15,9 @@ from foretouch.learning.training.calibration import HeldOutPredictions, fit_grou
 from foretouch.learning.training.contact import ContactPredictor
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration
-from foretouch.models.state_space import FINGER_OF_VALUE, NEW, TrackerParameters
+from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
+from foretouch.tactile import BIOTAC
 
 DAY = 86400.0
 
@@ -40,7 +41,7 @@ def campaign(
 
 
 def fitted(recording: Recording) -> TrackerParameters:
-    held_out = HeldOutPredictions(recording.expected, recording.readings, recording.objects, recording.objects)
+    held_out = HeldOutPredictions(recording.expected, recording.readings, recording.objects, recording.objects, BIOTAC)
     group = fit_group(held_out, new=True)
     return fit_tracker(recording, group, group)
 
@@ -73,7 +74,7 @@ def test_the_fit_finds_the_slopes_over_the_temperature(rng) -> None:
     plain = campaign(rng, 20.0)
     tdc = 2400.0 + np.cumsum(rng.normal(0.0, 30.0, (len(plain.stamps_ns), 2)), axis=0)
     slopes = np.concatenate([np.zeros(2), rng.normal(0.7, 0.05, 24), rng.normal(0.4, 0.05, 24)])
-    warmed = plain.readings + slopes * (tdc - tdc[0])[:, FINGER_OF_VALUE]
+    warmed = plain.readings + slopes * (tdc - tdc[0])[:, BIOTAC.finger_of_value]
     recording = replace(plain, readings=warmed, tdc=tdc)
     found, without = fitted(recording), fitted(replace(recording, tdc=None))
     assert_array_equal(found.slope[:2], 0.0)
@@ -87,10 +88,10 @@ def test_the_fit_finds_the_slopes_over_the_temperature(rng) -> None:
 
 def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) -> None:
     first, second = campaign(rng, 60.0), campaign(rng, 60.0)
-    held_out = HeldOutPredictions(first.expected, first.readings, first.objects, first.objects)
+    held_out = HeldOutPredictions(first.expected, first.readings, first.objects, first.objects, BIOTAC)
     group = fit_group(held_out, new=True)
     played = replay(SensorTracker(fit_tracker(first, group, group)), second)
-    forgetful = Calibration(REST, {"known": group, "new": group}).tracker_parameters
+    forgetful = Calibration(BIOTAC, REST, {"known": group, "new": group}).tracker_parameters
     memory = replay(SensorTracker(forgetful), second, keep_sensors=False)
     errors = [np.mean((one.counts - second.readings) ** 2) for one in (played, memory)]
     untouched = second.touches() == 0

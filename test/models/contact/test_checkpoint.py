@@ -25,7 +25,7 @@ from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import biotac_touch
+from foretouch.tactile import BIOTAC, biotac_touch
 
 SAMPLES = make_samples(5, 10)
 TARE = biotac_touch(make_calibration().rest + 12.0)
@@ -84,13 +84,13 @@ def test_a_full_disk_leaves_the_calibrated_model_before(card: Path, full_disk) -
 
 def test_a_model_without_calibration_has_no_bounds_and_a_networks_brings_its_fallback(tmp_path: Path, make_net) -> None:
     card = save_contact(tmp_path, "bare", small_estimator(), {})
-    assert load_calibration(card, read_card(card)) == (None, None)
+    assert load_calibration(card, read_card(card), BIOTAC) == (None, None)
     (prediction,) = load_model(card).predict(SAMPLES[0].cloud, [SAMPLES[0].grasp])
     assert prediction.lower is None
     sizes = np.array([object_sizes(sample.cloud.xyz) for sample in SAMPLES])
-    fallback = Fallback.fit(sizes, np.tile(np.linspace(1000.0, 3000.0, 50), (len(SAMPLES), 1)))
+    fallback = Fallback.fit(BIOTAC, sizes, np.tile(np.linspace(1000.0, 3000.0, 50), (len(SAMPLES), 1)))
     card = save_network(tmp_path, "net", make_net(), {}, (make_calibration(), FACTS), fallback)
-    calibration, found = load_calibration(card, read_card(card))
+    calibration, found = load_calibration(card, read_card(card), BIOTAC)
     assert isinstance(calibration, Calibration)
     for name, array in fallback.to_tensors().items():
         assert_array_equal(found.to_tensors()[name], array)

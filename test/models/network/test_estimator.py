@@ -12,6 +12,7 @@ from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
+from foretouch.tactile import BIOTAC
 from foretouch.types import Cloud
 
 
@@ -20,7 +21,7 @@ def cans(can: Cloud, rng: np.random.Generator) -> Fallback:
     """Twenty clouds of the same can."""
     views = [can.take(rng.permutation(can.size)[:600]) for _ in range(20)]
     sizes = np.array([object_sizes(view.xyz) for view in views])
-    return Fallback.fit(sizes, np.arange(1000.0, 2000.0).reshape(20, 50))
+    return Fallback.fit(BIOTAC, sizes, np.arange(1000.0, 2000.0).reshape(20, 50))
 
 
 def test_predictions_fade_to_the_mean_as_an_object_leaves_training(make_net, small, can, cans, make_grasps) -> None:

@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from constant_models import sensor_with_dead
 from std_msgs.msg import Header
 
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.pipeline import Pipeline
+from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import object_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
-from foretouch.ros.messages.markers import object_markers, touch_markers
+from foretouch.ros.messages.markers import object_markers, sample_markers, touch_markers
 from foretouch.tactile import P2_RANGES, biotac_touch
-from foretouch.types import Grasp, TouchPrediction
-from foretouch_msgs.msg import ObjectArray, Status
+from foretouch.tactile.description import packaged_sensor
+from foretouch.types import Cloud, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch_msgs.msg import ObjectArray
 
+BIOTAC_VIEW = TaxelView(packaged_sensor("biotac_sp"))
 HEADER = Header(frame_id="cam")
 # Contacts left and right of the view, object axis up: Z = +x, X = Z x axis, Y completes it.
 GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.array([[0, 0, 1], [0, -1, 0], [1, 0, 0.0]]))
@@ -20,8 +25,7 @@ GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.array(
 def drawn(e_th, e_mf, **options):
     """Markers of a prediction by their namespace."""
     touch = biotac_touch(np.hstack([2800.0, 1800.0, np.asarray(e_th, float), np.asarray(e_mf, float)]))
-    message = prediction_to_msg(TouchPrediction(GRASP, touch), grasp_to_msg(GRASP), HEADER)
-    return by_name(touch_markers(message, P2_RANGES.ranges, **options))
+    return by_name(touch_markers(TouchPrediction(GRASP, touch), HEADER, BIOTAC_VIEW, P2_RANGES.ranges, **options))
 
 
 def by_name(array):
@@ -76,9 +80,34 @@ def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_take
     flat = [marker for group in markers.values() for marker in group]
     assert len({(m.ns, m.id) for m in flat}) == len(flat)
     assert {m.header.frame_id for m in flat} == {"cam"}
-    assert not touch_markers(
-        refusal_to_msg(grasp_to_msg(GRASP), HEADER, Status.REFUSED, "no"), P2_RANGES.ranges
-    ).markers
+    assert not touch_markers(TouchPrediction(GRASP, None, status="refused"), HEADER, BIOTAC_VIEW, None).markers
+
+
+def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest():
+    sensor = sensor_with_dead("xela_uskin_4x4", 5)
+    view, rest = TaxelView(sensor), Touch(np.full(96, 30_000.0), sensor.channels)
+    values = rest.values.copy()
+    values[sensor.taxel_columns[0, 3, 2]] += 1000.0  # Z of the first finger
+    values[sensor.taxel_columns[1, 7, 2]] -= 500.0
+    values[sensor.taxel_columns[1, 8, 0]] += 5000.0  # X is not shown
+    found = by_name(touch_markers(TouchPrediction(GRASP, Touch(values, sensor.channels)), HEADER, view, None, rest))
+    thumb, finger = found["thumb"][0], found["FF"][0]
+    np.testing.assert_allclose(points(thumb)[:, 0], 0.04, atol=1e-9)  # flat on the contact
+    np.testing.assert_allclose(points(finger)[:, 0], -0.04, atol=1e-9)
+    np.testing.assert_allclose(np.sort(np.unique(np.round(np.ptp(points(thumb), axis=0), 6))), [0.0, 0.0141])
+    green, red, grey = (0.0, 1.0), (1.0, 0.0), (0.5, 0.5)
+    assert [(c.r, c.g) for c in thumb.colors] == [red if k == 3 else grey if k == 5 else green for k in range(16)]
+    assert [(c.r, c.g) for c in finger.colors] == [(1.0, 1.0) if k == 7 else green for k in range(16)]
+    assert found["prediction"][0].text == "(cloud only)"
+
+
+def test_a_sample_is_drawn_with_its_scalars_or_without_any():
+    for name, text in (("biotac_sp", "can/1: PDC 1 | 2"), ("tacsl_20x25", "can/1")):
+        sensor = packaged_sensor(name)
+        touch = Touch(np.arange(sensor.channels.size) + 1.0, sensor.channels)
+        sample = GraspSample("can/1", "can", Cloud(np.zeros((1, 3), np.float32)), GRASP, touch)
+        assert sample_markers(sample, sensor).markers[-1].text == text
+        assert sample_markers(replace(sample, touch=None), sensor).markers == []
 
 
 def test_boxes_enclose_their_objects(scene_cloud):

@@ -10,6 +10,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
+import numpy as np
+
 from foretouch.dataset.messages import decode_grasp, decode_objects, read_header
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
@@ -26,7 +28,7 @@ from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeri
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch.types import Cloud, Float32, Grasp, GraspSample
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -65,9 +67,9 @@ class SampleAssembler:
         self.rejected_clouds: Counter[str] = Counter()  # no samples without a touch, as `unlabelled <reason>`
         self.clouds_without_grasps = 0  # that left the buffer without a plan
         self._reader = reader
-        self.readings = TouchBuffer(config.pairing.kept_s)
-        self._episodes = ContactEpisodes(config.contact)
-        self._health = SensorHealth()
+        self.readings = TouchBuffer(config.pairing.kept_s, channels=reader.channels)
+        self._episodes = ContactEpisodes(config.contact, reader.channels)
+        self._health = SensorHealth(reader.channels)
         self._last_unlabelled_ns: int | None = None
         self._last_tactile_s = self._last_cloud_s = float("-inf")
         # Since when no finger is in contact; None while one is, or unless `watch_sensors` is set.
@@ -127,8 +129,15 @@ class SampleAssembler:
             self.matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
 
     def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TouchReading, ...]:
-        """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`)."""
+        """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`).
+
+        One in which a finger was not read is left out, and counted by finger among the anomalies, as are invalid taxels.
+        """
         content = self._reader.read(message)
+        self.readings.anomalies.update({f"taxels_{reason}": count for reason, count in content.invalid.items()})
+        if np.isnan(content.counts).any():
+            self._leave_out(content.counts)
+            return ()
         stamp = received_ns if content.stamp_ns is None else content.stamp_ns
         reading = TouchReading(stamp, content.counts, content.others, received_ns if self.config.check_clock else stamp)
         jumps = self.readings.anomalies["clock_jump"]
@@ -147,6 +156,12 @@ class SampleAssembler:
             elif self.rest_since_s is None:
                 self.rest_since_s = now_s
         return accepted
+
+    def _leave_out(self, counts: Float32) -> None:
+        """Count a reading without one of the fingers."""
+        self._health.update(counts)
+        for finger, columns in self._reader.channels.finger_columns.items():
+            self.readings.anomalies[f"not_read_{finger}"] += bool(np.isnan(counts[columns]).any())
 
     # Output.
 
@@ -232,14 +247,15 @@ class SampleAssembler:
         return next((one for since, one in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
 
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
-        """TAC and TDC in contact and, after `tare_`, before it [counts], such as `tare_TDC_TH`."""
+        """Temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
         both = (("", cut.others), ("tare_", cut.tare_others))
         named = [
             (f"{prefix}{name}", value)
             for prefix, row in both
             for name, value in zip(self._reader.others, row, strict=True)
         ]
-        return {name: float(value) for name, value in named if name.removeprefix("tare_").startswith(("TAC", "TDC"))}
+        known = self._reader.temperatures
+        return {name: float(value) for name, value in named if name.removeprefix("tare_") in known}
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
-from foretouch.tactile import TOUCH_SIZE
+from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Int64
 
 _SECOND_NS = 1_000_000_000
@@ -32,7 +33,7 @@ class TouchReading:
     """One tactile reading of both fingers."""
 
     stamp_ns: int  # stamp of the sensor [ns]
-    counts: Float32  # (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    counts: Float32  # (D,) float32, as `Touch.values`
     others: Float32  # (K,) float32, further channels, the same K in all readings
     received_ns: int  # when the message was received [ns]
 
@@ -42,7 +43,7 @@ class TouchWindow:
     """Readings between two stamps, in the order of their stamps."""
 
     stamps_ns: Int64  # (T,) int64 [ns]
-    counts: Float32  # (T, 50) float32
+    counts: Float32  # (T, D) float32
     others: Float32  # (T, K) float32
     received_ns: Int64  # (T,) int64 [ns]
 
@@ -57,13 +58,14 @@ class TouchWindow:
 
 
 class TouchBuffer:
-    """Readings by stamp, kept for `kept_s` [s] by their stamps, and at most `max_readings`. Not thread-safe.
+    """Readings of a sensor by stamp, kept for `kept_s` [s] by their stamps, and at most `max_readings`. Not thread-safe.
 
     Anomalies are counted as `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap forward that
     stayed) and `wrong_stamp` (a leap that did not; such readings are left out).
     """
 
-    def __init__(self, kept_s: float = 60.0, max_readings: int = 100_000) -> None:
+    def __init__(self, kept_s: float = 60.0, max_readings: int = 100_000, channels: Channels = BIOTAC) -> None:
+        self.channels = channels
         self.anomalies: Counter[str] = Counter()
         self.newest_ns: int | None = None  # latest stamp [ns], None before the first
         self._kept_ns = round(kept_s * _SECOND_NS)
@@ -93,7 +95,7 @@ class TouchBuffer:
         rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
         return TouchWindow(
             np.array([r.stamp_ns for r in rows], np.int64),
-            np.array([r.counts for r in rows], np.float32).reshape(len(rows), TOUCH_SIZE),
+            np.array([r.counts for r in rows], np.float32).reshape(len(rows), self.channels.size),
             np.array([r.others for r in rows], np.float32).reshape(len(rows), len(rows[0].others) if rows else 0),
             np.array([r.received_ns for r in rows], np.int64),
         )

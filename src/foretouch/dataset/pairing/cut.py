@@ -12,16 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
 from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
-from foretouch.tactile import biotac_touch, touch_faults
-from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
+from foretouch.tactile import touch_faults
+from foretouch.tactile.contact_detector import ContactConfig, contact_scores, find_contact
+from foretouch.tactile.readings import rest_of
 from foretouch.types import Bool, Float32, Int64, Touch, UInt8
 
 _SECOND_NS = 1_000_000_000
-_FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
+_FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
 _MIN_TARE_S = 0.1
 _MIN_TARE_READINGS = 5
 
@@ -78,7 +80,7 @@ class TouchCut:
     """The readings of one grasp."""
 
     touch: Touch  # median over the steady contact
-    tare: Touch  # median over the time before the grasp
+    tare: Touch  # median over the time before the grasp; 0 for channels whose rest level is zero
     others: Float32  # (K,) median of the further channels over the steady contact
     tare_others: Float32  # (K,) the same over the time before the grasp
     window: TouchWindow  # the readings from the tare to the release
@@ -124,20 +126,21 @@ def cut_touch(
     hold, rest = window.between(low, high), window.between(tare_start, tare_end)
     if not len(hold):
         raise PairingError("no_tactile", "no reading within the contact")
-    _require_tare(rest, tare_end - tare_start, contact)
+    channels = buffer.channels
+    _require_tare(rest, tare_end - tare_start, contact, channels)
     error = max(_longest_gap_ns(hold, low, high), _longest_gap_ns(rest, tare_start, tare_end))
     if error > tolerance:
         raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
     clock = _clock_offset_ns(window, config)
-    touch, tare = (biotac_touch(np.median(part.counts, axis=0)) for part in (hold, rest))
+    touch, tare = (Touch(np.median(part.counts, axis=0), channels) for part in (hold, rest))
     _require_working(window, touch, tare)
-    onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact)
+    onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact, channels)
     phases = np.full(len(window), REST, np.uint8)
     phases[window.stamps_ns >= interval.start] = APPROACH
     phases[window.stamps_ns >= interval.contact] = HOLD
     return TouchCut(
         touch=touch,
-        tare=tare,
+        tare=rest_of(tare.values, channels),
         others=np.median(hold.others, axis=0),
         tare_others=np.median(rest.others, axis=0),
         window=window,
@@ -145,7 +148,7 @@ def cut_touch(
         contact_ns=min((onset for onset in onsets if onset is not None), default=None),
         error_ns=error,
         clock_ns=clock,
-        flags=_flags(window, onsets),
+        flags=_flags(window, onsets, channels),
     )
 
 
@@ -167,11 +170,11 @@ def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
     return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
 
 
-def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | None) -> None:
+def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | None, channels: Channels) -> None:
     if length_ns < _ns(_MIN_TARE_S) or len(rest) < _MIN_TARE_READINGS:
         raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
     half = len(rest) // 2
-    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], contact), axis=0) > 1.0).any():
+    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], contact, channels), axis=0) > 1.0).any():
         raise PairingError("restless_tare", "something was touched before the grasp")
 
 
@@ -179,21 +182,27 @@ def _require_working(window: TouchWindow, touch: Touch, tare: Touch) -> None:
     for name, reading in (("contact", touch), ("tare", tare)):
         if faults := touch_faults(reading):
             raise PairingError("sensor_fault", f"{name}: {'; '.join(faults)}")
-    for finger, columns in FINGER_COLUMNS.items():
+    for finger, columns in touch.channels.finger_columns.items():
         counts = window.counts[:, columns]
         if (counts == counts[0]).all():
             raise PairingError("frozen_sensor", f"{finger}: the same {len(counts)} times, through rest and contact")
 
 
-def _flags(window: TouchWindow, onsets: tuple[int | None, int | None]) -> tuple[str, ...]:
-    flags = [f"no_contact_{finger}" for finger, onset in zip(FINGER_COLUMNS, onsets, strict=True) if onset is None]
-    for finger, columns in FINGER_COLUMNS.items():
+def _flags(window: TouchWindow, onsets: tuple[int | None, ...], channels: Channels) -> tuple[str, ...]:
+    flags = [f"no_contact_{finger}" for finger, onset in zip(channels.fingers, onsets, strict=True) if onset is None]
+    for finger, columns in channels.finger_columns.items():
         same = (np.diff(window.counts[:, columns], axis=0) == 0).all(axis=1)
+        same &= may_freeze(window.counts[1:, columns], channels.tared[columns])
         if _longest_run_ns(same, window.stamps_ns) > _ns(_FROZEN_S):
             flags.append(f"frozen_{finger}")
     if (np.diff(window.stamps_ns) == 0).any():
         flags.append("duplicate_stamps")
     return tuple(flags)
+
+
+def may_freeze(values: Float32, tared: Bool) -> Bool:
+    """(...) whether (..., M) values of a finger that repeat are a fault; forces at rest may be zero for any time."""
+    return np.asarray((tared | (values != 0.0)).any(axis=-1), np.bool_)
 
 
 def _longest_run_ns(same: Bool, stamps_ns: Int64) -> int:

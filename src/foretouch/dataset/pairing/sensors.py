@@ -3,22 +3,23 @@
 
 import numpy as np
 
-from foretouch.dataset.pairing.cut import Interval
-from foretouch.tactile import FULL_SCALE, biotac_touch, touch_faults
-from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
-from foretouch.types import Float32
+from foretouch.channels import Channels
+from foretouch.dataset.pairing.cut import Interval, may_freeze
+from foretouch.tactile import BIOTAC, touch_faults
+from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
+from foretouch.types import Float32, Touch
 
 ALIVE = "alive"
 NO_DATA = "no data"
-_CONSTANT_SAMPLES = 3000  # of PDC, 30 s at 100 Hz: that of a working sensor moves by 0.06 counts or more at rest (std)
-_FROZEN_SAMPLES = 200  # the same 25 noisy counts over and over: the driver repeats an old message
+_CONSTANT_SAMPLES = 3000  # of a single value with noise, 30 s at 100 Hz: PDC moves by 0.06 counts or more at rest (std)
+_FROZEN_SAMPLES = 200  # the same noisy values over and over: the driver repeats an old message
 
 
 class ContactEpisodes:
     """Finds episodes in which both fingers are in contact. Not thread-safe."""
 
-    def __init__(self, config: ContactConfig | None = None) -> None:
-        self._detector = ContactDetector(config)
+    def __init__(self, config: ContactConfig | None = None, channels: Channels = BIOTAC) -> None:
+        self._detector = ContactDetector(config, channels)
         self._onset: dict[str, int] = {}
         self._holding = False
 
@@ -50,34 +51,39 @@ class ContactEpisodes:
 
 
 class SensorHealth:
-    """State of thumb and middle finger: `states` by finger are `alive`, `no data`, or the fault. Not thread-safe."""
+    """State of both fingers: `states` by finger are `alive`, `no data`, or the fault. Not thread-safe."""
 
-    def __init__(self) -> None:
-        self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
+    def __init__(self, channels: Channels = BIOTAC) -> None:
+        self._channels = channels
         self._last: dict[str, Float32] = {}
-        self._same = dict.fromkeys(FINGER_COLUMNS, 0)
-        self._same_pdc = dict.fromkeys(FINGER_COLUMNS, 0)
+        self._same = dict.fromkeys(channels.fingers, 0)
+        first = np.cumsum([0, *(one.size for one in channels.channels)]).tolist()
+        pairs = zip(first, channels.channels, strict=False)
+        self._single = {k: one.name for k, one in pairs if one.size == 1 and one.noise > 0.0}  # by place in a finger
+        self._constant = {finger: np.zeros(len(self._single), np.int64) for finger in channels.fingers}
+        self.silence()
 
     def update(self, counts: Float32) -> None:
-        """Add a reading, (50,) as `Touch.values`."""
-        plausible = float(counts.min()) > 0.0 and float(counts.max()) <= FULL_SCALE
-        faults = () if plausible else touch_faults(biotac_touch(counts))
-        for finger, columns in FINGER_COLUMNS.items():
-            own = (fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower()))
-            self.states[finger] = next(own, self._state(finger, counts[columns]))
+        """Add a reading, (D,) as `Touch.values`; NaN of a finger that was not read."""
+        touch = Touch(counts.astype(np.float64), self._channels)
+        for finger, columns in self._channels.finger_columns.items():
+            state = self._state(finger, counts[columns])
+            self.states[finger] = next(iter(touch_faults(touch, finger)), state)
 
     def silence(self) -> None:
         """No reading has come for a while."""
-        self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
+        self.states = dict.fromkeys(self._channels.fingers, NO_DATA)
 
     def _state(self, finger: str, counts: Float32) -> str:
-        """Whether counts or PDC alone, (25,), are the same for too long."""
+        """Whether all values of a finger, or a single one with noise, are the same for too long."""
         same = np.full(len(counts), False) if finger not in self._last else self._last[finger] == counts
-        self._same_pdc[finger] = self._same_pdc[finger] + 1 if same[0] else 0
-        self._same[finger] = self._same[finger] + 1 if same.all() else 0
+        frozen = same.all() and may_freeze(counts, self._channels.tared[self._channels.finger_columns[finger]])
+        self._same[finger] = self._same[finger] + 1 if frozen else 0
+        constant = self._constant[finger] = (self._constant[finger] + 1) * same[list(self._single)]
         self._last[finger] = counts
         if self._same[finger] >= _FROZEN_SAMPLES:
             return f"frozen: the same {self._same[finger] + 1} times, or simulated without noise"
-        if self._same_pdc[finger] >= _CONSTANT_SAMPLES:
-            return f"dead: PDC constant at {counts[0]:g} over {self._same_pdc[finger] + 1} readings"
+        if (constant >= _CONSTANT_SAMPLES).any():
+            k, name = list(self._single.items())[constant.argmax()]
+            return f"dead: {name} constant at {counts[k]:g} over {constant.max() + 1} readings"
         return ALIVE

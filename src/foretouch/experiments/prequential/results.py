@@ -30,10 +30,10 @@ from foretouch.learning.evaluation.prequential import CLOCK_S, Recording, other_
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration
-from foretouch.models.state_space import FINGER_OF_VALUE, FINGERS, TrackerParameters
+from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
-from foretouch.tactile import FULL_SCALE, MODALITIES, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, FULL_SCALE, MODALITIES, TOUCH_SIZE, columns
 from foretouch.types import Bool, Float64
 
 CONSTANT: Final = "training_mean"
@@ -61,7 +61,7 @@ AFTER_JUMP: Final = "after jump"
 _JUMP: Final = 100.0  # [counts]
 _JUMP_AFTER: Final = 25  # touches of the object
 _JUMP_GRASPS: Final = 50
-_FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
+_FINGER_OF: Final = dict(zip(MODALITIES, 2 * BIOTAC.fingers, strict=True))
 _COLUMNS: Final = (
     *("vision", "sources", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
     *("vs_constant", "vs_constant_low", "vs_constant_high", "vs_constant_verdict"),
@@ -111,9 +111,9 @@ def prequential_rows(
 def _parameters(name: str, recording: Recording) -> tuple[TrackerParameters, TrackerParameters]:
     """Of a tracker, and of one that ends with the object; fitted to the other objects."""
     others = recording.take(recording.objects != name)
-    held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects)
+    held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects, BIOTAC)
     group = fit_group(held_out, new=True)
-    ending = Calibration(np.zeros(TOUCH_SIZE), {"new": group, "known": group}).tracker_parameters
+    ending = Calibration(BIOTAC, np.zeros(TOUCH_SIZE), {"new": group, "known": group}).tracker_parameters
     return fit_tracker(others, group, group), ending
 
 
@@ -141,7 +141,7 @@ def _score_run(
         before = np.array([shown.tdc_before(k) for k in range(len(last))])
         known = np.isfinite(before) & ~last[:, None]
         mean = np.where(known, before, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        change = np.nan_to_num(before - np.where(known.any(axis=0), mean, np.nan))[:, FINGER_OF_VALUE]
+        change = np.nan_to_num(before - np.where(known.any(axis=0), mean, np.nan))[:, BIOTAC.finger_of_value]
         scored.add("temperature", where, (shown.expected + tracker.slope * change)[last])
         played |= {"history + temperature": (tracker, replace(shown, readings=untouched)), EVERYTHING: (tracker, shown)}
         if shown.tare_tdc is None:
@@ -194,7 +194,7 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
         names, readings = recording.objects[chosen], recording.readings[chosen]
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference[chosen])
+                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference[chosen], BIOTAC)
                 for one in (scored, constant or scored)
             )
             found = skills(errors, config)

@@ -22,7 +22,7 @@ from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, columns
 from foretouch.types import Float64, GraspSample
 
 # The networks by name, with the recipe of `foretouch train` that each is trained by.
@@ -61,7 +61,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         if not together:
             return predicted
         # Faded to the mean on objects out of the training distribution, as the released network does.
-        return Fallback.fit(describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
+        return Fallback.fit(BIOTAC, describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
 
     return _predict
 

@@ -14,7 +14,7 @@ from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
-from foretouch.tactile import MODALITIES
+from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Float64, GraspSample
 
 
@@ -42,7 +42,7 @@ def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float6
     """
     if predicted.shape != labels.shape or not np.isfinite(predicted).all():
         raise DatasetError(f"predictions: shape {predicted.shape} or a value that is not finite")
-    found = ObjectErrors.of_predictions(np.array([sample.object for sample in tested]), predicted, labels, mean)
+    found = ObjectErrors.of_predictions(np.array([sample.object for sample in tested]), predicted, labels, mean, BIOTAC)
     sums = zip(found.objects, found.counts, found.squared.tolist(), found.reference.tolist(), strict=True)
     return [{"object": name, "count": int(n), "squared": own, "reference": base} for name, n, own, base in sums]
 
@@ -102,7 +102,7 @@ def _predictor_rows(
 
 
 def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
-    return ObjectErrors.of_rows([row for seed in seeds for row in rows[seed]])
+    return ObjectErrors.of_rows([row for seed in seeds for row in rows[seed]], BIOTAC)
 
 
 def _rows(
@@ -137,7 +137,7 @@ def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) ->
     own = [f"{name}{kind}_{one}" for kind in ("", "_rmse") for one in MODALITIES]
     if not rows:
         return interval_columns(name, None) | dict.fromkeys(own)
-    errors = ObjectErrors.of_rows(rows)
+    errors = ObjectErrors.of_rows(rows, BIOTAC)
     found, rmse = skills(errors, bootstrap), errors.rmse()
     values = [*(found[one].value for one in MODALITIES), *(rmse[one] for one in MODALITIES)]
     return interval_columns(name, found[MEAN]) | dict(zip(own, values, strict=True))
@@ -158,7 +158,7 @@ def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: Boots
     cells = {one: {(row["part"], row.get("seed")) for row in own} for one, own in rows.items() if own}
 
     def errors(name: str, common: set[tuple[Any, Any]]) -> ObjectErrors:
-        return ObjectErrors.of_rows([row for row in rows[name] if (row["part"], row.get("seed")) in common])
+        return ObjectErrors.of_rows([row for row in rows[name] if (row["part"], row.get("seed")) in common], BIOTAC)
 
     @cache
     def less(one: str, other: str) -> Estimate:
@@ -166,7 +166,7 @@ def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: Boots
         return compare(errors(one, common), errors(other, common), bootstrap)[MEAN]
 
     quick = bootstrap.replace(draws=100)  # of which only the mean is used
-    skill = {one: skills(ObjectErrors.of_rows(rows[one]), quick)[MEAN].value for one in cells}
+    skill = {one: skills(ObjectErrors.of_rows(rows[one], BIOTAC), quick)[MEAN].value for one in cells}
     left = best = sorted(skill, key=skill.__getitem__, reverse=True)
     result: dict[str, Row] = {one: interval_columns(f"{name}_behind", less(one, best[0])) for one in left}
     while left:

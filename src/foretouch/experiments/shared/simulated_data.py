@@ -72,7 +72,8 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
     """
     scene, path = load_scene(scene_file), folder / scene_file.stem
     if not is_store(path):
-        with StoreWriter(path, {"scene": scene.to_mapping(), "scene_sha256": scene.sha256()}) as writer:
+        about = {"scene": scene.to_mapping(), "scene_sha256": scene.sha256()}
+        with StoreWriter(path, about, scene.fingers.taxel_sensor()) as writer:
             for sample in Simulation(scene).samples(count):
                 writer.write(sample)
         return path

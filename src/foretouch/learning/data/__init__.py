@@ -3,6 +3,6 @@
 
 from foretouch.learning.data.dataset import Dataset, load_dataset
 from foretouch.learning.data.folds import make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data.training_set import channels_of, labels_of
 
-__all__ = ["Dataset", "labels_of", "load_dataset", "make_folds"]
+__all__ = ["Dataset", "channels_of", "labels_of", "load_dataset", "make_folds"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
+"""A dataset: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
 import hashlib
 from collections.abc import Sequence
@@ -10,12 +10,14 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
-from foretouch.dataset.store import Store, content_sha256
+from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.store_writer import SampleFacts
+from foretouch.dataset.stored_sample import StoredSample
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
+from foretouch.tactile.description import Sensor, packaged_sensor
 from foretouch.types import GraspSample
 
 _VISION2TACTILE: Final = {
@@ -49,12 +51,13 @@ class Dataset:
 
     Attributes:
         name: Name of the file or folder.
-        samples: In order; without those that the operator discarded.
+        samples: In order; without those that the operator discarded. The clouds of a store are read as they are used.
         sha256: Hash over the samples in order: that of the training store they make.
         splits: The parts of each kind of split.
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
         origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
+        sensor: That was read.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Dataset:
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
+    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -144,7 +148,7 @@ def sample_hash(sample: GraspSample) -> str:
 
 
 def load_dataset(path: str | Path) -> Dataset:
-    """Read all samples of a dataset.
+    """Read all samples of a dataset; of a training store, which may be larger than memory, all but the clouds are kept.
 
     Args:
         path: A recorded dataset, a training store, or folders of vision2tactile. The splits are those stored with the
@@ -156,20 +160,26 @@ def load_dataset(path: str | Path) -> Dataset:
     """
     path = Path(path)
     opened = open_samples(path)
-    samples = tuple(only_finite(record.sample) for record in opened.records())
+    store = Store(path) if opened.kind == "store" else None
+    samples: list[GraspSample] = []
+    content = hashlib.sha256()  # as `content_sha256`, in the same pass
+    for read in (record.sample for record in opened.records()) if store is None else store:
+        sample = only_finite(read)
+        content.update(sample_digest(sample))
+        samples.append(sample if store is None else StoredSample.of(sample, store, len(samples)))
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
     splits = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
     public = opened.kind == "vision2tactile"
-    origin = _VISION2TACTILE if public else _simulated(path) if opened.kind == "store" else {}
+    origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
     aliases = (folder_sha256(path),) if public else ()
-    return Dataset(path.name, samples, content_sha256(samples), splits.parts, aliases, splits.omitted, origin)
+    hashed, sensor = content.hexdigest(), opened.sensor
+    return Dataset(path.name, tuple(samples), hashed, splits.parts, aliases, splits.omitted, origin, sensor)
 
 
-def _simulated(path: Path) -> dict[str, Any]:
+def _simulated(store: Store) -> dict[str, Any]:
     """The origin of a store that `foretouch simulate` wrote; nothing of another store."""
-    store = Store(path)
     about = store.manifest.get("about", {})
     if "scene_sha256" not in about:
         return {}

@@ -20,7 +20,6 @@ import numpy as np
 
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
-from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import Float64, GraspSample, Index
 
 SPLITS: Final = ("random", "time", "object")
@@ -43,17 +42,17 @@ class Fold:
 
 
 HoldOut = Callable[[Fold], Float64]
-"""Fits to the training side of a fold and returns (T, 50) predictions of its test side [counts]."""
+"""Fits to the training side of a fold and returns (T, D) predictions of its test side [counts]."""
 
 
 Mapper = Callable[[HoldOut, Sequence[Fold]], Iterator[Float64]]
 
 
 def predict_folds(predict: HoldOut, folds: Sequence[Fold], run: Mapper = map) -> Float64:
-    """(S, 50) held-out predictions: each sample's is from the one fold that tests it [counts]."""
-    result = np.full((sum(len(fold.test) for fold in folds), TOUCH_SIZE), np.nan)
-    for fold, part in zip(folds, run(predict, folds), strict=True):
-        result[fold.test] = part
+    """(S, D) held-out predictions: each sample's is from the one fold that tests it [counts]."""
+    rows = np.concatenate(list(run(predict, folds)))
+    result = np.empty_like(rows)
+    result[np.concatenate([fold.test for fold in folds])] = rows
     return result
 
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
+from foretouch.learning.data.cloud_file import CloudFile
 from foretouch.learning.data.folds import Indices
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import grasp_lengths
@@ -22,6 +24,7 @@ from foretouch.models.network.preparation import (
     sample_channels,
 )
 from foretouch.tactile import TOUCH_SIZE, touch_faults
+from foretouch.tactile.description import require_same
 from foretouch.types import Float32, Float64, GraspSample, Integer
 
 if TYPE_CHECKING:
@@ -32,9 +35,9 @@ if TYPE_CHECKING:
 class TrainingSet:
     """Inputs and labels of S samples, prepared for one network configuration."""
 
-    clouds: tuple[Float32, ...]  # (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled
+    clouds: Sequence[Float32]  # (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled
     grasps: Float32  # (S, G) float32, as fed to the head
-    labels: Float64  # (S, 50) float64 [counts]; NaN for an unlabelled sample
+    labels: Float64  # (S, D) float64 [counts]; NaN for an unlabelled sample
     lengths: Float64  # (S, 5) float64 [m], for the range check of the card
     config: ModelConfig  # the network configuration
     ids: tuple[str, ...]  # (S,) ids of the samples
@@ -51,12 +54,18 @@ class TrainingSet:
         Raises:
             DatasetError: If there is no sample, a label is missing or is not a reading of a working sensor, or a cloud
                 is unusable or lacks a channel of the network; names the sample.
+            FileError: If the prepared clouds cannot be kept in the folder of temporary files (see `CloudFile`).
         """
         if not samples:
             raise DatasetError("training set: no sample")
         missing = np.full(TOUCH_SIZE, np.nan)
         labels = [missing if unlabelled and sample.touch is None else _label(sample) for sample in samples]
-        clouds, grasps, lengths = zip(*(_prepared(sample, config) for sample in samples), strict=True)
+        clouds, grasps, lengths = CloudFile(), [], []
+        for sample in samples:
+            points, grasp, length = _prepared(sample, config)
+            clouds.append(points)
+            grasps.append(grasp)
+            lengths.append(length)
         ids = tuple(sample.id for sample in samples)
         return cls(clouds, np.array(grasps), np.array(labels), np.array(lengths), config, ids)
 
@@ -71,12 +80,23 @@ class TrainingSet:
 
 
 def labels_of(samples: Sequence[GraspSample]) -> Float64:
-    """(S, 50) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
+    """(S, D) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
     return np.array([_label(sample) for sample in samples])
 
 
+def channels_of(samples: Sequence[GraspSample]) -> Channels:
+    """Of the touches of labelled samples; a `TactileError` names one of another sensor, a `DatasetError` if there is none."""
+    touches = [(sample.id, sample.touch) for sample in samples if sample.touch is not None]
+    if not touches:
+        raise DatasetError("no sample is labelled")
+    channels = touches[0][1].channels
+    for name, touch in touches:
+        require_same(touch.channels, channels, f"{name}: touch")
+    return channels
+
+
 def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
-    """Pairs of ids whose 50 labels are all equal: with sensor noise next to impossible, so one label is wrong."""
+    """Pairs of ids whose labels are all equal: with sensor noise next to impossible, so one label is wrong."""
     seen: dict[bytes, str] = {}
     pairs = []
     for sample in samples:

@@ -71,12 +71,12 @@ _FEATURE_SHARE: Final = 0.5
 
 
 class Baseline(Protocol):
-    """Fits to training samples and their (S, 50) labels and predicts test samples."""
+    """Fits to training samples and their (S, D) labels and predicts test samples."""
 
     def __call__(
         self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
     ) -> Float64:
-        """(T, 50) predictions of the test samples [counts]."""
+        """(T, D) predictions of the test samples [counts]."""
 
 
 def training_mean(_train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:

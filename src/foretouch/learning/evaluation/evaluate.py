@@ -21,9 +21,10 @@ from foretouch.learning.data.splits import SplitPart
 from foretouch.learning.data.training_set import TrainingSet, labels_of, predict_set
 from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.evaluation.metrics import Score, score
-from foretouch.models.card import read_card
+from foretouch.models.card import card_sensor, read_card
 from foretouch.models.registry import find_card, load_model
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, Ranges, columns
+from foretouch.tactile import Ranges
+from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
 
 MODEL: Final = "model"
@@ -45,7 +46,7 @@ def cross_validate(
 
     Args:
         samples: All samples.
-        labels: (S, 50) [counts].
+        labels: (S, D) [counts].
         model: Must be picklable where there are several workers.
         folds: Together they test each sample once.
         ranges: Ranges for the normalised error.
@@ -54,7 +55,7 @@ def cross_validate(
         baselines: By name.
 
     Returns:
-        Scores of `MODEL` and of each baseline, by modality; (S, 50) held-out predictions of the model [counts].
+        Scores of `MODEL` and of each baseline, by modality; (S, D) held-out predictions of the model [counts].
     """
     others = {name: partial(_baseline, samples, labels, baseline, seed) for name, baseline in baselines.items()}
     predictors: dict[str, HoldOut] = {MODEL: model, **others}
@@ -100,6 +101,7 @@ def evaluate_model(
     Raises:
         DatasetError: If the split tests no sample, a sample is unlabelled, or none is held out.
         ModelError: If the model is damaged.
+        TactileError: If the dataset is of another sensor.
     """
     parts = data.parts(split)
     chosen = np.concatenate([data.index(part.test) for part in parts])
@@ -107,6 +109,7 @@ def evaluate_model(
         raise DatasetError(f"{data.name}: the split tests no sample")
     path = find_card(model)
     card = read_card(path)
+    require_same(data.sensor.channels, card_sensor(card, path).channels, data.name)
     own = own_samples(card, data, chosen)
     fitted = own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
@@ -134,7 +137,7 @@ def evaluate_model(
     if found.half_width is not None:
         inside = np.abs(labels - found.counts) <= found.half_width
         for key, row in scores[MODEL].items():
-            row["coverage90"] = float(inside[:, columns([key])].mean())
+            row["coverage90"] = float(inside[:, found.ranges.channels.columns([key])].mean())
     return {"scores": scores, "samples": len(tested), "unfamiliar": found.unfamiliar, **facts}
 
 
@@ -169,8 +172,8 @@ def own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool 
 class _Predictions:
     """Predictions of a model for S samples."""
 
-    counts: Float64  # (S, 50), NaN for modalities that it does not predict [counts]
-    half_width: Float64 | None  # (S, 50) of its intervals [counts]
+    counts: Float64  # (S, D), NaN for modalities that it does not predict [counts]
+    half_width: Float64 | None  # (S, D) of its intervals [counts]
     unfamiliar: int  # samples flagged as out of distribution
     modalities: Sequence[str]
     ranges: Ranges
@@ -179,7 +182,7 @@ class _Predictions:
 def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     """Predict as everywhere else, each sample on its own, with its tare where it has one."""
     model = load_model(card_path)
-    counts, half = np.full((2, len(samples), TOUCH_SIZE), np.nan)
+    counts, half = np.full((2, len(samples), model.sensor.channels.size), np.nan)
     unfamiliar = 0
     for k, sample in enumerate(samples):
         tare = sample.tare if model.calibration is not None else None
@@ -191,7 +194,7 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
             half[k] = (one.upper.values - one.lower.values) / 2.0
         unfamiliar += "unfamiliar" in one.flags
     half_width = None if np.isnan(half).any() else half
-    return _Predictions(counts, half_width, unfamiliar, list(MODALITIES), model.ranges)
+    return _Predictions(counts, half_width, unfamiliar, model.sensor.channels.modalities, model.ranges)
 
 
 def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
@@ -199,15 +202,16 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     from foretouch.models.network.checkpoint import load_network
 
     net, _ = load_network(card_path)
-    counts = np.full((len(samples), TOUCH_SIZE), np.nan)
+    ranges = net.config.ranges.ranges
+    counts = np.full((len(samples), ranges.channels.size), np.nan)
     prepared = TrainingSet.build(samples, net.config)
-    counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
-    modalities = [name for name in MODALITIES if name in net.config.outputs]
-    return _Predictions(counts, None, 0, modalities, net.config.ranges.ranges)
+    counts[:, ranges.channels.columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
+    modalities = [name for name in ranges.channels.modalities if name in net.config.outputs]
+    return _Predictions(counts, None, 0, modalities, ranges)
 
 
 def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:
-    """(S, 50) predictions of a baseline for the test samples of each part, in order."""
+    """(S, D) predictions of a baseline for the test samples of each part, in order."""
     rows = []
     for part in parts:
         train, test = ([data.samples[k] for k in data.index(ids)] for ids in (part.train, part.test))

@@ -37,12 +37,13 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.tactile import MODALITIES, P2_RANGES, TOUCH_SIZE, Ranges, columns
+from foretouch.tactile import Ranges
 from foretouch.types import Float64
 
-_MOST_COUNTS: Final = 1e12  # a reading has at most 4095
+_MOST: Final = 1e12  # far beyond any reading
 
 
 @dataclass(frozen=True)
@@ -55,31 +56,28 @@ class Score:
 
 
 def score(
-    predicted: Float64,
-    actual: Float64,
-    reference: Float64,
-    ranges: Ranges = P2_RANGES.ranges,
-    modalities: Sequence[str] = MODALITIES,
+    predicted: Float64, actual: Float64, reference: Float64, ranges: Ranges, modalities: Sequence[str] | None = None
 ) -> dict[str, Score]:
     """Score predictions.
 
     Args:
-        predicted: (S, 50) [counts].
-        actual: (S, 50) labels [counts].
-        reference: (S, 50) mean of the training labels of each sample's model [counts].
-        ranges: Ranges for `nrmse`.
-        modalities: Modalities to score; the other columns must be finite, too.
+        predicted: (S, D) [counts].
+        actual: (S, D) labels [counts].
+        reference: (S, D) mean of the training labels of each sample's model [counts].
+        ranges: Ranges for `nrmse`, and the channels.
+        modalities: Modalities to score, by default all; the other columns must be finite, too.
 
     Raises:
         DatasetError: If a shape is wrong, there is no sample, a value is not finite or beyond 1e12, or the training
             mean is exact, which leaves the skill undefined.
     """
-    _check(predicted, actual, reference)
+    channels = ranges.channels
+    _check(channels.size, predicted=predicted, actual=actual, reference=reference)
     squared = (predicted - actual) ** 2
     baseline = ((reference - actual) ** 2).mean(axis=0)
     result = {}
-    for name in modalities:
-        column = columns([name])
+    for name in modalities or channels.modalities:
+        column = channels.columns([name])
         if not np.all(baseline[column] > 0.0):
             raise DatasetError(f"{name}: the training mean is exact, so the skill is undefined")
         low, high = ranges.of(name)
@@ -94,21 +92,21 @@ def mean_skill(scores: dict[str, Score]) -> float:
     return float(np.mean([one.skill for one in scores.values()]))
 
 
-def _check(predicted: Float64, actual: Float64, reference: Float64) -> None:
-    for name, values in (("predicted", predicted), ("actual", actual), ("reference", reference)):
-        if values.ndim != 2 or values.shape != (len(actual), TOUCH_SIZE) or len(values) == 0:
-            raise DatasetError(f"{name}: shape {values.shape} is not (S, {TOUCH_SIZE}) with S of at least 1")
+def _check(size: int, **columns: Float64) -> None:
+    for name, values in columns.items():
+        if values.ndim != 2 or values.shape != (len(columns["actual"]), size) or len(values) == 0:
+            raise DatasetError(f"{name}: shape {values.shape} is not (S, {size}) with S of at least 1")
         if not np.isfinite(values).all():
             raise DatasetError(f"{name}: holds a value that is not finite")
-        if np.abs(values).max() > _MOST_COUNTS:
-            raise DatasetError(f"{name}: {np.abs(values).max():g} exceeds {_MOST_COUNTS:g} counts")
+        if np.abs(values).max() > _MOST:
+            raise DatasetError(f"{name}: {np.abs(values).max():g} exceeds {_MOST:g}")
 
 
 LEAST_OBJECTS: Final = 6
 """Fewest objects for an interval: 2^(1 - 6) is below 5 %."""
 
 MEAN: Final = "mean"
-"""Key of the mean of the four skills, beside the modalities."""
+"""Key of the mean of the skills, beside the modalities."""
 
 Verdict = Literal["better", "worse", "tie", "too few objects"]
 
@@ -135,58 +133,60 @@ class ObjectErrors:
 
     objects: tuple[str, ...]  # (O,) names, sorted
     counts: Float64  # (O,) float64, test grasps
-    squared: Float64  # (O, 50) float64, S of eq. 1 [counts²]
-    reference: Float64  # (O, 50) float64, R of eq. 1 [counts²]
+    squared: Float64  # (O, D) float64, S of eq. 1 [counts²]
+    reference: Float64  # (O, D) float64, R of eq. 1 [counts²]
+    channels: Channels  # of the readings
 
     def __post_init__(self) -> None:
-        size = len(self.objects)
+        size, width = len(self.objects), self.channels.size
         if size == 0:
             raise DatasetError("comparison: no object")
-        for name, shape in (("counts", (size,)), ("squared", (size, TOUCH_SIZE)), ("reference", (size, TOUCH_SIZE))):
+        for name, shape in (("counts", (size,)), ("squared", (size, width)), ("reference", (size, width))):
             value = getattr(self, name)
             if value.shape != shape or not np.isfinite(value).all() or (value < 0.0).any():
                 raise DatasetError(f"comparison: {name}: is not {shape} of finite numbers from 0")
 
     @classmethod
-    def total(cls, parts: Sequence[tuple[str, float, Float64, Float64]]) -> Self:
+    def total(cls, parts: Sequence[tuple[str, float, Float64, Float64]], channels: Channels) -> Self:
         """Sum (object, count, squared, reference) rows, in any order and with objects repeated."""
         names = tuple(sorted({name for name, *_ in parts}))
         row = {name: k for k, name in enumerate(names)}
         counts = np.zeros(len(names))
-        squared, reference = np.zeros((2, len(names), TOUCH_SIZE))
+        squared, reference = np.zeros((2, len(names), channels.size))
         for name, count, own, mean in parts:
             counts[row[name]] += count
             squared[row[name]] += own
             reference[row[name]] += mean
-        return cls(names, counts, squared, reference)
+        return cls(names, counts, squared, reference, channels)
 
     @classmethod
     def of_predictions(
-        cls, objects: npt.NDArray[np.str_], predicted: Float64, labels: Float64, reference: Float64
+        cls, objects: npt.NDArray[np.str_], predicted: Float64, labels: Float64, reference: Float64, channels: Channels
     ) -> Self:
-        """From (S,) names of objects, (S, 50) predictions and labels, and a (S, 50) or (50,) reference [counts]."""
+        """From (S,) names of objects, (S, D) predictions and labels, and a (S, D) or (D,) reference [counts]."""
         squared, base = (predicted - labels) ** 2, (reference - labels) ** 2
         each = [(str(name), objects == name) for name in np.unique(objects)]
         return cls.total(
-            [(name, float(own.sum()), squared[own].sum(axis=0), base[own].sum(axis=0)) for name, own in each]
+            [(name, float(own.sum()), squared[own].sum(axis=0), base[own].sum(axis=0)) for name, own in each], channels
         )
 
     @classmethod
-    def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> Self:
+    def of_rows(cls, rows: Sequence[Mapping[str, Any]], channels: Channels) -> Self:
         """`total` of rows of the results of an experiment, whose columns have these names."""
         return cls.total(
-            [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in rows]
+            [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in rows],
+            channels,
         )
 
     def only(self, name: str) -> Self:
         """The errors of one object."""
         k = [self.objects.index(name)]
-        return type(self)((name,), self.counts[k], self.squared[k], self.reference[k])
+        return type(self)((name,), self.counts[k], self.squared[k], self.reference[k], self.channels)
 
     def rmse(self) -> dict[str, float]:
         """Root of the mean squared error over all grasps and values, by modality [counts]."""
         mean = self.squared.sum(axis=0) / self.counts.sum()
-        return {name: float(np.sqrt(mean[columns([name])].mean())) for name in MODALITIES}
+        return {name: float(np.sqrt(value)) for name, value in _by_modality(mean, self.channels).items()}
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Estimate:
 def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, Estimate]:
     """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
     size = len(errors.objects)
-    return _estimates(_skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), size, config)
+    return _estimates(errors, _skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), config)
 
 
 def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, Estimate]:
@@ -225,17 +225,22 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _D
     everyone = np.ones((1, len(one.objects)))
     weights = _weights(len(one.objects), config)
     value = _skill(one, everyone) - _skill(other, everyone)
-    return _estimates(value, _skill(one, weights) - _skill(other, weights), len(one.objects), config)
+    return _estimates(one, value, _skill(one, weights) - _skill(other, weights), config)
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
-    """(draws, 5): eq. 1 by modality, and the mean of the four skills."""
+    """(draws, M + 1): eq. 1 by modality, and the mean of the skills."""
     reference = weights @ errors.reference
     if not np.all(reference > 0.0):
         raise DatasetError("comparison: the training mean is exact, so the skill is undefined")
     per_value = 1.0 - (weights @ errors.squared) / reference
-    skill = np.stack([per_value[:, columns([name])].mean(axis=1) for name in MODALITIES], axis=1)
+    skill = np.stack(list(_by_modality(per_value, errors.channels).values()), axis=1)
     return np.column_stack([skill, skill.mean(axis=1)])
+
+
+def _by_modality(values: Float64, channels: Channels) -> dict[str, Float64]:
+    """Means over the values of each modality, by name, of (..., D)."""
+    return {name: values[..., channels.columns([name])].mean(axis=-1) for name in channels.modalities}
 
 
 def _weights(size: int, config: BootstrapConfig) -> Float64:
@@ -246,11 +251,11 @@ def _weights(size: int, config: BootstrapConfig) -> Float64:
     return rng.multinomial(size, np.full(size, 1.0 / size), config.draws).astype(np.float64)
 
 
-def _estimates(value: Float64, draws: Float64, size: int, config: BootstrapConfig) -> dict[str, Estimate]:
-    names = (*MODALITIES, MEAN)
+def _estimates(errors: ObjectErrors, value: Float64, draws: Float64, config: BootstrapConfig) -> dict[str, Estimate]:
+    names = (*errors.channels.modalities, MEAN)
     if not len(draws):
         return {name: Estimate(float(value[0, k]), None, None) for k, name in enumerate(names)}
-    tail = _tail(size, config.level)
+    tail = _tail(len(errors.objects), config.level)
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
     return {name: Estimate(float(value[0, k]), float(low[k]), float(high[k])) for k, name in enumerate(names)}
 

@@ -14,10 +14,11 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError, ModelError, TactileError
 from foretouch.learning.evaluation.metrics import score
-from foretouch.models.calibration import Calibration
+from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns, tdc_of, touch_faults
+from foretouch.tactile import tdc_of, touch_faults
+from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample, Index, Int64
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
@@ -41,9 +42,9 @@ class Recording:
 
     stamps_ns: Int64  # (S,) [ns], not decreasing
     objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
-    readings: Float64  # (S, 50) [counts]
-    expected: Float64  # (S, 50) predictions by vision, at the rest level of training [counts]
-    tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
+    readings: Float64  # (S, D) [counts]
+    expected: Float64  # (S, D) predictions by vision, at the rest level of training [counts]
+    tares: Float64 | None = None  # (S, D) tare of each grasp minus the rest level, NaN where there is none [counts]
     known: Bool | None = None  # (S,) whether the object is like those of training; None if none is
     tdc: Float64 | None = None  # (S, 2) TDC of thumb and middle finger with the reading, NaN without [counts]
     tare_tdc: Float64 | None = None  # (S, 2) the same with the tare
@@ -57,8 +58,8 @@ class Recording:
         rest: Float64,
         known: Bool | None = None,
     ) -> Self:
-        """From samples with their (S, 50) labels, and (S, 50) predictions by vision at a (50,) rest level [counts]."""
-        tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.values - rest for s in samples])
+        """From samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
+        tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
         tdc, tare_tdc = (np.array([tdc_of(one.extra, prefix) for one in samples]) for prefix in ("", "tare_"))
@@ -82,7 +83,7 @@ class Recording:
         return replace(self, **arrays)
 
     def tare(self, k: int) -> Float64 | None:
-        """(50,) tare of a grasp minus the rest level [counts]; None without."""
+        """(D,) tare of a grasp minus the rest level [counts]; None without."""
         return None if self.tares is None or np.isnan(self.tares[k]).any() else self.tares[k]
 
     def is_known(self, k: int) -> bool:
@@ -119,8 +120,8 @@ def _row(rows: Float64 | None, k: int) -> Float64 | None:
 class Replayed:
     """Predictions of each grasp from all that was read before it."""
 
-    counts: Float64  # (S, 50) [counts]
-    half: Float64  # (S, 50) half widths of the 90 % intervals [counts]
+    counts: Float64  # (S, D) [counts]
+    half: Float64  # (S, D) half widths of the 90 % intervals [counts]
     levels: list[Level]  # (S,) levels of the tracker
     restarted: list[tuple[str, ...]]  # (S,) fingers that each reading restarted
 
@@ -171,7 +172,7 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
         asked: The grasps, without tares; their readings are not used.
 
     Returns:
-        (S, 50) predictions and half widths [counts].
+        (S, D) predictions and half widths [counts].
     """
     tracker = SensorTracker(calibration.tracker_parameters)
     replay(tracker, touched)
@@ -186,11 +187,11 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
 
 
 def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
-    """(S, 50) predictions by name that know labels and times only [counts].
+    """(S, D) predictions by name that know labels and times only [counts].
 
     Args:
         recording: Its predictions by vision are not used.
-        reference: (S, 50) prediction where nothing was read before [counts].
+        reference: (S, D) prediction where nothing was read before [counts].
 
     Returns:
         `running mean` of all earlier readings; mean of the `last run` of another object; `object mean` of the earlier
@@ -216,7 +217,7 @@ def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
 
 
 def other_objects_mean(recording: Recording) -> Float64:
-    """(S, 50) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
+    """(S, D) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
 
     Raises:
         DatasetError: If all readings are of one object.
@@ -252,7 +253,7 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     Raises:
         DatasetError: If there is no sample, or one has no stamp.
         ModelError: If the model has no calibration, or cannot predict a sample.
-        TactileError: Names the sample whose reading no working sensor can have given.
+        TactileError: Names the sample whose reading is of another sensor, or no working one can have given.
     """
     if model.calibration is None:
         raise ModelError(f"{model.name}: cannot remember readings: its card holds no calibration")
@@ -261,9 +262,11 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     flagged = [(sample, True) for sample in samples] + [(sample, False) for sample in earlier]
     flagged.sort(key=lambda pair: pair[0].stamp_ns)
     ordered = [sample for sample, _ in flagged]
-    readings, expected = np.full((2, len(ordered), TOUCH_SIZE), np.nan)
+    readings, expected = np.full((2, len(ordered), model.sensor.channels.size), np.nan)
     known = np.zeros(len(ordered), np.bool_)
     for k, sample in enumerate(ordered):
+        for touch in filter(None, (sample.touch, sample.tare)):
+            require_same(touch.channels, model.sensor.channels, sample.id)
         if sample.touch is not None:
             if faults := touch_faults(sample.touch):
                 raise TactileError(f"{sample.id}: {faults[0]}")
@@ -316,8 +319,8 @@ def evaluate_prequential(
                 key: {"rmse": one.rmse, "skill": one.skill, "coverage90": None, "half_width": None}
                 for key, one in scored.items()
             }
-            for key in MODALITIES if method in half else ():
-                own = np.ix_(chosen, columns([key]))
+            for key in model.sensor.channels.modalities if method in half else ():
+                own = np.ix_(chosen, model.sensor.channels.columns([key]))
                 width = half[method][own]
                 inside = np.abs(readings[own] - values[own]) <= width
                 scores[method][key] |= {"coverage90": float(inside.mean()), "half_width": float(width.mean())}

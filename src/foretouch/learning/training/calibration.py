@@ -19,22 +19,22 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channels
 from foretouch.errors import DatasetError
+from foretouch.learning.data import channels_of
 from foretouch.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
 from foretouch.learning.evaluation.prequential import Recording
 from foretouch.learning.training.tracker import fit_tracker
-from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
 from foretouch.types import Bool, Float64, GraspSample
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
 _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
-_LEAST_DEVIATION: Final = 12.0**-0.5  # [counts] of errors and half widths: that of rounding to whole counts
-_MOST_COUNTS: Final = 4e4  # of a residual, beyond which B + W/n may be singular; a reading has at most 4095
-_MOST_SHARE: Final = 1.0  # of W that B's diagonal has at most, for the pressure of new objects
-_PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
+_LEAST_DEVIATION: Final = 12.0**-0.5  # of errors and half widths, in units of the resolution: that of rounding
+_MOST_SHARE: Final = 1.0  # of W that B's diagonal has at most, for the scalars of new objects
+_REST: Final = {1: 0.01, -1: 0.95, 0: 0.5}  # quantiles of the labels, by what contact does to a value
 
 Names = npt.NDArray[np.str_]
 
@@ -43,14 +43,16 @@ Names = npt.NDArray[np.str_]
 class HeldOutPredictions:
     """Predictions of samples by models that were fitted without them."""
 
-    predicted: Float64  # (S, 50) [counts]
-    labels: Float64  # (S, 50) [counts]
+    predicted: Float64  # (S, D) [counts]
+    labels: Float64  # (S, D) [counts]
     objects: Names  # (S,) names
     sessions: Names  # (S,) the unit that shares the lasting part of the error: an object, or a block of its recording
+    channels: Channels  # of the labels
 
     def take(self, chosen: Bool) -> Self:
         """The samples of an (S,) mask."""
-        return type(self)(self.predicted[chosen], self.labels[chosen], self.objects[chosen], self.sessions[chosen])
+        arrays = {name: array[chosen] for name, array in vars(self).items() if name != "channels"}
+        return replace(self, **arrays)
 
 
 def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
@@ -78,28 +80,31 @@ def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tu
 def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
     """Sensor readings without contact, and whether they were measured.
 
-    Without any tare they are estimated from the labels, value by value: pressure from its low end, electrodes, which
-    contact lowers, from their high end.
+    Without any tare they are estimated from the labels, value by value: those that contact raises from their low end,
+    those that it lowers from their high end, others by their median. Of channels that are not tared they are 0.
 
     Returns:
-        (50,) [counts]; True if it is the mean of recorded tares.
+        (D,) [counts]; True if it is the mean of recorded tares.
     """
+    channels = channels_of(samples)
     tares = [sample.tare.values for sample in samples if sample.tare is not None]
     if tares:
-        return np.mean(tares, axis=0), True
+        return np.where(channels.tared, np.mean(tares, axis=0), 0.0), True
     labels = np.array([sample.touch.values for sample in samples if sample.touch is not None])
-    rest = np.quantile(labels, _ELECTRODE_REST, axis=0)
-    pressure = columns(["PDC_TH", "PDC_MF"])
-    rest[pressure] = np.quantile(labels[:, pressure], _PDC_REST, axis=0)
-    return rest, False
+    rest = np.zeros(channels.size)
+    for name, channel in channels.channel_of.items():
+        if channel.tared:
+            column = channels.columns([name])
+            rest[column] = np.quantile(labels[:, column], _REST[channel.contact], axis=0)
+    return rest, not channels.tared.any()
 
 
 def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
-    """(S, 50) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
+    """(S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
     shifted = labels.copy()
     for k, sample in enumerate(samples):
         if sample.tare is not None:
-            shifted[k] -= sample.tare.values - rest
+            shifted[k] -= tare_offset(sample.tare, rest)
     return shifted
 
 
@@ -118,10 +123,10 @@ def calibrate_on_folds(
 
     Args:
         samples: Training samples, of several objects.
-        labels: (S, 50) [counts].
+        labels: (S, D) [counts].
         predict: Fits to the training side of a fold and predicts its test side, at rest level.
         seed: Of the folds.
-        predicted: (S, 50) held-out predictions by condition (see `calibration_folds`), if they are known already.
+        predicted: (S, D) held-out predictions by condition (see `calibration_folds`), if they are known already.
         workers: Number of processes.
 
     Returns:
@@ -134,10 +139,11 @@ def calibrate_on_folds(
     if predicted is None:
         with fold_workers(workers) as run:
             predicted = {name: predict_folds(predict, folds, run) for name, (folds, _) in conditions.items()}
+    channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])
     found = {
-        name: HeldOutPredictions(predicted[name], labels, objects, sessions)
+        name: HeldOutPredictions(predicted[name], labels, objects, sessions, channels)
         for name, (_, sessions) in conditions.items()
     }
     calibration, facts = make_calibration(rest, found)
@@ -157,57 +163,62 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     intervals.
 
     With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects
-    only; and B of the two pressures, of which one heavy object may make up most, is at most `_MOST_SHARE` of W.
+    only; and B of the scalars of a finger, such as a pressure, of which one heavy object may make up most, is at most `_MOST_SHARE` of W.
 
     Raises:
-        DatasetError: If there is no sample, or a residual is not finite or beyond 40,000 counts.
+        DatasetError: If there is no sample, or a residual is not finite or beyond `Channels.most`.
     """
     if len(held_out.labels) == 0:
         raise DatasetError("calibration: there is no sample")
-    residuals = held_out.labels - held_out.predicted
+    residuals, channels = held_out.labels - held_out.predicted, held_out.channels
     if not np.isfinite(residuals).all():
         raise DatasetError("calibration: a residual is not finite")
-    if np.abs(residuals).max() > _MOST_COUNTS:
-        raise DatasetError(f"calibration: a residual of {np.abs(residuals).max():g} counts exceeds {_MOST_COUNTS:g}")
+    if (np.abs(residuals) > channels.most).any():  # beyond, B + W/n may be singular
+        k = int(np.argmax((np.abs(residuals) / channels.most).max(axis=0)))
+        name = channels.modalities[channels.modality_of_value[k]]
+        largest, unit = np.abs(residuals[:, k]).max(), channels.channel_of[name].unit
+        raise DatasetError(f"calibration: {name}: a residual of {largest:g} {unit} exceeds {channels.most[k]:g}")
+    least = (_LEAST_DEVIATION * channels.resolution) ** 2
     objects = len(np.unique(held_out.objects))
     shrinkage = objects / (objects + _PRIOR_OBJECTS)
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
-    slope = _slopes(differences, actual) * (shrinkage if new else 1.0)
-    spread = np.maximum((residuals**2).mean(axis=0), _LEAST_DEVIATION**2)
+    slope = _slopes(differences, actual, channels) * (shrinkage if new else 1.0)
+    spread = np.maximum((residuals**2).mean(axis=0), least)
     within = spread
     if freedom := len(residuals) - len(owners):
-        within = np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
+        within = np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, least)
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
     between = _shrunk(moments, within, shrinkage)
     if new:
-        most = np.full(TOUCH_SIZE, np.inf)
-        most[columns(["PDC_TH", "PDC_MF"])] = _MOST_SHARE
+        single = [channel.size == 1 for channel in channels.channel_of.values()]
+        most = np.where(channels.by_modality(single), _MOST_SHARE, np.inf)
         factor = np.sqrt(np.minimum(1.0, most * within / np.diag(between)))
         between = between * np.outer(factor, factor)
-    return CalibrationGroup(between, within, slope, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
+    half_width = _half_widths(residuals, held_out.objects, np.sqrt(spread), channels)
+    return CalibrationGroup(channels, between, within, slope, spread, half_width)
 
 
 def _centred(values: Float64, owners: Sequence[Bool]) -> Float64:
-    """(S, 50) minus the mean of each session."""
+    """(S, D) minus the mean of each session."""
     centred = values.copy()
     for mine in owners:
         centred[mine] -= values[mine].mean(axis=0)
     return centred
 
 
-def _slopes(predicted: Float64, actual: Float64) -> Float64:
-    """(50,) least-squares slope of actual over predicted differences in standard units, one per modality, in [0, 1].
+def _slopes(predicted: Float64, actual: Float64, channels: Channels) -> Float64:
+    """(D,) least-squares slope of actual over predicted differences in standard units, one per modality, in [0, 1].
 
     It is 1 where no difference was predicted.
     """
-    unit = np.maximum(actual.std(axis=0), 1e-6)
-    slopes = np.empty(TOUCH_SIZE)
-    for modality in MODALITIES:
-        column = columns([modality])
+    unit = np.maximum(actual.std(axis=0), 1e-6 * channels.resolution)
+    slopes = np.empty(channels.size)
+    for modality in channels.modalities:
+        column = channels.columns([modality])
         x, y = predicted[:, column] / unit[column], actual[:, column] / unit[column]
         power = float((x * x).sum())
         slopes[column] = np.clip((x * y).sum() / power, 0.0, 1.0) if power > 1e-12 else 1.0
@@ -222,7 +233,7 @@ def _shrunk(moments: Float64, within: Float64, shrinkage: float) -> Float64:
     # Clipping has raised the diagonal; to set it alone to 1, below, would make B indefinite.
     size = np.sqrt(np.maximum(np.diag(correlation), 1.0))
     correlation /= np.outer(size, size)
-    shrunk = shrinkage * correlation + (1.0 - shrinkage) * np.eye(TOUCH_SIZE)
+    shrunk = shrinkage * correlation + (1.0 - shrinkage) * np.eye(len(deviation))
     np.fill_diagonal(shrunk, 1.0)
     return np.asarray(shrunk * np.outer(deviation, deviation), np.float64)
 
@@ -232,15 +243,17 @@ def conformal_level(objects: int, coverage: float = COVERAGE) -> float:
     return min(coverage * (1.0 + 1.0 / objects), _HIGHEST_LEVEL)
 
 
-def _half_widths(residuals: Float64, names: Names, deviation: Float64) -> Float64:
-    """(50,) half widths [counts]: one factor per modality times the deviation of each value."""
+def _half_widths(residuals: Float64, names: Names, deviation: Float64, channels: Channels) -> Float64:
+    """(D,) half widths [counts]: one factor per modality times the deviation of each value."""
     scores = np.abs(residuals) / deviation
     level = conformal_level(len(np.unique(names)))
-    half = np.empty(TOUCH_SIZE)
-    for modality in MODALITIES:
-        column = columns([modality])
+    half = np.empty(channels.size)
+    for modality in channels.modalities:
+        column = channels.columns([modality])
         half[column] = deviation[column] * _quantile_by_object(scores[:, column], names, level)
-    return np.maximum(half, _LEAST_DEVIATION)  # where almost all residuals are zero, so is the quantile
+    return np.maximum(
+        half, _LEAST_DEVIATION * channels.resolution
+    )  # where almost all residuals are zero, so is the quantile
 
 
 def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:
@@ -257,7 +270,7 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
     """A calibration, and its facts for the card.
 
     Args:
-        rest: (50,) rest level [counts].
+        rest: (D,) rest level [counts].
         held_out: By name of the group, `known` and `new`.
 
     Returns:
@@ -274,7 +287,7 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         }
         for name, one in held_out.items()
     }
-    return Calibration(rest, regimes), {"level": COVERAGE, "regimes": facts}
+    return Calibration(held_out["new"].channels, rest, regimes), {"level": COVERAGE, "regimes": facts}
 
 
 def guarantee(calibration: Mapping[str, Any]) -> str:
@@ -294,13 +307,13 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
 
     Empty for a single object, which leaves none to calibrate on.
     """
-    found: dict[str, dict[str, float]] = {modality: {} for modality in MODALITIES}
+    found: dict[str, dict[str, float]] = {modality: {} for modality in held_out.channels.modalities}
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
         inside = np.abs(mine.labels - mine.predicted) <= fit_group(held_out.take(held_out.objects != name)).half_width
-        for modality in MODALITIES:
-            found[modality][str(name)] = round(float(inside[:, columns([modality])].mean()), 3)
+        for modality, shares in found.items():
+            shares[str(name)] = round(float(inside[:, held_out.channels.columns([modality])].mean()), 3)
     return {
         modality: {"mean": round(float(np.mean(list(shares.values()))), 3), **shares}
         for modality, shares in found.items()

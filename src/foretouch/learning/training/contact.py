@@ -8,9 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.learning.data import labels_of
+from foretouch.learning.data import channels_of, labels_of
 from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
@@ -22,7 +23,7 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
-from foretouch.tactile import MODALITIES, P2_RANGES, TOUCH_SIZE, TactileRanges, columns
+from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
 
 FEWEST_SAMPLES: Final = 5
@@ -78,57 +79,70 @@ def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> li
     return copies
 
 
+def ranges_of(config: ContactConfig, channels: Channels) -> Ranges:
+    """Ranges of the values of a sensor: of the BioTac SP those of the settings, of others those of its description."""
+    return config.ranges.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
+
+
 def fit_contact(
-    rows: Float64, labels: Float64, objects: Sequence[str], config: ContactConfig, thinned: Float64 | None = None
+    rows: Float64,
+    labels: Float64,
+    objects: Sequence[str],
+    config: ContactConfig,
+    thinned: Float64 | None = None,
+    ranges: Ranges | None = None,
 ) -> ContactEstimator:
     """Fit forests, kernel and novelty detection.
 
     Args:
         rows: (S, F) of `describe_samples`.
-        labels: (S, 50) [counts].
+        labels: (S, D) [counts].
         objects: (S,) names.
         config: Settings.
         thinned: (S, F) of the same grasps on thinned clouds. Forests are fitted to both, with twice the samples in a
             leaf.
+        ranges: Of the sensor; by default those of the settings, of the BioTac SP.
 
     Raises:
-        DatasetError: If there are fewer than five samples, or a value of the labels is constant.
+        DatasetError: If there are fewer than five samples, or a tared value of the labels is constant.
     """
     if len(rows) < FEWEST_SAMPLES:
         rule = (
             f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {FEWEST_SAMPLES - len(rows)} more grasps are needed"
         )
         raise DatasetError(f"contact model: {rule}")
-    mean, deviation = labels.mean(axis=0), labels.std(axis=0)
-    if not (span := np.ptp(labels, axis=0)).all():
-        raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
+    ranges = ranges or config.ranges.ranges
+    channels = ranges.channels
+    mean, deviation = labels.mean(axis=0), _deviation(labels, channels)
+    if (constant := channels.tared & (np.ptp(labels, axis=0) == 0.0)).any():
+        raise DatasetError(f"contact model: value {int(np.argmax(constant))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
-    ridge, gain = choose_ridge(inputs, scaled, objects)
-    forests, kernel = fit_forests(rows, labels, config, thinned), _kernel(inputs, scaled, objects, ridge)
+    ridge, gain = choose_ridge(inputs, scaled, objects, channels)
+    forests, kernel = fit_forests(rows, labels, channels, config, thinned), _kernel(inputs, scaled, objects, ridge)
     return ContactEstimator(
-        forests,
-        kernel,
-        NoveltyDetector.fit(rows, objects),
-        mean,
-        deviation,
-        generalisation_gain=gain,
-        ranges=config.ranges.ranges,
+        forests, kernel, NoveltyDetector.fit(rows, objects), mean, deviation, generalisation_gain=gain, ranges=ranges
     )
 
 
 def fit_forests(
-    rows: Float64, labels: Float64, config: ContactConfig, thinned: Float64 | None = None
+    rows: Float64, labels: Float64, channels: Channels, config: ContactConfig, thinned: Float64 | None = None
 ) -> dict[str, Forest]:
-    """The forests of `fit_contact` alone, by name; arguments as there."""
+    """The forests of `fit_contact` alone, by name, for labels of some channels; other arguments as there."""
     first = len(CONDITIONS)
     grown, leaf = rows[:, first:], config.leaf
-    targets = (labels - labels.mean(axis=0)) / labels.std(axis=0)
+    targets = (labels - labels.mean(axis=0)) / _deviation(labels, channels)
     if thinned is not None:
         grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
     forest_config = config.replace(leaf=leaf)
-    forests = {TOGETHER: np.arange(TOUCH_SIZE), **{name: columns([name]) for name in MODALITIES}}
+    forests = {TOGETHER: np.arange(channels.size), **{name: channels.columns([name]) for name in channels.modalities}}
     return {name: _forest(grown, targets[:, column], forest_config) for name, column in forests.items()}
+
+
+def _deviation(labels: Float64, channels: Channels) -> Float64:
+    """(D,) of the labels; the resolution of a value that never changes, such as the force of a taxel beyond all contacts."""
+    deviation = labels.std(axis=0)
+    return np.where(deviation > 0.0, deviation, channels.resolution)
 
 
 def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
@@ -155,20 +169,22 @@ def _kernel(rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float
 
 
 class ContactPredictor:
-    """A contact model fitted to samples with (S, 50) labels [counts]; calibrated once intervals or touches require it.
+    """A contact model fitted to samples with (S, D) labels [counts]; calibrated once intervals or touches require it.
 
     Attributes:
-        rest: (50,) rest level of its predictions [counts].
+        rest: (D,) rest level of its predictions [counts].
         rest_recorded: Whether the rest level was measured by tares.
         rows: (S, F) features of the training samples.
     """
 
     def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
+        self._channels = channels_of(train)
         self.rest, self.rest_recorded = rest_level(train)
         self.rows = describe_samples(train)
         copies = thinned_samples(train, config)
         self._thinned = None if copies is None else describe_samples(copies)
         self._train, self._labels, self._config = list(train), labels, config
+        self._ranges = ranges_of(config, self._channels)
         self._resting = resting_labels(train, labels, self.rest)
         self._predicted: dict[str, tuple[Float64, np.bool_]] = {}  # by the id of a sample
 
@@ -181,10 +197,10 @@ class ContactPredictor:
         """A model fitted to some of the training samples, at the rest level of all of them."""
         objects = [self._train[k].object for k in chosen]
         thinned = None if self._thinned is None else self._thinned[chosen]
-        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config, thinned)
+        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config, thinned, self._ranges)
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
-        """(S, 50) predictions from vision alone [counts]; labels and tares of the samples are not used."""
+        """(S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
     def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
@@ -196,7 +212,7 @@ class ContactPredictor:
     def intervals_after(
         self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]
     ) -> tuple[Float64, Float64]:
-        """As `predict_after`, with the half widths of the intervals, both (S, 50) [counts].
+        """As `predict_after`, with the half widths of the intervals, both (S, D) [counts].
 
         Raises:
             DatasetError: If the training samples are all of one object.
@@ -225,5 +241,5 @@ class ContactPredictor:
             pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
             self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
         found = [self._predicted[sample.id] for sample in samples]
-        counts = np.array([counts for counts, _ in found]).reshape(len(found), TOUCH_SIZE)
+        counts = np.array([counts for counts, _ in found]).reshape(len(found), self._channels.size)
         return counts, np.array([familiar for _, familiar in found], np.bool_)

@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.channels import Channels
 from foretouch.learning.data.folds import object_folds
 from foretouch.models.contact.regressors import laplacian
 from foretouch.models.novelty import standardisation
-from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64
 
 DECAY: Final = 2.0
@@ -37,31 +37,34 @@ def training_kernel(known: Float64, objects: Sequence[str] | npt.NDArray[np.str_
     return np.asarray(laplacian(known, known, DECAY) + _OBJECT_EFFECT * (index[:, None] == index), np.float64)
 
 
-def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str]) -> tuple[float, Float64]:
+def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], channels: Channels) -> tuple[float, Float64]:
     """The ridge of least error on objects left out, each object and modality weighing the same, and its gain there.
 
     Args:
         rows: (S, F) features.
-        scaled: (S, 50) standardised labels.
+        scaled: (S, D) standardised labels.
         objects: (S,) names.
+        channels: Of the labels.
 
     Returns:
-        The ridge, and (4,) gains λ of the modalities; of a single object the largest ridge and zeros.
+        The ridge, and (M,) gains λ of the modalities; of a single object the largest ridge and zeros.
     """
     if len(set(objects)) < 2:
-        return max(_RIDGES), np.zeros(len(MODALITIES))
-    products, powers = _held_out(rows, scaled, np.asarray(objects))
+        return max(_RIDGES), np.zeros(len(channels.modalities))
+    products, powers = _held_out(rows, scaled, np.asarray(objects), channels)
     best = int(np.argmin((powers - 2.0 * products).sum(axis=(1, 2))))
     return _RIDGES[best], np.array([shrunken_slope(*one) for one in zip(products[best], powers[best], strict=True)])
 
 
-def _held_out(rows: Float64, scaled: Float64, objects: npt.NDArray[np.str_]) -> tuple[Float64, Float64]:
-    """(R, 4, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
+def _held_out(
+    rows: Float64, scaled: Float64, objects: npt.NDArray[np.str_], channels: Channels
+) -> tuple[Float64, Float64]:
+    """(R, M, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
 
     Both are divided by the object's sum of squared actual differences.
     """
     groups = np.unique(objects)
-    products, powers = (np.zeros((len(_RIDGES), len(MODALITIES), len(groups))) for _ in range(2))
+    products, powers = (np.zeros((len(_RIDGES), len(channels.modalities), len(groups))) for _ in range(2))
     for fold in object_folds(list(objects)):
         centre, scale = standardisation(rows[fold.train])
         known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
@@ -73,8 +76,8 @@ def _held_out(rows: Float64, scaled: Float64, objects: npt.NDArray[np.str_]) -> 
             predicted = cross @ (turned / (values + ridge)[:, None])
             for g in np.flatnonzero(np.isin(groups, objects[fold.test])):
                 mine = objects[fold.test] == groups[g]
-                for m, modality in enumerate(MODALITIES):
-                    x, y = (part[mine][:, columns([modality])] for part in (predicted, actual))
+                for m, modality in enumerate(channels.modalities):
+                    x, y = (part[mine][:, channels.columns([modality])] for part in (predicted, actual))
                     size = max(float((y * y).sum()), 1e-12)
                     products[r, m, g], powers[r, m, g] = (x * y).sum() / size, (x * x).sum() / size
     return products, powers

@@ -32,7 +32,8 @@ from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, TOUCH_SIZE, columns
+from foretouch.tactile.description import with_sensor
 from foretouch.types import Float64
 
 
@@ -43,9 +44,10 @@ class Learner(ABC):
 
     Attributes:
         config: Settings of the run.
+        sensor: That the samples are of.
         split: Partition of the dataset into training, validation and test samples.
         samples: The labelled training samples.
-        labels: (S, 50) their labels [counts].
+        labels: (S, D) their labels [counts].
         epochs: Number of epochs of the last `fit`; 0 for a method without epochs.
 
     Raises:
@@ -55,6 +57,7 @@ class Learner(ABC):
     def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
         self.config = config
         self.split = split
+        self.sensor = data.sensor
         self.samples = [data.samples[k] for k in split.train]
         self.labels = labels_of(self.samples)
         self.epochs = 0
@@ -73,7 +76,7 @@ class Learner(ABC):
 
     @abstractmethod
     def predict(self, index: Indices) -> Float64:
-        """(T, 50) predictions of training samples by the model of the last `fit`; NaN for absent modalities [counts]."""
+        """(T, D) predictions of training samples by the model of the last `fit`; NaN for absent modalities [counts]."""
 
     @abstractmethod
     def save(
@@ -82,7 +85,7 @@ class Learner(ABC):
         """Write weights, card and calibration of the last `fit`, all files or none; returns the path of the card."""
 
     def predict_fold(self, fold: Fold) -> Float64:
-        """(T, 50) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
+        """(T, D) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
         learner = copy.copy(self)
         learner.fit(fold.train)
         return learner.predict(fold.test)
@@ -114,14 +117,17 @@ class ContactLearner(Learner):
         self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
     ) -> Path:
         """As `Learner.save`."""
-        gains = zip(MODALITIES, self._estimator.generalisation_gain, strict=True)
+        gains = zip(self.sensor.channels.modalities, self._estimator.generalisation_gain, strict=True)
         shares = ", ".join(f"{modality} {value:.2f}" for modality, value in gains)
         limits = [
             *facts.get("limits", []),
             f"Unfamiliar objects get the mean of the training labels and this share of what the kernel predicts beyond it: {shares}.",
             "The camera is taken to look along the vertical: grasps that approach from elsewhere than the camera are unfamiliar.",
         ]
-        facts = {**facts, "config": self.config.contact.to_mapping(), "limits": limits}
+        config = self.config.contact.to_mapping()
+        if self.sensor.channels != BIOTAC:
+            del config["ranges"]  # which are of the BioTac SP
+        facts = with_sensor({**facts, "config": config, "limits": limits}, self.sensor)
         return save_contact(folder, name, self._estimator, facts, calibration)
 
 
@@ -142,6 +148,11 @@ class NetworkLearner(Learner):
             raise DatasetError(
                 f"{data.name}: srgan: no sample is unlabelled; choose a split that withholds labels, such as labels/T50"
             )
+        if data.sensor.channels != BIOTAC:
+            rule = (
+                f"{config.method} trains networks for {BIOTAC.sensor}, and {data.name} is of {data.sensor.config.name}"
+            )
+            raise ConfigError(f"method: {rule}; use contact")
         super().__init__(config, data, split)
         if config.calibrates and DistributedContext.of_process_group().world_size > 1:
             raise ConfigError("calibrate: requires a single process; start the training without torchrun")
@@ -194,7 +205,7 @@ class NetworkLearner(Learner):
         return save_network(folder, name, self._net, {**facts, **own}, calibration, fallback)
 
     def _fallback(self) -> Fallback:
-        return Fallback.fit(self._objects[self._chosen], self.labels[self._chosen])
+        return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
 
     def _train(self, trainer: Trainer, run: RunFolder) -> None:
         """Train to the last epoch, or until there was no better validation for the epochs of the patience."""

@@ -112,10 +112,10 @@ def compare_splits(
         workers: Number of processes.
 
     Returns:
-        By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, 50)
+        By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, D)
         held-out predictions [counts], as far as the splits give them.
     """
-    seed, ranges = learner.config.seed, learner.config.ranges
+    seed, ranges = learner.config.seed, learner.config.ranges(learner.sensor.channels)
     results, predicted = {}, {}
     for split in splits:
         start, folds = time.monotonic(), _folds(learner, split)

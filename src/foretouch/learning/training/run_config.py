@@ -8,9 +8,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
+from foretouch.channels import Channels
 from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
 from foretouch.errors import ConfigError, nearest, quoted, shown
-from foretouch.learning.training.contact import ContactConfig
+from foretouch.learning.training.contact import ContactConfig, ranges_of
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.learning.training.supervised import TrainConfig
 from foretouch.models.network.config import ModelConfig
@@ -120,10 +121,9 @@ class RunConfig(Settings):
         own = self._own
         return "cpu" if isinstance(own, ContactConfig) else own.resolved_device
 
-    @property
-    def ranges(self) -> Ranges:
-        """Ranges of the hand that the model learns from."""
-        return (self.model.ranges if self.has_network else self.contact.ranges).ranges
+    def ranges(self, channels: Channels) -> Ranges:
+        """Ranges of the hand that the model learns from, which has a sensor of these channels."""
+        return self.model.ranges.ranges if self.has_network else ranges_of(self.contact, channels)
 
     @property
     def _own(self) -> TrainConfig | SrganConfig | ContactConfig:

@@ -6,7 +6,7 @@ innovations [Schweppe 1965], for each modality on its own: multiples of the cali
 state, the fast state and the object, their time constants, the noise of tares where tares were recorded, and a multiple
 of W, which also holds what drifts while an object is touched. Where TDC was recorded, the mean and the deviation of the
 electrodes' slopes over it follow in a second step, with all others as found, so that readings without TDC are predicted as
-without this step. The 24 electrodes of a finger are correlated and count as
+without this step. The taxels of a finger are correlated and count as
 5 values. Since a lab records few objects on few days, weak priors keep values that the recordings cannot determine in a
 plausible range.
 """
@@ -16,31 +16,19 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.models.calibration import CalibrationGroup
-from foretouch.models.state_space import (
-    FAST_TIME_S,
-    FINGER_OF_VALUE,
-    FINGERS,
-    NEW,
-    SLOW_TIME_S,
-    TARE_NOISE,
-    StateFilter,
-    TrackerParameters,
-)
+from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, columns
 from foretouch.types import Float64
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
-_EFFECTIVE_VALUES: Final = 5.0  # of the electrodes of a finger
+_EFFECTIVE_VALUES: Final = 5.0  # of the taxels of a finger
 _ALARM_QUANTILE: Final = 0.99
 _LEAST_ALARM: Final = (2.0, 0.5)  # of mean square and squared mean: below, nothing jumped
 _STEP: Final = 1e-3  # of the finite differences
 _ITERATIONS: Final = 25
-_IS_ELECTRODE: Final = np.arange(TOUCH_SIZE) >= len(FINGERS)
 _MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
 
 # Mean of the electrodes' slopes over TDC, and logarithm of their deviation: mean and deviation of the prior, and limits.
@@ -66,16 +54,18 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         new: Statistics of the same residuals.
         known: Of objects in the training data.
     """
-    modality = np.concatenate([np.full(len(columns([name])), k) for k, name in enumerate(MODALITIES)])
+    channels = new.channels
+    modality = channels.modality_of_value
     own = modality[:, None] == modality
     parameters = TrackerParameters.from_calibration(
+        channels,
         (np.where(own, new.between, 0.0), np.where(own, known.between, 0.0)),
         (new.within, known.within),
         (new.difference_shrinkage, known.difference_shrinkage),
-        np.ones(len(MODALITIES)),
+        np.ones(len(channels.modalities)),
     )
-    replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)
-    found = _least(replayed.losses, _PRIOR[0], _LIMITS, len(MODALITIES))
+    replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters)
+    found = _least(replayed.losses, _PRIOR[0], _LIMITS, len(channels.modalities))
     slow, fast, lasting, slow_s, fast_s, tare, noise = np.exp(found)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
@@ -90,28 +80,32 @@ class _Replay:
     """Likelihood of a recording in the coordinates of a basis, each of which belongs to one modality.
 
     Attributes:
-        owner: (50,) modality of each coordinate.
-        lasting: (50,) variance of the lasting part that multiples are of.
+        owner: (D,) modality of each coordinate.
+        lasting: (D,) variance of the lasting part that multiples are of.
     """
 
-    def __init__(self, recording: Recording, parameters: TrackerParameters, modality: npt.NDArray[np.int_]) -> None:
+    def __init__(self, recording: Recording, parameters: TrackerParameters) -> None:
+        self._channels = parameters.channels
+        fingers, modalities = len(self._channels.fingers), len(self._channels.modalities)
         inverse = np.linalg.inv(parameters.basis)
-        self.owner = modality[np.argmax(np.abs(parameters.basis), axis=0)]
+        self.owner = self._channels.modality_of_value[np.argmax(np.abs(parameters.basis), axis=0)]
         self.lasting = np.maximum(parameters.object[NEW], 1e-9)
         self._values = (recording.readings - recording.expected) @ inverse.T
         self._tares = None if recording.tares is None else recording.tares @ inverse.T
         self._gaps_s = np.diff(recording.stamps_ns, prepend=recording.stamps_ns[:1]) / 1e9
         self._begins = recording.begins()
-        nowhere = np.full((len(recording.readings), len(FINGERS)), np.nan)
+        nowhere = np.full((len(recording.readings), fingers), np.nan)
         tdc = [nowhere if rows is None else rows for rows in (recording.tare_tdc, recording.tdc)]
-        changes = _temperature(np.stack(tdc, axis=1).reshape(-1, len(FINGERS)))
-        self._temperatures = changes.reshape(-1, 2, len(FINGERS))  # (S, tare and touch, 2)
-        sizes = np.bincount(self.owner, minlength=len(MODALITIES))
-        self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
+        changes = _temperature(np.stack(tdc, axis=1).reshape(-1, fingers))
+        self._temperatures = changes.reshape(-1, 2, fingers)  # (S, tare and touch, 2)
+        sizes = np.bincount(self.owner, minlength=modalities)
+        self._weights = np.eye(modalities)[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (D, M)
 
     def with_slopes(self, parameters: TrackerParameters) -> TrackerParameters:
-        """The same parameters with the most likely slopes of the electrodes of each finger."""
-        unit = np.where(_IS_ELECTRODE, 1.0, 0.0)
+        """The same parameters with the most likely slopes of the taxels of each finger."""
+        fingers = len(self._channels.fingers)
+        taxels = [k for k, one in enumerate(self._channels.channel_of.values()) if one.size > 1]
+        unit = np.where(np.isin(self._channels.modality_of_value, taxels), 1.0, 0.0)
         inverse = np.linalg.inv(parameters.basis)
         mean_of, variance_of = inverse @ unit, inverse**2 @ unit
         finger = parameters.finger_of()
@@ -126,13 +120,14 @@ class _Replay:
                 filtered, parameters.tare_noise, parameters.noise[NEW], self._temperatures[..., finger]
             )
             prior_loss = 0.5 * (((tried - _SLOPE_PRIOR[0]) / _SLOPE_PRIOR[1]) ** 2).sum(axis=2)
-            return np.asarray(total[:, -len(FINGERS) :] + prior_loss, np.float64)  # of the electrodes
+            return np.asarray(total[:, taxels].reshape(len(tried), -1, fingers).sum(axis=1) + prior_loss, np.float64)
 
-        mean, deviation = _least(losses, _SLOPE_PRIOR[0], _SLOPE_LIMITS, len(FINGERS))[FINGER_OF_VALUE].T
+        found = _least(losses, _SLOPE_PRIOR[0], _SLOPE_LIMITS, fingers)
+        mean, deviation = found[self._channels.finger_of_value].T
         return replace(parameters, slope=unit * mean, slope_sd=unit * np.exp(deviation))
 
     def losses(self, logs: Float64) -> Float64:
-        """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 7) candidates at once."""
+        """(C, M) negative logarithm of the posterior of each modality, for (C, M, 7) candidates at once."""
         columns_of = np.exp(logs)[:, self.owner].reshape(-1, logs.shape[2]).T
         slow, fast, lasting, slow_s, fast_s, tare, noise = np.ascontiguousarray(columns_of)
         scale = np.tile(self.lasting, len(logs))
@@ -141,11 +136,11 @@ class _Replay:
         return np.asarray(self._surprises(filtered, tare, noise, None) + prior, np.float64)
 
     def _surprises(self, filtered: StateFilter, tare: Float64, noise: Float64, temperatures: Float64 | None) -> Float64:
-        """(C, 4) negative log likelihood of each modality, for a filter of C candidates for each coordinate.
+        """(C, M) negative log likelihood of each modality, for a filter of C candidates for each coordinate.
 
-        `tare` and `noise` are variances, (C * 50,) or (50,); `temperatures` are (S, 2, 50) changes, at tare and touch.
+        `tare` and `noise` are variances, (C * D,) or (D,); `temperatures` are (S, 2, D) changes, at tare and touch.
         """
-        count = filtered.mean.shape[1] // TOUCH_SIZE
+        count = filtered.mean.shape[1] // self._channels.size
         lasting = filtered.prior[2].copy()
         total = np.zeros(len(lasting))
         tare, noise = (np.resize(variance, len(lasting)) for variance in (tare, noise))
@@ -205,12 +200,14 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
     deviation = np.sqrt(np.array([level.variance for level in played.levels]) + noise)
     innovations = recording.readings - recording.expected - [level.offset for level in played.levels]
     scores = np.abs(recording.readings - played.counts) / deviation
-    statistics = [innovation_statistics(row) for row in innovations / deviation]
+    statistics = [innovation_statistics(row, parameters.channels) for row in innovations / deviation]
     _, index, counts = np.unique(recording.objects, return_inverse=True, return_counts=True)
-    weights = np.repeat(1.0 / counts[index], TOUCH_SIZE).reshape(scores.shape)  # every object weighs the same
+    weights = np.repeat(1.0 / counts[index], parameters.channels.size).reshape(
+        scores.shape
+    )  # every object weighs the same
     factor = [
         np.quantile(scores[:, own], 1.0 - MISS_RATE, weights=weights[:, own], method="inverted_cdf")
-        for own in (columns([name]) for name in MODALITIES)
+        for own in (parameters.channels.columns([name]) for name in parameters.channels.modalities)
     ]
     alarm = np.maximum(np.quantile(statistics, _ALARM_QUANTILE, axis=0), _LEAST_ALARM)
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)

@@ -21,6 +21,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.errors import ConfigError, ModelError
+from foretouch.models.card import card_sensor
 from foretouch.models.contact.features import CONDITIONS, FEATURES, HandFrameFeatures
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
@@ -28,14 +29,13 @@ from foretouch.models.files import TensorRecord, file_beside, read_part, read_te
 from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile import MODALITIES, P2_RANGES, TOUCH_SIZE, Ranges, columns
-from foretouch.tactile.description import sensor_in
+from foretouch.tactile import Ranges
 from foretouch.types import AnyArray, Bool, Cloud, Float64, Grasp
 
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
 
-_ARRAYS: Final = {"mean": (TOUCH_SIZE,), "deviation": (TOUCH_SIZE,), "generalisation_gain": (len(MODALITIES),)}
+_ARRAYS: Final = ("mean", "deviation", "generalisation_gain")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,13 @@ class ContactEstimator:
     """A fitted contact model; immutable, so threads may share it.
 
     Attributes:
-        forests: One for all 50 values together, and one for each modality; a value is the mean of its two.
-        kernel: Of all 50 values.
+        forests: One for all D values together, and one for each modality; a value is the mean of its two.
+        kernel: Of all D values.
         novelty: Fitted to the training objects.
-        mean, deviation: (50,) float64 of the training labels [counts], which standardise the outputs of forests and
+        mean, deviation: (D,) float64 of the training labels [counts], which standardise the outputs of forests and
             kernel.
-        generalisation_gain: (4,) float64 in [0, 1], λ of each modality.
-        ranges: Ranges outside which a predicted value is flagged.
+        generalisation_gain: (M,) float64 in [0, 1], λ of each modality.
+        ranges: Ranges outside which a predicted value is flagged, and the channels of the readings.
     """
 
     forests: Mapping[str, Forest]
@@ -58,7 +58,7 @@ class ContactEstimator:
     mean: Float64
     deviation: Float64
     generalisation_gain: Float64
-    ranges: Ranges = P2_RANGES.ranges
+    ranges: Ranges
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
@@ -68,7 +68,7 @@ class ContactEstimator:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
 
         Returns:
-            (K, 50) [counts], and (K,) whether the object is in distribution.
+            (K, D) [counts], and (K,) whether the object is in distribution.
         """
         scores = self.novelty.scores(rows)
         weight = scores[:, None]
@@ -78,15 +78,16 @@ class ContactEstimator:
 
     def _trees(self, inputs: Float64) -> Float64:
         both = self._compiled.predict(inputs)  # modalities are in the order of their columns
-        return (both[:, :TOUCH_SIZE] + both[:, TOUCH_SIZE:]) / 2.0
+        size = self.ranges.channels.size
+        return (both[:, :size] + both[:, size:]) / 2.0
 
     @cached_property
     def _compiled(self) -> CompiledForests:
-        return CompiledForests([self.forests[name] for name in (TOGETHER, *MODALITIES)])
+        return CompiledForests([self.forests[name] for name in (TOGETHER, *self.ranges.channels.modalities)])
 
     @cached_property
     def _gain(self) -> Float64:
-        return by_modality(self.generalisation_gain)
+        return np.asarray(self.ranges.channels.by_modality(self.generalisation_gain), np.float64)
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
@@ -102,7 +103,9 @@ class ContactEstimator:
         Raises:
             ModelError: Names the array that is missing or damaged.
         """
-        for name, shape in _ARRAYS.items():
+        channels = ranges.channels
+        for name in _ARRAYS:
+            shape = (len(channels.modalities) if name == "generalisation_gain" else channels.size,)
             if name not in tensors or tensors[name].shape != shape or not np.isfinite(tensors[name]).all():
                 raise ModelError(f"{name}: is missing, of another shape than {shape}, or not finite")
         arrays = {name: tensors[name] for name in _ARRAYS}
@@ -110,23 +113,15 @@ class ContactEstimator:
         if not ((gain >= 0.0) & (gain <= 1.0)).all():
             raise ModelError("generalisation_gain: a value is not in [0, 1]")
         inputs = len(FEATURES) - len(CONDITIONS)
-        forests = {name: read_part(Forest, tensors, f"forest_{name}/") for name in (TOGETHER, *MODALITIES)}
+        forests = {name: read_part(Forest, tensors, f"forest_{name}/") for name in (TOGETHER, *channels.modalities)}
         for name, forest in forests.items():
-            size = TOUCH_SIZE if name == TOGETHER else len(columns([name]))
+            size = channels.size if name == TOGETHER else channels.channel_of[name].size
             if forest.output_size != size or forest.feature.max() >= inputs:
                 raise ModelError(f"forest_{name}: does not fit {inputs} features and {size} values")
         kernel = read_part(KernelRegression, tensors, "kernel/")
-        if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != TOUCH_SIZE:
-            raise ModelError(f"kernel: does not fit {inputs} features and {TOUCH_SIZE} values")
+        if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != channels.size:
+            raise ModelError(f"kernel: does not fit {inputs} features and {channels.size} values")
         return cls(forests, kernel, read_part(NoveltyDetector, tensors, "novelty/"), ranges=ranges, **arrays)
-
-
-def by_modality(values: Float64) -> Float64:
-    """(50,) values of a touch, from (4,) of the modalities."""
-    spread = np.empty(TOUCH_SIZE)
-    for name, value in zip(MODALITIES, values, strict=True):
-        spread[columns([name])] = value
-    return spread
 
 
 def save_contact(
@@ -148,10 +143,10 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
     """
     try:
-        ranges = Ranges.from_mapping(sensor_in(card, card_path).channels, card["ranges"], f"{card_path}: ranges")
+        ranges = Ranges.from_mapping(card_sensor(card, card_path).channels, card["ranges"], f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
-    calibration, _ = load_calibration(card_path, card)
+    calibration, _ = load_calibration(card_path, card, ranges.channels)
     path = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(path, card["sha256"], card_path.name)
     try:

@@ -16,7 +16,7 @@ from safetensors.torch import load
 from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.card import read_card
+from foretouch.models.card import card_sensor, read_card
 from foretouch.models.files import file_beside, read_tensors
 from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.network.config import ModelConfig
@@ -27,7 +27,7 @@ from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile import MODALITIES, TOUCH_SIZE, Ranges, columns
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges, columns
 from foretouch.types import Cloud, Grasp
 
 
@@ -90,9 +90,12 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """The model of one network, with its calibration.
 
     Raises:
-        ModelError: As `load_network`; if a file of the calibration is damaged, or a modality is not predicted.
+        ModelError: As `load_network`; if a file of the calibration is damaged, a modality is not predicted, or the
+            card is of another sensor than the BioTac SP.
     """
-    calibration, fallback = load_calibration(card_path, card)
+    if (sensor := card_sensor(card, card_path)).channels != BIOTAC:
+        raise ModelError(f"{card_path}: sensor: networks are for {BIOTAC.sensor}, not {sensor.config.name}")
+    calibration, fallback = load_calibration(card_path, card, BIOTAC)
     net, card = load_network(card_path)
     try:
         lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])

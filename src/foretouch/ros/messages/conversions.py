@@ -17,7 +17,7 @@ from foretouch.grasp import quaternion_xyzw
 from foretouch.tactile import ELECTRODES, TOUCH_SIZE, biotac_touch
 from foretouch.types import Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Interval, Status
+from foretouch_msgs.msg import Interval, Status, TactilePrediction
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
 _SECOND_NS = 1_000_000_000
@@ -178,15 +178,20 @@ def _age(duration: Duration) -> float | None:
     return None if seconds < 0.0 else float(seconds)
 
 
-def reference_text(message: TouchPredictionMsg) -> str:
+def reference_text(message: TouchPredictionMsg | TactilePrediction) -> str:
     """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
     name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
+    return evidence_text(name, message.touches, message.readings)
+
+
+def evidence_text(reference: str, touches: int, readings: int) -> str:
+    """The same of a reference by its name, and the numbers of readings."""
     texts = {
         "none": "cloud only",
-        "touches": f"{message.touches} touch{'' if message.touches == 1 else 'es'}",
-        "history": f"history of {message.readings} readings",
+        "touches": f"{touches} touch{'' if touches == 1 else 'es'}",
+        "history": f"history of {readings} readings",
     }
-    return texts.get(name, name)
+    return texts.get(reference, reference)
 
 
 def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers for RViz: objects, contacts, the hand, and the electrodes coloured by predicted touch. Pure functions.
+"""Markers for RViz: objects, contacts, the hand, and the taxels coloured by predicted touch. Pure functions.
 
 Every marker has a stable id and a lifetime of one second, so that outdated ones disappear.
 """
 
-import math
 from itertools import count
 
 import numpy as np
@@ -13,21 +12,23 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from foretouch.dataset.messages import decode_grasp
-from foretouch.grasp.pose import electrodes_at
-from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, point_to_msg, reference_text
-from foretouch.tactile import ELECTRODES, Ranges
-from foretouch.types import Float64, Grasp, GraspSample
-from foretouch_msgs.msg import Interval, ObjectArray, Status, TouchPrediction
+from foretouch.grasp.pose import taxels_at
+from foretouch.report.taxel_view import TaxelView
+from foretouch.ros.messages.conversions import evidence_text, header_to_msg, point_to_msg
+from foretouch.tactile import BIOTAC, P2_RANGES, Ranges
+from foretouch.tactile.description import Sensor
+from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch_msgs.msg import ObjectArray
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere
 _AXIS_M = 0.06  # length of the hand's axes
-_ELECTRODE_M = 0.003
+_TAXEL_M = 0.003
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
 _OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 _YELLOW = ColorRGBA(r=1.0, g=0.8, b=0.1, a=1.0)
 _CONTACTS = (ColorRGBA(r=1.0, g=0.4, b=0.1, a=1.0), ColorRGBA(r=0.1, g=0.5, b=1.0, a=1.0))
+_DEAD = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.6)
 _AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.0))
 
 
@@ -45,18 +46,31 @@ def object_markers(message: ObjectArray) -> MarkerArray:
     return MarkerArray(markers=markers)
 
 
-def touch_markers(prediction: TouchPrediction, ranges: Ranges, *, thumb_takes_g1: bool = True) -> MarkerArray:
-    """Draw contacts, hand frame and the 48 electrodes of one prediction, with its pressures and what it is based on.
+def touch_markers(
+    prediction: TouchPrediction,
+    header: Header,
+    view: TaxelView,
+    ranges: Ranges | None,
+    rest: Touch | None = None,
+    *,
+    thumb_takes_g1: bool = True,
+) -> MarkerArray:
+    """Draw contacts, hand frame and all taxels of one prediction, with its scalars and what it is based on.
 
-    The text is yellow if there is a flag.
+    The text is yellow if there is a flag. A refused prediction gives no marker. A taxel that contact has not moved is green, one
+    that it has moved by the whole range red (see `TaxelView.shares`), and a dead one grey.
 
-    A refused prediction gives no marker. An electrode at the upper end of its range is green, at the lower end red:
-    compression lowers the count.
+    Args:
+        prediction: In the frame of the header.
+        header: Of all markers.
+        view: Of the sensor.
+        ranges: Of the values; None for colours by the largest change.
+        rest: Reading without contact, if it is known.
+        thumb_takes_g1: Whether the first finger of the sensor is drawn at g1, else the second.
     """
-    if prediction.status != Status.OK:
+    if prediction.value is None:
         return MarkerArray()
-    grasp = decode_grasp(prediction.grasp)
-    header = prediction.header
+    grasp, value = prediction.grasp, prediction.value
     ids = count()
     markers = []
     for contact, colour in zip((grasp.g1, grasp.g2), _CONTACTS, strict=True):
@@ -69,67 +83,56 @@ def touch_markers(prediction: TouchPrediction, ranges: Ranges, *, thumb_takes_g1
         arrow.points = [point_to_msg(grasp.midpoint), point_to_msg(grasp.midpoint + _AXIS_M * axis)]
         arrow.scale = Vector3(x=0.004, y=0.008, z=0.0)
         markers.append(arrow)
-    thumb, finger = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
+    ends = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
+    for k, contact in enumerate(ends):
+        markers.append(_taxels(header, view, k, grasp, contact, view.shares(value, rest, ranges, k)))
     above = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
-    pressures = f"PDC {_interval_text(prediction.pdc_th)} | {_interval_text(prediction.pdc_mf)}"
-    text = "\n".join([f"{pressures} ({reference_text(prediction)})", *prediction.flags])
-    markers += [
-        _electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")),
-        _electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")),
-        _label(header, "prediction", 0, above, 0.02, text, _YELLOW if prediction.flags else _WHITE),
-    ]
+    based = evidence_text(prediction.reference, prediction.evidence.touches, prediction.evidence.readings)
+    text = "\n".join([f"{_scalars(view, value, prediction)}({based})", *prediction.flags])
+    markers.append(_label(header, "prediction", 0, above, 0.02, text, _YELLOW if prediction.flags else _WHITE))
     return MarkerArray(markers=markers)
 
 
-def sample_markers(sample: GraspSample, ranges: Ranges) -> MarkerArray:
+def sample_markers(sample: GraspSample, sensor: Sensor) -> MarkerArray:
     """Draw what a recorded grasp read, as `touch_markers` draws a prediction, until the markers of another replace it.
 
     A sample without a touch gives no marker.
     """
     if sample.touch is None:
         return MarkerArray()
-    intervals = [Interval(value=value, lower=math.nan, upper=math.nan) for value in sample.touch.values.tolist()]
-    pdc_th, pdc_mf, *electrodes = intervals
-    found = touch_markers(
-        TouchPrediction(
-            header=header_to_msg(sample.cloud.frame_id, sample.stamp_ns),
-            grasp=grasp_to_msg(sample.grasp),
-            pdc_th=pdc_th,
-            pdc_mf=pdc_mf,
-            e_th=electrodes[:ELECTRODES],
-            e_mf=electrodes[ELECTRODES:],
-        ),
-        ranges,
-    )
+    view, ranges = TaxelView(sensor), P2_RANGES.ranges if sensor.sha256 == BIOTAC.sha256 else None
+    header = header_to_msg(sample.cloud.frame_id, sample.stamp_ns)
+    found = touch_markers(TouchPrediction(sample.grasp, sample.touch), header, view, ranges, sample.tare)
     for one in found.markers:
         one.lifetime = Duration()
-    found.markers[-1].text = f"{sample.id}: PDC {pdc_th.value:.0f} | {pdc_mf.value:.0f}"
+    found.markers[-1].text = f"{sample.id}: {_scalars(view, sample.touch)}".rstrip(": ")
     return found
 
 
-def _electrodes(
-    header: Header, namespace: str, grasp: Grasp, contact: Float64, values: list[Interval], limits: tuple[float, float]
-) -> Marker:
-    """Draw 24 spheres."""
-    marker = _marker(header, namespace, 0, Marker.SPHERE_LIST, ColorRGBA(a=1.0))
-    marker.scale = Vector3(x=_ELECTRODE_M, y=_ELECTRODE_M, z=_ELECTRODE_M)
-    placed = electrodes_at(grasp, contact, 0.5 * _ELECTRODE_M)
-    counts = np.array([interval.value for interval in values], np.float64)
+def _scalars(view: TaxelView, value: Touch, around: TouchPrediction | None = None) -> str:
+    """The scalars of both fingers, `PDC 2779 ± 60 | 1800 ± 50 `; "" if there are none."""
+    texts = [view.scalars(k, value, around) for k in range(len(view.fingers))]
+    name = texts[0].partition(" ")[0]
+    if len(view.sensor.scalar_channels) == 1:  # the name once
+        texts[1:] = [text.removeprefix(f"{name} ") for text in texts[1:]]
+    return f"{' | '.join(texts)} " if any(texts) else ""
+
+
+def _taxels(header: Header, view: TaxelView, finger: int, grasp: Grasp, contact: Float64, shares: Float64) -> Marker:
+    """Draw a sphere for each taxel of a finger."""
+    marker = _marker(header, view.fingers[finger].replace(" ", "_"), 0, Marker.SPHERE_LIST, ColorRGBA(a=1.0))
+    marker.scale = Vector3(x=_TAXEL_M, y=_TAXEL_M, z=_TAXEL_M)
+    placed = taxels_at(view.sensor.layout, grasp, contact, 0.5 * _TAXEL_M)
     marker.points = [point_to_msg(point) for point in placed]
-    marker.colors = [_heat(drop) for drop in np.clip((limits[1] - counts) / (limits[1] - limits[0]), 0.0, 1.0)]
+    marker.colors = [
+        _heat(one) if valid else _DEAD for one, valid in zip(shares, view.sensor.valid[finger], strict=True)
+    ]
     return marker
 
 
-def _interval_text(interval: Interval) -> str:
-    """Value and half width as text, `2779 ± 60`; only the value where the model is not calibrated."""
-    if math.isnan(interval.lower):
-        return f"{interval.value:.0f}"
-    return f"{interval.value:.0f} ± {(interval.upper - interval.lower) / 2.0:.0f}"
-
-
-def _heat(drop: float) -> ColorRGBA:
-    """Colour from green (no drop) over yellow to red (the full range)."""
-    return ColorRGBA(r=float(min(1.0, 2.0 * drop)), g=float(min(1.0, 2.0 - 2.0 * drop)), b=0.1, a=1.0)
+def _heat(share: float) -> ColorRGBA:
+    """Colour from green (no change) over yellow to red (the full range)."""
+    return ColorRGBA(r=float(min(1.0, 2.0 * share)), g=float(min(1.0, 2.0 - 2.0 * share)), b=0.1, a=1.0)
 
 
 def _label(

@@ -23,6 +23,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -36,7 +37,8 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject
-from foretouch.ros.messages.answers import TouchAnswer, other_sensor
+from foretouch.report.taxel_view import TaxelView
+from foretouch.ros.messages.answers import Refusal, TouchAnswer, other_sensor
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
@@ -60,7 +62,7 @@ from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages.table import make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
-from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME
+from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Touch
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -224,16 +226,21 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._touch.publish(_configured(self._predictor).end(published, answer, encoded=True))
         if self._tactile.wanted:
             self._tactile.publish(published.tactile)
-        if self._markers.wanted and not other_sensor(
-            message.sensor
-        ):  # the answer is out: an error must not refuse the cloud
+        if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
-            self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)
+            self.internal_errors.guarded("markers", self._draw)(message, transform)
         return message.summary
 
-    def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
-        """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
-        markers = touch_markers(prediction, self.config.ranges.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
+    def _draw(self, answer: TouchAnswer, transform: FrameTransform | None) -> None:
+        """Publish the markers of the first prediction in the frame of its cloud, brought to that of the answers."""
+        first, sensor, model = answer.outcomes[0], answer.sensor, _configured(self._predictor).model
+        markers = MarkerArray()
+        if sensor is not None and model is not None and not isinstance(first, Refusal):
+            ranges = model.ranges if other_sensor(sensor) else self.config.ranges.ranges
+            rest = None if model.calibration is None else Touch(model.calibration.rest, sensor.channels)
+            shown = replace(first, flags=(*first.flags, *answer.flags))
+            first_at_g1 = self.config.thumb_takes_g1
+            markers = touch_markers(shown, answer.header, TaxelView(sensor), ranges, rest, thumb_takes_g1=first_at_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:

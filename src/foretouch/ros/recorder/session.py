@@ -34,7 +34,7 @@ from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
-from foretouch.tactile import P2_RANGES
+from foretouch.tactile.description import packaged_sensor
 from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
@@ -208,7 +208,7 @@ class RecordingSession:
         """Write for viewers what a grasp read, at the times of its stamps: every reading as taxels, and markers."""
         if sample.touch is None:
             return
-        markers = serialize_message(sample_markers(sample, P2_RANGES.ranges))
+        markers = serialize_message(sample_markers(sample, packaged_sensor("biotac_sp")))
         views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
         views += [(topic, POINT_CLOUD_TYPE, stamp_ns, data) for topic, stamp_ns, data in taxel_clouds(record)]
         for topic, type_name, stamp_ns, data in views:

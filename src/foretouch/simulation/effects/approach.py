@@ -17,8 +17,7 @@ from foretouch.simulation.contact.pad import (
     pad_window,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import ObjectConfig, SurfaceConfig
+from foretouch.simulation.scene.objects import SurfaceConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
@@ -33,11 +32,11 @@ _WAVELENGTH_M = 3e-3  # between its crests
 
 def _posture(job: Job, state: SampleState) -> None:
     """The orientation of each fingertip: the chosen place of its pad looks along the approach."""
-    fingers, rng = job.scene.fingers, job.rng()
+    fingers, rng, array = job.scene.fingers, job.rng(), job.world.array
     postures = []
     for finger, frame in zip((fingers.thumb_posture, fingers.middle_posture), state.fingers, strict=True):
         pitch, roll = (np.radians(draw(rng, limits)) for limits in (finger.pitch_deg, finger.roll_deg))
-        pad = contact_frame(fingers.pad, pad_direction(pitch, roll))
+        pad = array.aimed(pitch, roll) if array else contact_frame(fingers.pad, pad_direction(pitch, roll))
         postures.append((pad, frame.rotation @ pad.rotation.T))
     state.postures = postures[0], postures[1]
 
@@ -46,20 +45,32 @@ def _first_touch(job: Job, state: SampleState) -> None:
     """Close each finger along its approach until skin and object meet.
 
     They meet where their normals are opposite, which on a slope is beside the place that the hand aimed with.
-    The contact is solved in the tangent plane there. A slope outside of the friction cone lets the finger slip.
+    The contact is solved in the tangent plane there; that of an array of taxels in the plane of its middle, over the whole
+    pad. A slope outside of the friction cone lets the finger slip.
     """
-    pad_config, item = pad_of(job.scene, job.item), job.item
+    pad_config, item, array = pad_of(job), job.item, job.world.array
+    offset = np.linspace(-_SEARCH_M / 2.0, _SEARCH_M / 2.0, _SEARCH_CELLS)
+    x, y = np.meshgrid(offset, offset)
     met = []
     for finger, (aimed, tip), name in zip(state.fingers, state.postures, ("thumb", "middle finger"), strict=True):
-        found = _meet(pad_config, state.bodies[0], finger, aimed)
+        if array:
+            middle = array.middle
+            start = ContactFrame(finger.origin + tip @ (middle.origin - aimed.origin), tip @ middle.rotation)
+            found = _meet(array.window.depth, state.bodies[0], start, array.window.x, array.window.y)
+        else:
+            found = _meet(pad_depth(pad_config, aimed, x, y), state.bodies[0], finger, x, y)
         if found is None:
             raise SimulationError(f"{item.name}: the {name} closes beside the object", "misses")
-        point, normal = found
+        point, normal, way_m = found
         slope = _slope(-float(normal @ finger.normal))
         if slope > item.friction:
             raise SimulationError(
                 f"{item.name}: the {name} meets a slope of {slope:.2f}, friction holds {item.friction:g}", "slips"
             )
+        if array:
+            way = finger.normal * way_m / float(finger.normal @ start.normal)
+            met.append((array.window, ContactFrame(start.origin + way, start.rotation)))
+            continue
         try:
             pad = pad_window(pad_config, -normal @ tip)
         except ContactError as err:
@@ -74,23 +85,29 @@ def _slope(cosine: float) -> float:
     return math.sqrt(1.0 / cosine**2 - 1.0) if 0.0 < cosine < 1.0 else (math.inf if cosine <= 0.0 else 0.0)
 
 
-def _meet(config: PadConfig, body: Body, finger: ContactFrame, aimed: ContactFrame) -> tuple[Float64, Float64] | None:
-    """First touch of a pad that moves along its approach: the point on the object and the normal about it."""
-    offset = np.linspace(-_SEARCH_M / 2.0, _SEARCH_M / 2.0, _SEARCH_CELLS)
-    x, y = np.meshgrid(offset, offset)
+def _meet(
+    depth: Float64, body: Body, finger: ContactFrame, x: Float64, y: Float64
+) -> tuple[Float64, Float64, float] | None:
+    """First touch of a pad that moves along its approach: the point on the object, the normal about it, and the way there.
+
+    The pad is by its `depth` below the plane of the `finger` at the places `x`, `y`.
+    """
     starts = finger.points(x, y, -_BACK_M).reshape(-1, 3)
     hits = body.cast(starts, np.broadcast_to(finger.normal, starts.shape))
-    gap = pad_depth(config, aimed, x, y).reshape(-1) + hits.t
+    gap = depth.reshape(-1) + hits.t
     least = int(np.argmin(gap))
     if not np.isfinite(gap[least]):
         return None
     normal = body.world_normals(hits.normal[gap < gap[least] + _NEAR_M]).mean(axis=0)
-    return starts[least] + hits.t[least] * finger.normal, normal / np.linalg.norm(normal)
+    point = starts[least] + hits.t[least] * finger.normal
+    return point, normal / np.linalg.norm(normal), float(gap[least]) - _BACK_M
 
 
-def pad_of(scene: SceneConfig, item: ObjectConfig) -> PadConfig:
-    """The pad, its window as wide as the object's softness asks for."""
-    return scene.fingers.pad if item.rigid else scene.fingers.pad.soft
+def pad_of(job: Job) -> PadConfig:
+    """The pad, its window as wide as an array of taxels, or as the object's softness asks for."""
+    if job.world.array:
+        return job.world.array.pad
+    return job.scene.fingers.pad if job.item.rigid else job.scene.fingers.pad.soft
 
 
 def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:

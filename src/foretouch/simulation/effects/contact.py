@@ -29,9 +29,9 @@ def _weight(job: Job, state: SampleState) -> None:
 
 
 def _solve(level: str, job: Job, state: SampleState) -> None:
-    scene, item = job.scene, job.item
+    scene = job.scene
     pairs, balanced = zip(state.pads, state.relief, strict=True), scene.grasps.balanced
-    problems = [contact_problem(scene, item, pad, height) for pad, height in pairs]
+    problems = [contact_problem(job, pad, height) for pad, height in pairs]
     commands = [command_of(scene, float(target)) for target in state.targets]
     state.contacts = solve_grip(problems, commands, balanced=balanced, axial_load_n=state.axial_load_n, level=level)
 
@@ -49,9 +49,9 @@ def command_of(scene: SceneConfig, target: float) -> Command:
     return Command(force_n=target) if scene.grasps.control == "force" else Command(depth_m=target)
 
 
-def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, behind: Float64) -> ContactProblem:
+def contact_problem(job: Job, window: PadWindow, behind: Float64) -> ContactProblem:
     """The gap between a pad and the surface behind its tangent plane; a `ContactError` if both exist nowhere."""
-    return ContactProblem(gap_field(window.depth, -behind), pad_of(scene, item).step_m, _layers_of(scene, item))
+    return ContactProblem(gap_field(window.depth, -behind), pad_of(job).step_m, _layers_of(job.scene, job.item))
 
 
 def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.simulation.contact.grip import solve_contact
-from foretouch.simulation.contact.pad import PadWindow
-from foretouch.simulation.contact.problem import ContactSolution
+from foretouch.simulation.contact.pad import ContactFrame
+from foretouch.simulation.contact.problem import Command, ContactSolution
+from foretouch.simulation.contact.shear import skin_slopes, tractions
 from foretouch.simulation.disturbances import (
     PAC_REST,
     VIBRATION_S,
@@ -21,20 +23,21 @@ from foretouch.simulation.disturbances import (
     scan,
     slip_path,
     temperature_drift,
+    warming,
 )
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import campaign
 from foretouch.simulation.effects.approach import pad_of, surface_behind
 from foretouch.simulation.effects.contact import command_of, contact_problem
-from foretouch.simulation.fingertip import Finger, quantise, read_contact
+from foretouch.simulation.fingertip import quantise, read_contact
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
 from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
-from foretouch.tactile import ELECTRODES, biotac_touch
+from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import OTHERS
-from foretouch.types import Float64, Touch
+from foretouch.types import Float64, Int64, Touch
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -51,15 +54,38 @@ def _mounted(job: Job, state: SampleState) -> None:
 
 
 def _ideal(job: Job, state: SampleState) -> None:
-    fingers = state.sensors
-    at_rest = [np.append(finger.pdc_rest, finger.electrode_rest) for finger in fingers]
-    in_contact = [_reading(job, *each) for each in zip(fingers, state.pads, state.contacts, strict=True)]
+    at_rest = job.world.array.rest if job.world.array else [finger.rest for finger in state.sensors]
+    touched = zip(state.touches, state.relief, state.contacts, strict=True)
+    in_contact = [_reading(job, state, k, *each) for k, each in enumerate(touched)]
     state.readings = np.array([at_rest, in_contact])
 
 
-def _reading(job: Job, finger: Finger, window: PadWindow, contact: ContactSolution) -> Float64:
-    """(25,) PDC and electrodes of one ideal fingertip in contact."""
-    return read_contact(pad_of(job.scene, job.item), finger, window, contact)
+def _reading(
+    job: Job, state: SampleState, k: int, frame: ContactFrame, behind: Float64, contact: ContactSolution
+) -> Float64:
+    """(V,) values of the ideal fingertip k in contact with a surface that lies so far behind its tangent plane."""
+    array, window = job.world.array, state.pads[k]
+    if array is None:
+        return read_contact(pad_of(job), state.sensors[k], window, contact)
+    if contact.force_n == 0.0:
+        return np.asarray(array.rest[k])
+    problem, friction = contact_problem(job, window, behind), job.item.friction
+    closing = state.fingers[k].normal
+    force_n = contact.force_n * (frame.normal - closing / float(closing @ frame.normal))
+    if hasattr(state, "weight"):
+        force_n = force_n - state.weight.tangential_n[k]
+    slopes = skin_slopes(window.depth + contact.displacement[0], problem.step_m)
+    return array.read(
+        k,
+        tractions(
+            contact,
+            problem.cell_m2,
+            slopes,
+            force_n @ frame.rotation[:, :2],
+            friction,
+            lambda less_n: solve_contact(problem, Command(force_n=less_n), job.scene.fidelity).pressure,
+        ),
+    )
 
 
 def _tare_and_touch(_job: Job, state: SampleState) -> None:
@@ -100,15 +126,16 @@ def _slip(job: Job, state: SampleState) -> None:
 
 
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
-    """(25,) of finger k, the object having slid down by so much across its normal."""
+    """(V,) of finger k, the object having slid down by so much across its normal."""
     frame, window, scene = state.touches[k], state.pads[k], job.scene
     across = _DOWN - (_DOWN @ frame.normal) * frame.normal
     length = float(np.linalg.norm(across))
     if length > 0.0:
         frame = replace(frame, origin=frame.origin - slid_m * across / length)
-    problem = contact_problem(scene, job.item, window, surface_behind(window, state.bodies[0], frame))
-    contact = solve_contact(problem, command_of(scene, float(state.targets[k])), scene.fidelity)
-    return _reading(job, state.sensors[k], window, contact)
+    behind = surface_behind(window, state.bodies[0], frame)
+    command = command_of(scene, float(state.targets[k]))
+    contact = solve_contact(contact_problem(job, window, behind), command, scene.fidelity)
+    return _reading(job, state, k, frame, behind, contact)
 
 
 def _others(_job: Job, state: SampleState) -> None:
@@ -148,13 +175,24 @@ def _drift(job: Job, state: SampleState) -> None:
     first = int(np.argmax(state.load > 0.0))
     since = now + age + state.times - state.times[first]
     since[:first] -= age
-    state.series += temperature_drift(config.temperature, np.maximum(since, 0.0))[:, None]
+    if job.world.array:
+        state.series += warming(config.temperature, np.maximum(since, 0.0))[:, None, None] * job.world.array.kelvin
+    else:
+        state.series += temperature_drift(config.temperature, np.maximum(since, 0.0))[:, None]
+
+
+def _crosstalk(job: Job, state: SampleState) -> None:
+    assert job.world.array is not None  # noqa: S101  # the settings are of arrays alone
+    state.series = job.world.array.with_crosstalk(state.series, job.settings)
 
 
 def _sessions(job: Job, state: SampleState) -> None:
     """All grasps of one object share a session, tare and touch alike."""
     session = SampleKey(job.key.seed, job.key.slot % len(job.scene.objects), 0, job.key.repeat)
     rng = session.stream(job.effect.name, again=job.effect.again)
+    if job.world.array:
+        state.series += job.world.array.session(rng)
+        return
     state.series[..., 0] += _SESSION_PDC * rng.standard_normal(2)
     common, single = rng.standard_normal((2, 1)), rng.standard_normal((2, ELECTRODES))
     state.series[..., 1:] += _SESSION_FINGER * common + _SESSION_ELECTRODE * single
@@ -163,6 +201,9 @@ def _sessions(job: Job, state: SampleState) -> None:
 def _noise(job: Job, state: SampleState) -> None:
     config: NoiseConfig = job.settings
     rng, rows = job.rng(), len(state.series)
+    if job.world.array:
+        state.series += job.world.array.noise(rows, rng)
+        return
     slow = ou_noise(rows, 2 * ELECTRODES, WANDER_COUNTS, WANDER_S, _rate_hz(job), rng)
     state.series[..., 1:] += config.electrode_counts * rng.standard_normal((rows, 2, ELECTRODES))
     state.series[..., 1:] += slow.reshape(rows, 2, ELECTRODES)
@@ -182,16 +223,20 @@ def _dead(job: Job, state: SampleState) -> None:
         state.series[:, finger, 1:] = mask_dead_electrodes(electrodes, [k - 1 for k in dead], config.stuck_at)
 
 
-def _counts(_job: Job, state: SampleState) -> None:
+def _counts(job: Job, state: SampleState) -> None:
     """Round and clip; the touch is the last message of the hold, the tare the median of those before contact."""
-    counts = quantise(state.series)
+    world = job.world
+    rows = world.array.quantise(state.series) if world.array else quantise(state.series)
     first = int(np.argmax(state.load > 0.0))
-    state.touch, state.tare = _touch(counts[state.hold_row]), _touch(np.median(counts[:first], axis=0))
+    state.touch = _touch(world.channels(), rows[state.hold_row])
+    state.tare = _touch(world.channels(), np.median(rows[:first], axis=0))
 
 
-def _touch(counts: Float64) -> Touch:
-    thumb, middle = counts.astype(np.float64)
-    return biotac_touch(np.hstack([thumb[0], middle[0], thumb[1:], middle[1:]]))
+def _touch(channels: Channels, fingers: Float64 | Int64) -> Touch:
+    values = np.empty(channels.size)
+    for columns, finger in zip(channels.finger_columns.values(), fingers, strict=True):
+        values[columns] = finger
+    return Touch(values, channels)
 
 
 _TIMED = ("times", "load", "hold_row", "series")
@@ -202,7 +247,13 @@ _VIBRATION = Effect(
 EFFECTS = (
     Effect("sensors", _mounted, "fingers", writes=("sensors",)),
     *campaign.MOUNTING,
-    Effect("fingertip", _ideal, "fingers", reads=("sensors", "pads", "contacts"), writes=("readings",)),
+    Effect(
+        "fingertip",
+        _ideal,
+        "fingers",
+        reads=("sensors", "fingers", "pads", "touches", "relief", "contacts"),
+        writes=("readings",),
+    ),
     Effect(
         "moments",
         _tare_and_touch,
@@ -223,6 +274,7 @@ EFFECTS = (
         again=True,
     ),
     _VIBRATION,
+    Effect("crosstalk", _crosstalk, "fingers.crosstalk", changes=("series",)),
     Effect("creep", _creep, "fingers.creep", changes=("series",)),
     Effect("drift", _drift, "fingers.drift", reads=("times", "load"), changes=("series",), again=True),
     Effect("sessions", _sessions, "fingers.sessions", changes=("series",)),

@@ -2,14 +2,18 @@
 """Fingertips of a scene (pad, posture, sensor), and its grasps (by GeoGrasp, with force or depth by the hand)."""
 
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Final
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
 from foretouch.simulation.scene.ranges import RangedSettings, Switch
+from foretouch.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
+from foretouch.tactile.description import Sensor, load_sensor, packaged_sensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +73,17 @@ class VibrationConfig(Settings):
     )
 
 
+# What fields are where the sensor is no array of taxels, and where it is one: the others' groups are refused.
+_NO_TAXELS: Final[dict[str, tuple[Any, ...]]] = {"taxels": (None,), "crosstalk": (None,)}
+_TAXELS: Final[dict[str, tuple[Any, ...]]] = {
+    **dict.fromkeys(("vibration", "scan", "dead"), (None,)),
+    "thumb": (ThumbConfig(),),
+    "middle": (FingerConfig(),),
+    "noise": (None, NoiseConfig()),
+    "pad.window_m": (PadConfig().window_m,),
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class FingersConfig(Settings):
     """Both fingers. What is absent is off.
@@ -79,14 +94,17 @@ class FingersConfig(Settings):
         scan: Electrodes are sampled one after the other, so that a message repeats about eight of them.
 
     Raises:
-        ConfigError: If an effect over time is asked for without a timeline.
+        ConfigError: If an effect over time is asked for without a timeline, or a group is not for the sensor.
     """
 
+    sensor: str = setting("", "Sensor of the fingertips: name or YAML file of a description; empty for the BioTac SP")
     pad: PadConfig = PadConfig()
     thumb: ThumbConfig = ThumbConfig()
     middle: FingerConfig = FingerConfig()
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
+    taxels: TaxelConfig | None = None
+    crosstalk: CrosstalkConfig | None = None
     timeline: TimelineConfig | None = None
     creep: CreepConfig | None = None
     slip: Switch | None = None
@@ -105,6 +123,24 @@ class FingersConfig(Settings):
         for name in ("creep", "slip", "vibration", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
                 raise ConfigError(f"{name}: acts over time, but there is no timeline; give one")
+        sensor = self.taxel_sensor()
+        for field, allowed in (_TAXELS if sensor else _NO_TAXELS).items():
+            if attrgetter(field)(self) not in allowed:
+                name, other = (sensor.config.name, "the BioTac SP") if sensor else ("the BioTac SP", "arrays of taxels")
+                raise ConfigError(f"{field}: is of {other}, but the sensor of these fingers is {name}")
+        if sensor is not None:
+            require_channels(sensor)
+            object.__setattr__(self, "taxels", self.taxels or TaxelConfig())
+
+    def taxel_sensor(self) -> Sensor | None:
+        """The sensor, where it is an array of taxels; None for the BioTac SP. A `ConfigError` names the file and the rule."""
+        if not self.sensor:
+            return None
+        try:
+            sensor = load_sensor(self.sensor)
+        except ForetouchError as err:
+            raise ConfigError(f"sensor: {err}") from err
+        return None if sensor.sha256 == packaged_sensor("biotac_sp").sha256 else sensor
 
 
 @dataclass(frozen=True, kw_only=True)

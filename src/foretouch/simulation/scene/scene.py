@@ -63,16 +63,20 @@ class SceneConfig(Settings):
                     f"fingers.{name}: draws the time of each grasp or object, but the scene has a campaign; "
                     f"give {instead} in its place"
                 )
+        if self.campaign is not None and self.fingers.taxels is not None:
+            raise ConfigError("campaign: its drift is that of the BioTac SP, but fingers.sensor is another")
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
         """As of all settings; besides, `families` are drawn here and stand after the objects that are listed.
 
-        The path of a mesh is relative to the file of the scene, if it is there, else to the working folder.
+        The path of a mesh, or of a sensor, is relative to the file of the scene, if it is there, else to the working folder.
         """
         given = dict(mapping)
         if isinstance(given.get("objects"), list):
-            given["objects"] = [_beside(source, item) for item in given["objects"]]
+            given["objects"] = [_beside(source, item, "file") for item in given["objects"]]
+        if "fingers" in given:
+            given["fingers"] = _beside(source, given["fingers"], "sensor")
         if "families" in given:
             drawn = draw_families(given.pop("families"), source)
             given["objects"] = [*given.get("objects", []), *(item.to_mapping() for item in drawn)]
@@ -81,9 +85,9 @@ class SceneConfig(Settings):
     def sha256(self) -> str:
         """Hash of all settings and of the constants that go with them, so that another default is another scene.
 
-        Of the file of a mesh only the content counts.
+        Of the file of a mesh, or of a sensor, only the content counts.
         """
-        return scene_hash(self.to_mapping())
+        return scene_hash(self.to_mapping(), self.fingers.taxel_sensor())
 
 
 def load_scene(path: str | Path) -> SceneConfig:
@@ -91,12 +95,12 @@ def load_scene(path: str | Path) -> SceneConfig:
     return SceneConfig.from_mapping(load_yaml(path), str(path))
 
 
-def _beside(source: str, item: Any) -> Any:
-    """The settings of an object with the path of its mesh, where that is beside the file of the scene."""
-    if not isinstance(item, Mapping) or not isinstance(item.get("file"), str) or not item["file"]:
-        return item
-    path = Path(source).parent / item["file"]
-    return {**item, "file": str(path)} if source and path.is_file() else item
+def _beside(source: str, group: Any, key: str) -> Any:
+    """The settings of a group with the path of a file, where that is beside the file of the scene."""
+    if not isinstance(group, Mapping) or not isinstance(group.get(key), str) or not group[key]:
+        return group
+    path = Path(source).parent / group[key]
+    return {**group, key: str(path)} if source and path.is_file() else group
 
 
 def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:

@@ -8,13 +8,14 @@ import hashlib
 import json
 from typing import Any, Final
 
-from foretouch.simulation import disturbances, fingertip
-from foretouch.simulation.contact import layer, pad, problem
+from foretouch.simulation import disturbances, fingertip, taxels
+from foretouch.simulation.contact import layer, pad, problem, shear
 from foretouch.simulation.depth_effects import D415_BASELINE_M, FLYING_SHARE, GRAZING_DEG, HOLE_SHARE
 from foretouch.simulation.depth_scene import TABLE_M
 from foretouch.simulation.scene.fingers import TARGET_SHARE
 from foretouch.simulation.scene.objects import POISSON
 from foretouch.tactile import FULL_SCALE
+from foretouch.tactile.description import Sensor
 
 _FINGER: Final = {
     "pdc_gain": 1.0,
@@ -71,9 +72,14 @@ _CONSTANTS: Final[dict[str, Any]] = {
         },
     },
 }
+_TAXELS: Final = {
+    name.lower(): getattr(taxels, name) for name in ("REST_SPREAD", "NOISE_N", "SESSION_N", "KELVIN_N")
+} | {"gain_spread": fingertip.GAIN_SPREAD, "steepest": shear.STEEPEST}
 # Settings that do not count at these values.
 _OFF: Final = {
-    **dict.fromkeys(("campaign", "sessions", "tdc", "fluid_loss", "vibration", "repeat_every", "segmented")),
+    **dict.fromkeys(
+        ("campaign", "sessions", "tdc", "fluid_loss", "vibration", "repeat_every", "segmented", "taxels", "crosstalk")
+    ),
     "pdc_span": fingertip.PDC_SPAN,
     "method": "original",
     "flying_share": 1.0,
@@ -85,9 +91,13 @@ _OFF: Final = {
 }
 
 
-def scene_hash(settings: dict[str, Any]) -> str:
-    """SHA-256 of a scene's plain settings; the path of a mesh does not count."""
-    text = json.dumps(_counted(settings, _CONSTANTS), sort_keys=True, separators=(",", ":"))
+def scene_hash(settings: dict[str, Any], sensor: Sensor | None = None) -> str:
+    """SHA-256 of a scene's plain settings, and of the array of taxels if it has one; paths of meshes and sensors do not count."""
+    counted = _counted(settings, _CONSTANTS)
+    if sensor is not None:
+        noise = [one.noise for one in (*sensor.config.values, *sensor.config.scalars)]
+        counted["taxels"] = {**_TAXELS, "sensor": sensor.sha256, "noise": noise, "valid": sensor.valid.tolist()}
+    text = json.dumps(counted, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -101,6 +111,6 @@ def _counted(settings: dict[str, Any], constants: dict[str, Any]) -> dict[str, A
             counted[key] = [
                 _counted(item, constants.get(key, {})) if isinstance(item, dict) else item for item in value
             ]
-        elif key != "file" and (key not in _OFF or value != _OFF[key]):
+        elif key not in ("file", "sensor") and (key not in _OFF or value != _OFF[key]):
             counted[key] = value
     return counted

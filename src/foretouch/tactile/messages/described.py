@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readings of any sensor that has a description, by the field paths in it; no code of its own is needed for a message type."""
+"""Readings of any sensor that has a description, by the field paths in it; no code of its own is needed for a message type.
 
+In a reading for a touch, a taxel that is not valid has the mean of the nearest valid ones, as a dead pixel of a camera has; a
+finger of which half or more are not valid was not read.
+"""
+
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.errors import TactileError, shown
+from foretouch.errors import ConfigError, TactileError, shown
 from foretouch.tactile.description import STAMP_UNITS, FingerConfig, Sensor
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Bool, Float32, Float64
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
+from foretouch.types import Bool, Float32, Float64, Index
+
+_KEPT = 64  # sets of valid taxels whose neighbours are kept
+_AS_NEAR = 1.001  # of the least distance: rounding must not decide between neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +29,7 @@ class SensorReading:
 
     stamp_ns: int | None  # time of measurement [ns]; None where the messages have none
     values: Float32  # (F, N, C) float32, as sent; NaN of a finger that was not read
-    scalars: Float32  # (F, S) float32; NaN where one was not read or is out of range
+    scalars: Float32  # (F, S) float32, as sent
     valid: Bool  # (F, N) taxels of which all values can be used
     invalid: Mapping[str, int]  # taxels that are not valid, by reason: `not_read`, `dead`, `out_of_range`
 
@@ -65,10 +73,12 @@ class SensorReader:
     def _read_finger(
         self, finger: FingerConfig, content: Any, values: Float64, scalars: Float64, valid: Bool, invalid: Counter[str]
     ) -> None:
+        marked = False
         for column, (path, low, high) in enumerate(self._scalars):
             (value,) = _numbers(path, content, 1)
-            scalars[column] = value if low <= value <= high else np.nan
-        if np.isnan(scalars[self._marks]).any():
+            scalars[column] = value
+            marked |= self._marks[column] and not low <= value <= high  # NaN is not either
+        if marked:
             invalid["not_read"] += len(valid)
             return
         inside = np.ones(len(valid), np.bool_)
@@ -92,6 +102,63 @@ class SensorReader:
             raise TactileError(f"{self._stamp.text}: {shown(found)} is no time")
         whole = int(found // 1)
         return whole * unit_ns + round(float(found - whole) * unit_ns)
+
+
+def make_reader(config: TactileConfig) -> TactileReader:
+    """The decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
+    sensor = config.described
+    _require_noise(sensor)
+    names = [one.name for one in sensor.config.scalars if not one.predicted]
+    others = tuple(f"{name}_{finger}" for finger in sensor.channels.fingers for name in names)
+    flags = () if sensor.config.source.stamp else (ARRIVAL_STAMPED,)
+    return TactileReader(_TouchReader(SensorReader(sensor, config.fingers)).read, others, flags, sensor)
+
+
+def _require_noise(sensor: Sensor) -> None:
+    """Refuse a channel of floats with neither noise nor range: there is no least change that means contact."""
+    for one in (*sensor.config.scalars, *sensor.config.values):
+        if one.predicted and not one.noise and not all(map(math.isfinite, one.limits)):
+            raise ConfigError(
+                f"sensor: {sensor.config.name}: {one.name}: state its noise or its range in the description"
+            )
+
+
+class _TouchReader:
+    """Readings of both fingers in the order of a touch."""
+
+    def __init__(self, reader: SensorReader) -> None:
+        config = reader.sensor.config
+        self._reader, self._positions = reader, reader.sensor.layout.positions
+        self._scalars = np.array([one.predicted for one in config.scalars], np.bool_)
+        self._values = np.array([one.predicted for one in config.values], np.bool_)
+        self._known: dict[bytes, list[tuple[int, Index]]] = {}  # the nearest valid taxels of each invalid one
+
+    def read(self, message: Any) -> TactileReading:
+        """Decode a message; values of a finger that was not read are NaN (raises as `SensorReader.read`)."""
+        found = self._reader.read(message)
+        if not np.isfinite(found.scalars).all():
+            raise TactileError(f"{self._reader.sensor.config.name}: a scalar is not finite")
+        values, scalars = found.values, found.scalars[:, self._scalars]
+        for finger, valid in enumerate(found.valid):
+            if 2 * np.count_nonzero(valid) <= len(valid):
+                values[finger], scalars[finger] = np.nan, np.nan
+            elif not valid.all():
+                for index, nearest in self._nearest(valid):
+                    values[finger, index] = values[finger, nearest].mean(axis=0, dtype=np.float64)
+        counts = np.concatenate([scalars.T.ravel(), values[..., self._values].transpose(2, 0, 1).ravel()])
+        return TactileReading(found.stamp_ns, counts, found.scalars[:, ~self._scalars].ravel(), found.invalid)
+
+    def _nearest(self, valid: Bool) -> list[tuple[int, Index]]:
+        key = valid.tobytes()
+        if key not in self._known:
+            if len(self._known) == _KEPT:
+                self._known.clear()
+            usable, pairs = np.flatnonzero(valid), []
+            for index in np.flatnonzero(~valid).tolist():
+                distances = np.linalg.norm(self._positions[usable] - self._positions[index], axis=1)
+                pairs.append((index, usable[distances <= _AS_NEAR * distances.min()]))
+            self._known[key] = pairs
+        return self._known[key]
 
 
 def _numbers(path: FieldPath, content: Any, count: int) -> Float64:

@@ -3,16 +3,19 @@
 
 To support another type, add a module with `FINGERS` (default names of thumb and middle finger) and
 `make_reader(config)`, and a line to `TACTILE_TYPES`. The recorder, `dataset import`, the nodes and the help texts
-take the supported types from that table.
+take the supported types from that table. Messages of a described sensor need neither (see `described`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import import_module
 from typing import Any, Final
 
+from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
+from foretouch.tactile.description import Sensor, load_sensor, packaged_sensor
 from foretouch.types import Float32
 
 #: Message type to the module that decodes it.
@@ -34,15 +37,39 @@ class TactileConfig(Settings, read_only=True):
     """Type of the tactile messages, and which of their fingers are the thumb and the middle finger."""
 
     type: str = setting("foretouch_msgs/BiotacAll", "Type of the tactile messages", choices=TACTILE_TYPES)
-    thumb: str = setting("", "Name of the thumb in the messages; empty for the type's default, TH or 0")
-    middle: str = setting("", "Name of the middle finger in the messages; empty for the type's default, MF or 1")
+    sensor: str = setting(
+        "", "Description of the sensor, a YAML file or the name of one of the package, with the type of its messages; "
+        "empty for a BioTac SP by `type`",
+    )  # fmt: skip
+    thumb: str = setting(
+        "", "Name of the finger at g1 in the messages; empty for the default of the type, TH or 0, or of the sensor"
+    )
+    middle: str = setting(
+        "", "Name of the finger at g2 in the messages; empty for the default of the type, MF or 1, or of the sensor"
+    )
     state_pdc: int = setting(0, "Index of PDC in a channel of TactileState", minimum=0)
     state_electrodes: int = setting(1, "Index of the first of 24 electrodes in a channel of TactileState", minimum=0)
 
+    @cached_property
+    def described(self) -> Sensor:
+        """The sensor (raises as `load_sensor`, and a `ConfigError` if it has one finger alone)."""
+        if not self.sensor:
+            return packaged_sensor("biotac_sp")
+        found = load_sensor(self.sensor)
+        if len(found.channels.fingers) != 2:
+            raise ConfigError(f"sensor: {found.config.name} has one finger, and a grasp two")
+        return found
+
+    @property
+    def message_type(self) -> str:
+        """Type of the messages: that of the sensor's description, if it is named."""
+        return self.described.config.source.type if self.sensor else self.type
+
     @property
     def fingers(self) -> tuple[str, str]:
-        """Names of thumb and middle finger in the messages."""
-        thumb, middle = import_module(TACTILE_TYPES[self.type]).FINGERS
+        """Names of the fingers at g1 and g2 in the messages (raises as `described`)."""
+        module = import_module(TACTILE_TYPES[self.type])
+        thumb, middle = self.described.channels.fingers if self.sensor else module.FINGERS
         return self.thumb or thumb, self.middle or middle
 
 
@@ -51,8 +78,9 @@ class TactileReading:
     """The content of one tactile message."""
 
     stamp_ns: int | None  # stamp of its header [ns]; None where the type has none
-    counts: Float32  # (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    counts: Float32  # (D,) float32 in the order of the sensor's channels; NaN of a finger that was not read
     others: Float32  # (K,) float32, in the order of `TactileReader.others`
+    invalid: Mapping[str, int] = field(default_factory=dict)  # taxels that are not valid, by reason
 
 
 @dataclass(frozen=True)
@@ -60,22 +88,40 @@ class TactileReader:
     """Decoder of one type of tactile messages.
 
     Attributes:
-        read: Decodes a message; raises `TactileError` where it holds no reading of a BioTac SP.
-        others: Names of the channels beside PDC and electrodes, such as `TAC_TH`.
+        read: Decodes a message; raises `TactileError` where it holds no reading of the sensor.
+        others: Names of what a finger sends besides the values of a touch, such as `TAC_TH`.
         flags: Flags of every sample with a touch from such messages.
+        sensor: What is read.
     """
 
     read: Callable[[Any], TactileReading]
     others: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
+    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
+
+    @property
+    def channels(self) -> Channels:
+        """The values of a touch."""
+        return self.sensor.channels
+
+    @property
+    def temperatures(self) -> frozenset[str]:
+        """Those of `others` that contact does not change, such as `TDC_TH`, which samples state besides the touch."""
+        names = [one.name for one in self.sensor.config.scalars if one.contact == "none"]
+        return frozenset(f"{name}_{finger}" for name in names for finger in self.channels.fingers)
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the settings; a `ConfigError` if the type has no finger of that name, or both are the same."""
+    """The decoder for the settings.
+
+    Raises:
+        ConfigError: If the type or the sensor has no finger of that name, both are the same, or the description is faulty.
+    """
     thumb, middle = config.fingers
     if thumb == middle:
         raise ConfigError(f"middle: {middle!r} is the thumb already")
-    reader: TactileReader = import_module(TACTILE_TYPES[config.type]).make_reader(config)
+    module = "foretouch.tactile.messages.described" if config.sensor else TACTILE_TYPES[config.type]
+    reader: TactileReader = import_module(module).make_reader(config)
     return reader
 
 

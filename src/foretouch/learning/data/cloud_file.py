@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prepared clouds on the disk: those of a large dataset exceed memory, and an epoch uses them in any order."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from foretouch.checked_files import open_regular
+from foretouch.dataset.files import disk_errors
+from foretouch.types import Float32
+
+
+class CloudFile(Sequence[Float32]):
+    """Clouds (N_i, C) float32 in a temporary file without a name, which is removed with the last process that reads it.
+
+    They are read, not mapped: the pages of a mapping count as memory of the process. A pickle of it is for other processes
+    on the machine, while this one lives.
+
+    Raises:
+        FileError: If the folder of temporary files (`TMPDIR`) has no room.
+    """
+
+    def __init__(self) -> None:
+        with disk_errors(Path("TMPDIR"), "names no folder that can be written"):
+            self._folder = Path(tempfile.gettempdir())
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115  open as long as this object
+        self._ends = [0]  # in values
+        self._columns = 0
+
+    def append(self, cloud: Float32) -> None:
+        """Write one more cloud, of the same C."""
+        with disk_errors(self._folder, "cannot hold the prepared clouds; set TMPDIR to a folder with more space"):
+            self._file.write(np.ascontiguousarray(cloud).data)
+            self._file.flush()
+        self._ends.append(self._ends[-1] + cloud.size)
+        self._columns = cloud.shape[1]
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1
+
+    def __getitem__(self, index: Any) -> Any:
+        """One cloud, read-only, or a list of those of a slice."""
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        k = range(len(self))[index]
+        start, end = self._ends[k], self._ends[k + 1]
+        with disk_errors(self._folder, "prepared clouds cannot be read"):
+            content = os.pread(self._file.fileno(), 4 * (end - start), 4 * start)
+        return np.frombuffer(content, np.float32).reshape(-1, self._columns)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_file": f"/proc/{os.getpid()}/fd/{self._file.fileno()}"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({**state, "_file": open_regular(state["_file"])})

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What markers, figures and Rerun show of a touch of any described sensor: one channel of the taxels, and the scalars as text."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from foretouch.channels import Channel
+from foretouch.tactile import Ranges
+from foretouch.tactile.channels import FINGER_NAMES
+from foretouch.tactile.description import Sensor
+from foretouch.types import Float64, Index, Touch, TouchPrediction
+
+
+@dataclass(frozen=True, eq=False)
+class TaxelView:
+    """The view of a sensor; its fingers are numbered in the order of `Channels.fingers`: at g1, at g2."""
+
+    sensor: Sensor
+
+    @cached_property
+    def fingers(self) -> list[str]:
+        """Names of the fingers for people."""
+        return [FINGER_NAMES.get(name, name) for name in self.sensor.channels.fingers]
+
+    @cached_property
+    def channel(self) -> Channel:
+        """The channel of the taxels that is shown: the last one that contact moves in one direction, else the last."""
+        channels = self.sensor.taxel_channels
+        return next((one for one in reversed(channels) if one.contact), channels[-1])
+
+    def columns(self, finger: int) -> Index:
+        """(N,) columns of a touch: the values of the shown channel."""
+        found: Index = self.sensor.taxel_columns[finger, :, self.sensor.taxel_channels.index(self.channel)]
+        return found
+
+    def has_rest(self, rest: Touch | None) -> bool:
+        """Whether changes from rest are known: with a reading at rest, or where that is zero."""
+        return rest is not None or not self.channel.tared
+
+    def levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
+        """(N,) float64: the change of each taxel from rest, positive as by contact; its value where rest is not known."""
+        values = touch.values[self.columns(finger)]
+        if not self.has_rest(rest):
+            return values
+        change: Float64 = values - (
+            rest.values[self.columns(finger)] if rest is not None and self.channel.tared else 0.0
+        )
+        return -change if self.channel.contact < 0 else change
+
+    def label(self, *, from_rest: bool) -> str:
+        """What `levels` are, with their unit."""
+        one = self.channel
+        change = {-1: "drop", 0: "change", 1: "rise"}[one.contact]
+        return f"{change} of {one.name} from rest [{one.unit}]" if from_rest else f"{one.name} [{one.unit}]"
+
+    def shares(self, touch: Touch, rest: Touch | None, ranges: Ranges | None, finger: int) -> Float64:
+        """(N,) float64 in [0, 1]: how far contact has moved each taxel.
+
+        Through its range where contact moves it in one direction from a measured rest level; else from rest, of the way to the farther
+        end of its range. Without ranges, relative to what all taxels of the touch show.
+        """
+        levels, columns = (
+            np.array([self.levels(touch, rest, k) for k in range(len(self.fingers))]),
+            self.columns(finger),
+        )
+        if ranges is not None and self.channel.tared and (self.channel.contact or not self.has_rest(rest)):
+            values, low, high = touch.values[columns], ranges.low[columns], ranges.high[columns]
+            moved, span = high - values if self.channel.contact < 0 else values - low, high - low
+        elif self.has_rest(rest):
+            moved, span = np.abs(levels[finger]), np.abs(levels).max()
+            if ranges is not None:
+                at_rest = rest.values[columns] if rest is not None and self.channel.tared else 0.0
+                span = np.maximum(np.abs(ranges.high[columns] - at_rest), np.abs(ranges.low[columns] - at_rest))
+        else:
+            moved, span = levels[finger] - levels.min(), np.ptp(levels)
+        share: Float64 = np.clip(moved / np.maximum(span, 1e-12), 0.0, 1.0)
+        return share
+
+    def scalars(self, finger: int, value: Touch, around: TouchPrediction | None = None) -> str:
+        """The scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
+        texts = []
+        for one, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
+            half = ""
+            if around is not None and around.lower is not None and around.upper is not None:
+                half = f" ± {one.text((around.upper.values[column] - around.lower.values[column]) / 2.0)}"
+            texts.append(f"{one.name} {one.text(value.values[column])}{half}")
+        return ", ".join(texts)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prepared clouds on the disk: what was written is read, in any order and in other processes."""
+
+import pickle
+import tempfile
+
+import numpy as np
+import pytest
+
+from foretouch.errors import FileError
+from foretouch.learning.data.cloud_file import CloudFile
+from foretouch.processes import process_pool
+
+
+def test_clouds_are_read_as_they_were_written_also_in_another_process(rng, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    made = [rng.normal(size=(int(count), 6)).astype(np.float32) for count in rng.integers(1, 90, 40)]
+    clouds = CloudFile()
+    for cloud in made:
+        clouds.append(cloud)
+    assert list(tmp_path.iterdir()) == []  # it has no name
+    assert len(clouds) == 40
+    for k in rng.permutation(40):
+        np.testing.assert_array_equal(clouds[k], made[k])
+        assert clouds[k].dtype == np.float32
+    np.testing.assert_array_equal(clouds[-1], made[-1])
+    assert [cloud.tolist() for cloud in clouds[3:9:2]] == [cloud.tolist() for cloud in made[3:9:2]]
+    with pytest.raises(IndexError):
+        clouds[40]
+    copy = pickle.loads(pickle.dumps(clouds))
+    assert [cloud.tolist() for cloud in copy] == [cloud.tolist() for cloud in made]
+    with process_pool(1) as pool:
+        assert [cloud.tolist() for cloud in pool.submit(list, clouds).result()] == [cloud.tolist() for cloud in made]
+
+
+def test_no_folder_for_temporary_files_is_named(monkeypatch) -> None:
+    def refuse() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "gettempdir", refuse)
+    with pytest.raises(FileError, match="TMPDIR: names no folder that can be written"):
+        CloudFile()
