@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag of the topics that samples are assembled from, for the tests of imports."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +45,12 @@ def _biotac(level: int, electrodes: int) -> SimpleNamespace:
     )  # fmt: skip
 
 
+def biotac_all(at_ns: int, level: int, electrodes: int = 24) -> tuple[str, Any]:
+    """A `BiotacAll` of five equal fingers, `level` counts from rest."""
+    tactiles = [_biotac(level, electrodes) for _ in range(5)]
+    return "foretouch_msgs/msg/BiotacAll", SimpleNamespace(header=_header(at_ns), tactiles=tactiles)
+
+
 TURNED = np.diag([-1.0, -1.0, 1.0])
 """The matrix of `POSE`."""
 
@@ -60,14 +68,25 @@ class Faults:
     electrodes: int = 24
 
 
-def write_topics(path: Path, faults: Faults | None = None) -> None:
-    """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold."""
+def write_topics(
+    path: Path,
+    faults: Faults | None = None,
+    tactile: Callable[[int, int], tuple[str, Any]] | None = None,
+    definitions: Mapping[str, str] | None = None,
+) -> None:
+    """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold.
+
+    `tactile` gives type and content of a tactile message by its time and level, `definitions` those of types by name.
+    """
     faults = faults or Faults()
+    tactile = tactile or (lambda at_ns, level: biotac_all(at_ns, level, faults.electrodes))
     start = 1_700_000_000 * NS
     with BagWriter(path) as writer:
+        for name, text in (definitions or {}).items():
+            writer.definitions.register(name, text)
 
-        def write(topic: str, kind: str, at_ns: int, message: SimpleNamespace) -> None:
-            type_name = f"foretouch_msgs/msg/{kind}"
+        def write(topic: str, kind: str, at_ns: int, message: Any) -> None:
+            type_name = kind if "/" in kind else f"foretouch_msgs/msg/{kind}"
             writer.add_topic(topic, type_name)
             data = bytes(writer.definitions.store.serialize_cdr(message, type_name))
             writer.write(topic, type_name, at_ns + faults.ago_ns, data)
@@ -90,10 +109,9 @@ def write_topics(path: Path, faults: Faults | None = None) -> None:
             if faults.hole and contact + NS // 4 < at < contact + NS // 2:
                 continue
             level = 100 if contact <= at <= release else 0
-            tactiles = [_biotac(level, faults.electrodes) for _ in range(5)]
             # Received late: the time of reception must not decide which readings are cut out.
-            message = SimpleNamespace(header=_header(at), tactiles=tactiles)
-            write("/rh/tactile", "BiotacAll", at + faults.late_ns, message)
+            kind, message = tactile(at, level)
+            write("/rh/tactile", kind, at + faults.late_ns, message)
         executed = SimpleNamespace(
             header=_header(release), grasp_id=faults.executed, achieved=POSE, start=_stamp(start + 2 * NS),
             contact=_stamp(contact), release=_stamp(release), success=True,

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from constant_models import sensor_with_dead
 from every_case import every_case
 from PIL import Image
 from recording_builders import write_grasps
@@ -23,8 +24,10 @@ from foretouch.cli.main import main
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store_writer import build_store
+from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import electrode_normals, electrode_positions
+from foretouch.types import Touch, TouchPrediction
 
 LAYER_M = 0.0014
 
@@ -240,3 +243,37 @@ def test_the_viewer_sends_no_statistics_and_listens_on_this_machine_alone() -> N
         assert json.loads(shown.stdout)["analytics_enabled"] is False
         folder = Path(environment["XDG_CONFIG_HOME"])
     assert not folder.exists()
+
+
+def test_a_sensor_of_any_layout_is_on_its_pad_and_only_the_liveliest_of_many_taxels_has_curves(
+    recording, tmp_path
+) -> None:
+    grasp = records_of(recording)[0].sample.grasp
+
+    def check(name: str, curves: int) -> None:
+        sensor = sensor_with_dead(name, 1)
+        rest = Touch(np.where(sensor.channels.tared, 1000.0, 0.0), sensor.channels)
+        steps = []
+        for k in range(3):
+            values = rest.values.copy()
+            values[sensor.taxel_columns[:, 7, -1 if sensor.size == 16 else 0]] += 10.0 * k
+            read = Touch(values, sensor.channels)
+            prediction = TouchPrediction(grasp, read)
+            steps.append(ViewStep(name=str(k), grasp=grasp, prediction=prediction, read=read, tare=rest))
+        assert write_view(tmp_path / f"{name}.rrd", steps, name, sensor) == 3
+        written = Written(tmp_path / f"{name}.rrd")
+        placed = np.array(
+            written.rows("/scene/FF/taxels" if sensor.size == 16 else "/scene/right/taxels", "Points3D:positions")[0]
+        )
+        assert placed.shape == (sensor.size, 3)
+        np.testing.assert_allclose(placed[:, 2], 0.0, atol=1e-9)  # at the contact
+        first = sensor.channels.fingers[0]
+        labels = written.rows(f"/taxels/{first}/read", "Points2D:labels")[2]
+        assert [text for text in labels if text != labels[0]] == ["20"]
+        shades = written.rows(f"/taxels/{first}/read", "Points2D:colors")[2]
+        assert [k for k, shade in enumerate(shades) if shade == shades[1]] == [1]  # dead, of its own colour
+        assert len([path for path in written.chunks if path.startswith("/touch/") and path.endswith("/read")]) == curves
+        shown = sensor.taxel_channels[-1 if sensor.size == 16 else 0].name
+        assert written.rows(f"/touch/{shown}_{first}/08/read", "Scalars:scalars")[2] == [rest.values[-1] + 20.0]
+
+    every_case([("xela_uskin_4x4", 96), ("tacsl_20x25", 6)], check)

@@ -188,7 +188,7 @@ def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Pat
     )
     with np.load(tmp_path / "good/ball/000002.npz") as archive:
         np.savez(tmp_path / "good/ball/000002.npz", **{**archive, "hand": '{"name": "other"}'})
-    with pytest.raises(FileError, match=r"000002\.npz: is of another hand or camera than .*000001\.npz"):
+    with pytest.raises(FileError, match=r"000002\.npz: is of another hand, camera or sensor than .*000001\.npz"):
         import_samples(tmp_path / "good", tmp_path / "new")
 
 

@@ -230,6 +230,8 @@ def test_groups_of_another_sensor_are_refused_by_name(tmp_path: Path) -> None:
     for name, one in channels.items():
         values = [one, {"name": "Z", "field": "z", "dtype": "uint8"}]
         (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(described | {"values": values}))
+    fingers = [described["fingers"][0] | {"dead": list(range(8))}, described["fingers"][1]]
+    (tmp_path / "dead.yaml").write_text(yaml.safe_dump(described | {"fingers": fingers}))
     array = "is of the BioTac SP, but the sensor of these fingers is xela_uskin_4x4"
     cases: list[tuple[dict[str, Any], str]] = [
         ({"fingers": USKIN | {"dead": {"thumb": [3]}}}, f"dead: {array}"),
@@ -242,6 +244,7 @@ def test_groups_of_another_sensor_are_refused_by_name(tmp_path: Path) -> None:
         ({"fingers": {"sensor": "xela"}}, "sensor: .*xela: is no file and none of"),
         ({"fingers": {"sensor": str(tmp_path / "volume.yaml")}}, "V: is no force that can be simulated"),
         ({"fingers": {"sensor": str(tmp_path / "open.yaml")}}, "X: has neither the unit N or Pa nor a range"),
+        ({"fingers": {"sensor": str(tmp_path / "dead.yaml")}}, "dead: half of the taxels of a finger or more"),
         ({"fingers": USKIN, "campaign": {}}, "campaign: its drift is that of the BioTac SP"),
     ]
 

@@ -13,7 +13,7 @@ from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.description import load_sensor
 from foretouch.tactile.messages.biotac_all import make_reader as biotac_reader
 from foretouch.tactile.messages.described import SensorReader
-from foretouch.tactile.messages.table import TactileConfig
+from foretouch.tactile.messages.table import TactileConfig, make_reader
 
 
 def header() -> Message:
@@ -117,3 +117,56 @@ def test_messages_that_lack_something_are_refused_by_name() -> None:
     every_refusal(TactileError, cases, reader.read)
     with pytest.raises(ConfigError, match="fingers: 'MF' is none of TH, FF"):
         SensorReader(load_sensor("xela_uskin_4x4"), ["MF"])
+
+
+def test_a_reading_for_a_touch_is_ordered_by_channel_and_finger_with_temperatures_beside_it(tmp_path) -> None:
+    scalars = [
+        {"name": "T", "field": "celsius", "unit": "degC", "contact": "none", "rest": "none"},
+        {"name": "P", "field": "air", "unit": "Pa", "noise": 2.0, "contact": "rise"},
+    ]
+    changes = {"scalars": scalars, "values": [{**SMALL["values"][0], "range": [0, 9]}]}
+    reader = make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), thumb="right", middle="left"))
+    assert (reader.others, reader.flags) == (("T_left", "T_right"), ("arrival_stamped",))
+    assert reader.temperatures == {"T_left", "T_right"}
+    left = Message(pressures=[0, 99, 2, 3, 4, np.nan], celsius=20.5, air=7.0)
+    right = Message(pressures=[1, 1, 1, 1, 1, 1], celsius=21.0, air=8.0)
+    found = reader.read(Message(pads=[left, right]))
+    assert found.counts.dtype == np.float32
+    # Taxels 4 mm apart along x, 2 mm along y, three in a row: the nearest valid ones of 1 are 0 and 2, of 5 is 4.
+    assert_array_equal(found.counts, [8, 7, 1, 1, 1, 1, 1, 1, 0, 1, 2, 3, 4, 4])
+    assert_array_equal(found.others, [21.0, 20.5])
+    assert (found.stamp_ns, found.invalid) == (None, {"out_of_range": 2})
+    left.pressures[0] = -1
+    found = reader.read(Message(pads=[left, right]))  # half of its taxels are not valid
+    assert_array_equal(np.isnan(found.counts), [0, 1, *[0] * 6, *[1] * 6])
+    left.celsius = np.nan
+    with pytest.raises(TactileError, match="small: a scalar is not finite"):
+        reader.read(Message(pads=[left, right]))
+    own = TactileConfig(sensor=str(write_sensor(tmp_path, {**changes, "grasp": ["right", "left"]})))
+    assert (own.fingers, own.message_type) == (("right", "left"), "lab_msgs/Pads")
+    every_refusal(
+        ConfigError,
+        [
+            ("sensor: small: p: state its noise or its range", {}),
+            ("sensor: small has one finger", {"fingers": SMALL["fingers"][:1]}),
+        ],
+        lambda faulty: make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, faulty)))),
+    )
+    with pytest.raises(ConfigError, match="'left' is the thumb already"):
+        make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), thumb="left", middle="left"))
+    with pytest.raises(ConfigError, match="fingers: 'MF' is none of left, right"):
+        make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), middle="MF"))
+
+
+def test_biotac_by_its_description_as_by_its_own_decoder(rng: np.random.Generator) -> None:
+    counts = rng.integers(1, 4095, (5, 29))
+    names = ("pdc", "pac0", "pac1", "tac", "tdc")
+    message = Message(
+        header=header(),
+        tactiles=[Message(electrodes=row[5:], **dict(zip(names, row[:5].tolist(), strict=True))) for row in counts],
+    )
+    own, other = (make_reader(TactileConfig(sensor=sensor)) for sensor in ("", "biotac_sp"))
+    one, two = own.read(message), other.read(message)
+    assert_array_equal(one.counts, two.counts)
+    assert_array_equal(one.others, two.others)
+    assert (own.others, own.flags, own.channels.sha256) == (other.others, other.flags, other.channels.sha256)

@@ -4,24 +4,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.tactile import MODALITIES, biotac_touch
+from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from foretouch_msgs.msg import TactilePrediction, TactilePredictionArray, TouchPredictionArray
     from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
-    from foretouch_msgs.msg import TouchPredictionArray
 
 
 ANSWER_SUFFIXES = (".json", ".jsonl")
@@ -32,13 +34,13 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
     return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
 
 
-def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
-    """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
+def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) -> dict[str, Any]:
+    """One prediction for JSON: values and bounds of each of the modalities, bounds null without a calibration."""
     ends = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
     columns = {name: {} if touch is None else touch.parts() for name, touch in ends.items()}
     return {
         "grasp": grasp_record(prediction.grasp),
-        **{name: {key: parts.get(name) for key, parts in columns.items()} for name in MODALITIES},
+        **{name: {key: parts.get(name) for key, parts in columns.items()} for name in channels.modalities},
         "reference": prediction.reference,
         "evidence": asdict(prediction.evidence),
         "flags": list(prediction.flags),
@@ -47,8 +49,8 @@ def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
     }
 
 
-def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
-    """A `touch` message as `run --json` prints it."""
+def answer_record(message: TouchPredictionArray | TactilePredictionArray, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
+    """A `touch` message, or a `tactile` message of a sensor, as `run --json` prints it."""
     from foretouch.ros.messages.requests import status_name
 
     return {
@@ -56,31 +58,33 @@ def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
         "frame_id": message.header.frame_id,
         "status": status_name(message.status),
         "reason": message.reason,
-        "predictions": [_message_record(one) for one in message.predictions],
+        "predictions": [_message_record(one, sensor) for one in message.predictions],
     }
 
 
-def _message_record(message: TouchPredictionMsg) -> dict[str, Any]:
+def _message_record(message: TouchPredictionMsg | TactilePrediction, sensor: Sensor) -> dict[str, Any]:
     """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
 
     try:
-        return prediction_record(prediction_from_msg(message))
+        return prediction_record(prediction_from_msg(message, sensor), sensor.channels)
     except ForetouchError as err:
         status = status_name(message.status) if message.status else "failed"
         return {"status": status, "reason": message.reason or str(err)}
 
 
-def modality_text(value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None) -> str:
-    """Value and half width of a pressure; of electrodes, least and largest value and mean half width [counts]."""
+def modality_text(
+    value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, text: Callable[[float], str] = "{:.0f}".format
+) -> str:
+    """Value and half width of a single number; of several, least and largest value and mean half width."""
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
-    text = f"{values.min():.0f}–{values.max():.0f}" if values.size > 1 else f"{values[0]:.0f}"
+    found = f"{text(values.min())}–{text(values.max())}" if values.size > 1 else text(values[0])
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
-        return text
-    return f"{text} ±{np.mean(np.subtract(upper, lower)) / 2.0:.0f}"  # no space: a table folds there
+        return found
+    return f"{found} ±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
 
 
 def answer_key(record: Mapping[str, Any]) -> str | int:
@@ -111,8 +115,8 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
     return records
 
 
-def prediction_from_record(record: Any) -> TouchPrediction:
-    """A prediction from the JSON of `predict` and `run`.
+def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPrediction:
+    """A prediction for a sensor from the JSON of `predict` and `run`.
 
     Raises:
         ConfigError: Names the field that is missing or wrong.
@@ -128,10 +132,10 @@ def prediction_from_record(record: Any) -> TouchPrediction:
         touches: list[Touch | None] = []
         for end in ("value", "lower", "upper"):
             known = []
-            for field in MODALITIES:
+            for field in channels.modalities:
                 part = record[field][end]
                 known += [] if part is None else [np.atleast_1d(np.array(part, np.float64))]
-            touches.append(biotac_touch(np.concatenate(known)) if len(known) == len(MODALITIES) else None)
+            touches.append(Touch(np.concatenate(known), channels) if len(known) == len(channels.modalities) else None)
         field = "status"
         value, lower, upper = touches
         others: dict[str, Any] = {name: record[name] for name in ("reference", "status", "reason")}

@@ -22,7 +22,7 @@ _SETTLE_S = 1.5  # until a finger that was released is at rest, and the detector
 def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
     """Check with an active recorder that records nothing; 1 if there is a fault."""
     path = Path(arguments.output).resolve()
-    with opened_to_write(path, node.identity):
+    with opened_to_write(path, node.identity, node.reader.sensor):
         findings = _check(node, as_json=arguments.json)
         store_check(path, findings, time.time_ns())
     faults = sum(bool(one.fix) for one in findings)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
-from foretouch.cli.inputs import positive_number, seed_number
+from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing
@@ -113,13 +113,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
             metavar="TOPIC",
             help=f"topic of the {content} (default: %(default)s)",
         )
-    group.add_argument(
-        "--thumb",
-        default="",
-        metavar="NAME",
-        help="name of the thumb in the tactile messages (default: TH or 0, by their type)",
-    )
-    group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger (default: MF or 1)")
+    add_options(group, "--sensor", "--thumb", "--middle")
     group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
     group.add_argument(
         "--fingers", type=_fingers, metavar="TH,MF", help="indices of both fingers instead of names (default: 4,1)"
@@ -163,7 +157,9 @@ def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "flags", _counts(found.flags)
     yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
     yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
-    yield from ((name, f"{low:g} to {high:g} counts") for name, (low, high) in found.ranges.items())
+    yield "sensor", found.sensor
+    yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found.dead.items())
+    yield from ((name, f"{low:g} to {high:g} {found.units[name]}") for name, (low, high) in found.ranges.items())
     yield "hand", _properties(found.hand)
     yield "camera", _properties(found.camera)
     if found.unfinished:
@@ -364,7 +360,9 @@ def _import(arguments: argparse.Namespace) -> int:
         tactile=arguments.tactile_topic,
         object=arguments.object,
         fingers=arguments.fingers,
-        tactile_config=TactileConfig(thumb=arguments.thumb, middle=arguments.middle),
+        tactile_config=TactileConfig(
+            sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
+        ),
     )
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
         result = import_samples(

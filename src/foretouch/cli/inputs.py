@@ -24,11 +24,21 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "change one setting of the pipeline"},
     "--model": {"help": "name of a model, or path of its card, weights or model folder (default: contact-v2)"},
     "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
+    "--sensor": {
+        "metavar": "NAME|YAML",
+        "help": "description of the tactile sensor, with the type of its messages (default: BioTac SP; `sensor list` names"
+        " those of the package)",
+    },
+    "--thumb": {
+        "metavar": "NAME",
+        "help": "name of the thumb in the tactile messages (default: TH or 0, by their type, or that of the sensor)",
+    },
+    "--middle": {"metavar": "NAME", "help": "name of the middle finger, or the other one (default: MF or 1)"},
     "--namespace": {"metavar": "NAME", "help": "namespace of the graph (default: /foretouch)"},
 }
 
 
-def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
+def add_options(parser: argparse._ActionsContainer, *names: str) -> None:
     """Options that several commands share, such as `--topic`."""
     for name in names:
         parser.add_argument(name, **_OPTIONS[name])

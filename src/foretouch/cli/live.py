@@ -12,12 +12,13 @@ from rich.text import Text
 
 from foretouch.cli.answers import modality_text
 from foretouch.cli.screen import FittedPanel, FittedTable
-from foretouch.tactile import MODALITIES
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 
 if TYPE_CHECKING:
     from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.ros.nodes.monitor import NodeView, View
-    from foretouch_msgs.msg import TouchPrediction
+    from foretouch_msgs.msg import TactilePrediction, TouchPrediction
 
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
@@ -36,9 +37,9 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
         if one.level
     ]
     if view.executed is not None:
-        parts.append(executed_table(*view.executed))
+        parts.append(executed_table(*view.executed, view.sensor))
     if view.last is not None and view.last.predictions:
-        parts.append(_predictions(view.last.predictions))
+        parts.append(_predictions(view.last.predictions, view.sensor))
     for name, node in view.nodes.items():
         found = ", ".join(f"{count} {why}" for why, count in _dropped(node.values).items())
         parts += [Text(f"{_short(name)} dropped {found}")] * bool(found)
@@ -72,40 +73,48 @@ def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     return {reason: count for reason, count in found.items() if count}
 
 
-def _predictions(predictions: Sequence[TouchPrediction]) -> FittedTable:
+def _predictions(predictions: Sequence[TouchPrediction | TactilePrediction], sensor: Sensor) -> FittedTable:
     from foretouch.ros.messages.conversions import reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
+    modalities = sensor.channels.channel_of
     rows: list[list[str | Text]] = []
     for one in predictions:
         width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (one.grasp.g1, one.grasp.g2)))
         width = f"{width_mm:.0f}" if width_mm < 1e4 else "–"  # a refused grasp may be 1e160 m wide
         if one.reason and one.status:
-            rows.append([one.grasp.object_id, width, "", "", "", "", one.reason])
+            rows.append([one.grasp.object_id, width, *[""] * len(modalities), one.reason])
             continue
         flags = [flag.replace("_", " ") for flag in one.flags]
         based = Text("\n".join([reference_text(one), *flags]), "yellow" if flags else "")
-        rows.append([one.grasp.object_id, width, *_modalities(one), based])
-    title = f"last prediction (counts){models and f' by {models}'}"
-    return _table("object", "mm", *MODALITIES, "based on", rows=rows, title=title)
+        rows.append([one.grasp.object_id, width, *_modalities(one, sensor), based])
+    units = ", ".join(dict.fromkeys(channel.unit for channel in modalities.values()))
+    title = f"last prediction ({units}){models and f' by {models}'}"
+    return _table("object", "mm", *modalities, "based on", rows=rows, title=title)
 
 
-def _modalities(prediction: TouchPrediction) -> list[str]:
-    """PDC and electrodes of both fingers, each with its half width."""
-    parts = ([prediction.pdc_th], [prediction.pdc_mf], prediction.e_th, prediction.e_mf)
-    return [modality_text(*zip(*((one.value, one.lower, one.upper) for one in part), strict=True)) for part in parts]
+def _modalities(prediction: TouchPrediction | TactilePrediction, sensor: Sensor) -> list[str]:
+    """Values of each modality with their half width."""
+    from foretouch.ros.messages.conversions import values_from_msg
+
+    value, lower, upper = values_from_msg(prediction, sensor)
+    columns = [(sensor.channels.columns([name]), one.text) for name, one in sensor.channels.channel_of.items()]
+    return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
 
-def executed_table(prediction: TouchPrediction | None, readings: TouchCut) -> FittedTable:
-    """The counts of an executed grasp: as predicted, if they were, as read, and at rest before."""
+def executed_table(
+    prediction: TouchPrediction | TactilePrediction | None, readings: TouchCut, sensor: Sensor = BIOTAC_SP
+) -> FittedTable:
+    """The values of an executed grasp: as predicted for a sensor, if they were, as read, and at rest before."""
     rows: list[list[str | Text]] = []
     if prediction is not None and not prediction.status:
-        rows.append(["predicted", *_modalities(prediction)])
+        rows.append(["predicted", *_modalities(prediction, sensor)])
+    channels = readings.touch.channels.channel_of
     rows += [
-        [name, *(modality_text(part, None, None) for part in touch.parts().values())]
+        [name, *(modality_text(touch[key], None, None, one.text) for key, one in channels.items())]
         for name, touch in (("read", readings.touch), ("tare", readings.tare))
     ]
-    return _table("last grasp", *MODALITIES, rows=rows)
+    return _table("last grasp", *channels, rows=rows)
 
 
 def _rounded(number: str) -> str:

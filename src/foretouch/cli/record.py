@@ -162,10 +162,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TYPE",
         help=f"{', '.join(TACTILE_TYPES)} (default: {TactileConfig().type})",
     )
-    parser.add_argument(
-        "--thumb", metavar="NAME", help="name of the thumb in the tactile messages (default: TH or 0, by their type)"
-    )
-    parser.add_argument("--middle", metavar="NAME", help="name of the middle finger (default: MF or 1)")
+    add_options(parser, "--sensor", "--thumb", "--middle")
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
     parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
     parser.add_argument(
@@ -213,7 +210,7 @@ def run(arguments: argparse.Namespace) -> int:
         report_conflicts(graph)
         status = node.status()
         if arguments.json:
-            print_json(_status_record(status))
+            print_json(_status_record(status, node.session_status()))
         else:
             terminal().print(record_panel(status, f"foretouch record: {status.path}", state))
         if status.reason:
@@ -225,6 +222,7 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     given = {
         "tactile_topic": arguments.tactile_topic,
         "tactile.type": arguments.tactile_type,
+        "tactile.sensor": arguments.sensor,
         "tactile.thumb": arguments.thumb,
         "tactile.middle": arguments.middle,
         "points": arguments.points or arguments.check or None,
@@ -279,10 +277,10 @@ def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:
 
 def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:
     if arguments.json:
-        print_json(_status_record(node.status()))
+        print_json(_status_record(node.status(), node.session_status()))
 
 
-def _status_record(status: RecorderStatus) -> dict[str, Any]:
+def _status_record(status: RecorderStatus, session: SessionStatus) -> dict[str, Any]:
     """The status as `--json` prints it, which has null for what is not finite."""
     return {
         "recording": status.recording,
@@ -308,6 +306,7 @@ def _status_record(status: RecorderStatus) -> dict[str, Any]:
             }
             for topic in status.topics
         },
+        "tactile": dict(session.anomalies),
         "sensors": dict(zip(status.sensors, status.sensor_states, strict=True)),
         "disk_left_min": status.disk_left / 60.0,
         "reason": status.reason,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,8 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
 from foretouch.ros.runtime.parameter_files import nodes_of_file
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor, sensor_in
 
 if TYPE_CHECKING:
     from foretouch.report.touch_figure import DrawnGrasp
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
-    from foretouch_msgs.msg import TouchPredictionArray
+    from foretouch_msgs.msg import TactilePredictionArray, TouchPredictionArray
 
 
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
@@ -117,10 +119,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
-    monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
+    sensor = _sensor(arguments, nodes)
+    monitor: dict[str, Any] = {
+        "sensor": sensor,
+        "with_clouds": arguments.picture is not None,
+        "with_hand": "hand" in nodes,
+    }
     monitor["count"] = arguments.count
     if arguments.json:
-        monitor["on_touch"] = arguments.printer = _Printer()
+        monitor["on_touch"] = arguments.printer = _Printer(sensor)
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
     announce("starting the nodes")
     with graph:
@@ -161,6 +168,20 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
     serial = {"camera.serial": arguments.serial} if arguments.serial else {}
     return nodes | (_scene_nodes(arguments) if scene else {"camera": serial})
+
+
+def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:
+    """That of the model; of one that cannot be loaded, which the predictor reports, the BioTac SP."""
+    from foretouch.models.card import read_card
+    from foretouch.models.registry import find_card
+
+    given = dict(nodes_of_file(arguments.params)) if arguments.params else {}
+    set_in_file = next((one["model"] for one in given.values() if "model" in one), "default")
+    model = str(nodes["touch_predictor"].get("model", set_in_file))
+    try:
+        return sensor_in(read_card(find_card(model)), model)
+    except ForetouchError:
+        return BIOTAC_SP
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -280,7 +301,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
             live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
         )
     if arguments.picture:
-        _draw(graph.monitor.last_drawables(), arguments.picture)
+        _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
         warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
         return 3
@@ -292,22 +313,22 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     return 0 if complete and not fault and (predicted or not answered) else 1
 
 
-def _draw(found: Sequence[Drawable], path: str) -> None:
+def _draw(found: Sequence[Drawable], path: str, sensor: Sensor) -> None:
     from foretouch.report.touch_figure import save_touch_picture
 
     if not found:
         warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
-    save_touch_picture(path, list(map(_drawn, found)))
+    save_touch_picture(path, [_drawn(one, sensor) for one in found], sensor)
     warn(f"wrote {path}")
 
 
-def _drawn(found: Drawable) -> DrawnGrasp:
+def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
     message, readings = found.prediction, found.readings
-    prediction = prediction_from_msg(message)
+    prediction = prediction_from_msg(message, sensor)
     title = f"object {found.target.id}"
     if prediction.value is not None:
         knows = "does not know (unfamiliar)" if "unfamiliar" in prediction.flags else "knows"
@@ -324,8 +345,11 @@ class _Printer:
 
     error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
 
-    def __call__(self, message: TouchPredictionArray) -> None:
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+
+    def __call__(self, message: TouchPredictionArray | TactilePredictionArray) -> None:
         try:
-            print_json(answer_record(message))
+            print_json(answer_record(message, self._sensor))
         except OSError as err:
             self.error = err

@@ -21,6 +21,8 @@ from foretouch.errors import ForetouchError
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import require_same
 from foretouch.types import Cloud, Grasp, GraspSample
 
 
@@ -58,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         file = arguments.save or Path(folder) / "view.rrd"
         with progress_bar("reading", arguments.count) as advance:
             counted = (step for step in itertools.islice(steps, arguments.count) if advance() is None)
-            write_view(file, counted, f"foretouch view {path}")
+            write_view(file, counted, f"foretouch view {path}", steps.sensor)
         if arguments.screenshot:
             save_screenshot(file, arguments.screenshot)
         if not (arguments.save or arguments.screenshot):
@@ -76,14 +78,24 @@ class _Steps:
         self._arguments = arguments
         self._pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
         self._adaptation: Adaptation
+        # Of answers, what they were given for.
+        data = arguments.data if self._are_answers else arguments.path
+        samples = data is not None and arguments.topic is None and is_sample_set(data)
+        found = open_samples(data, unfinished=True).sensor if samples else None
+        self.sensor = found or (BIOTAC_SP if self._are_answers else self._pipeline.model.sensor)
+
+    @property
+    def _are_answers(self) -> bool:
+        path = Path(self._arguments.path)
+        return path.suffix in ANSWER_SUFFIXES and path.is_file()
 
     def __iter__(self) -> Iterator[ViewStep]:
-        path = Path(self._arguments.path)
-        answered = path.suffix in ANSWER_SUFFIXES and path.is_file()
-        yield from self._of_answers(path) if answered else self._of_source(self._arguments.path)
+        path = self._arguments.path
+        yield from self._of_answers(Path(path)) if self._are_answers else self._of_source(path)
 
     def _of_source(self, path: str) -> Iterator[ViewStep]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
+        require_same(self._pipeline.model.sensor.channels, self.sensor.channels, f"model {self._pipeline.model.name}")
         self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
         if self._arguments.topic is None and is_sample_set(path):
             yield from self._of_samples(path)
@@ -186,7 +198,7 @@ class _Steps:
         try:
             if item is not None:
                 shown |= self._found(item.cloud) if item.sample is None else self._read(item.sample)
-            predictions = [prediction_from_record(one) for one in record.get("predictions", ())]
+            predictions = [prediction_from_record(one, self.sensor.channels) for one in record.get("predictions", ())]
         except ForetouchError as err:
             self._refuse(shown["name"], err)
             predictions = []

@@ -7,7 +7,7 @@ is extended. From a bag without samples of foretouch, samples are assembled as t
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,10 +21,11 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.dataset.record import Identity, SampleRecord
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, StoredSample, decode_sample
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
+from foretouch.tactile.description import Sensor, packaged_sensor
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
@@ -81,18 +82,21 @@ def import_samples(
     with ExitStack() as stack:
         if is_sample_set(source):
             samples = open_samples(source)
-            found, records = samples.identity, samples.records(discarded=True)
+            found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
-            holding = [topic.name for topic in bag.topics if topic.type == SAMPLE_TYPE]
-            found, records = _UNKNOWN, _assemble(bag, topics or BagTopics(), result)
+            holding = {topic.name: topic.type for topic in bag.topics if topic.type in SAMPLE_TYPES}
             if holding:
-                found, records = _own_samples(bag, holding)
+                found, records, sensor = _own_samples(bag, holding)
+            else:
+                topics = topics or BagTopics()
+                reader = _tactile_reader(bag, topics)
+                found, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
         else:
             raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
         folder = out if out.exists() else stack.enter_context(new_folder(out))
         config = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
-        with disk_errors(out), RecordingWriter(folder, identity or found, config) as writer:
+        with disk_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
             for record in records:
                 writer.append(record)
                 result.samples += 1
@@ -101,26 +105,26 @@ def import_samples(
     return result
 
 
-def _own_samples(bag: Recording, topics: list[str]) -> tuple[Identity, Iterator[SampleRecord]]:
-    """Hand and camera of the first sample of foretouch in a bag, and all samples."""
+def _own_samples(bag: Recording, types: Mapping[str, str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
+    """Hand, camera and sensor of the first sample of foretouch in a bag, and all samples; `types` are by topic."""
 
     def _stored() -> Iterator[StoredSample]:
-        for message in bag.messages(topics):
+        for message in bag.messages(list(types)):
             try:
-                yield decode_sample(message.data)
+                yield decode_sample(message.data, types[message.topic])
             except DatasetError as err:
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 
     first = next(_stored(), None)
-    return Identity() if first is None else first.identity, (one.record for one in _stored())
+    identity, sensor = (Identity(), packaged_sensor("biotac_sp")) if first is None else first[1:]
+    return identity, (one.record for one in _stored()), sensor
 
 
-def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterator[SampleRecord]:
+def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: ImportResult) -> Iterator[SampleRecord]:
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
-        AssemblerConfig(pairing=topics.pairing, object=topics.object, unlabelled_s=0.0, check_clock=live),
-        _tactile_reader(bag, topics),
+        AssemblerConfig(pairing=topics.pairing, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
     for message in bag.messages(roles):
@@ -135,6 +139,7 @@ def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterat
         yield from _samples(assembler.poll(now_s), result)
     yield from _samples(assembler.poll(now_s, ending=True), result)
     result.left_out += assembler.rejected_clouds
+    result.left_out += assembler.invalid
     result.left_out["cloud without grasps"] += assembler.clouds_without_grasps
     result.left_out["grasps without their cloud"] += len(assembler.matcher.plans)
 
@@ -156,10 +161,13 @@ def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
     config = topics.tactile_config
     if topics.tactile in types:
         name = types[topics.tactile].replace("/msg/", "/")
-        if name not in TACTILE_TYPES:
+        if config.sensor and name != config.message_type:
+            rule = f"holds {name or 'mixed types'}; {config.described.config.name} is read from {config.message_type}"
+            raise FileError(bag.path, rule, field=topics.tactile)
+        if not config.sensor and name not in TACTILE_TYPES:
             rule = f"holds {name or 'mixed types'}; supported: {', '.join(TACTILE_TYPES)}"
             raise FileError(bag.path, rule, field=topics.tactile)
-        config = config.replace(type=name)
+        config = config if config.sensor else config.replace(type=name)
     if topics.fingers is not None:
         named = FINGER_ORDER if config.type.endswith("/BiotacAll") else tuple(map(str, range(len(FINGER_ORDER))))
         thumb, middle = (named[index] for index in topics.fingers)

@@ -12,7 +12,6 @@ import numpy as np
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.session_check import last_check
-from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64
 
 #: Bin edges of the histogram of pairing errors [ms].
@@ -36,8 +35,11 @@ class SampleSetInfo:
     points: tuple[int, int, int] = (0, 0, 0)  # minimum, median and maximum of a cloud
     ranges: dict[str, tuple[float, float]] = field(
         default_factory=dict
-    )  # of each modality [counts]; empty without touch
+    )  # of each modality, in the unit of its channel; empty without touch
     pairing_ms: list[int] = field(default_factory=list)  # samples in the bins of `PAIRING_EDGES_MS`; empty if unknown
+    sensor: str = ""  # its name and the first digits of the hash of its description
+    units: dict[str, str] = field(default_factory=dict)  # of `ranges`
+    dead: dict[str, list[int]] = field(default_factory=dict)  # taxels that are declared to have failed, by finger
     hand: dict[str, str] = field(default_factory=dict)
     camera: dict[str, str] = field(default_factory=dict)
     unfinished: list[str] = field(default_factory=list)  # recordings that were cut off and not repaired
@@ -57,8 +59,11 @@ def describe(path: str | Path) -> SampleSetInfo:
     stamps: list[int] = []
     errors: list[float] = []
     samples = open_samples(path, unfinished=True)
+    sensor, channels = samples.sensor, samples.sensor.channels
     info = SampleSetInfo(
         kind=samples.kind,
+        sensor=f"{sensor.config.name} ({sensor.sha256[:8]})",
+        dead={one.name: list(one.dead) for one in sensor.config.fingers if one.dead},
         hand=dict(samples.identity.hand),
         camera=dict(samples.identity.camera),
         unfinished=[file.name for file in samples.unfinished],
@@ -84,9 +89,10 @@ def describe(path: str | Path) -> SampleSetInfo:
         info.points = (min(sizes), int(np.median(sizes)), max(sizes))
         info.first_ns, info.last_ns = min(stamps), max(stamps)
     info.labelled = len(touches)
-    for name in MODALITIES if touches else ():
-        counts = np.stack(touches)[:, columns([name])]
+    for name in channels.modalities if touches else ():
+        counts = np.stack(touches)[:, channels.columns([name])]
         info.ranges[name] = (float(counts.min()), float(counts.max()))
+        info.units[name] = channels.channel_of[name].unit
     if errors:
         info.pairing_ms = np.histogram(errors, PAIRING_EDGES_MS)[0].tolist()
     return info

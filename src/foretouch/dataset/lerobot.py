@@ -24,9 +24,9 @@ import pyarrow.parquet as pq
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, open_samples
+from foretouch.dataset.taxels import channel_key, finger_key
 from foretouch.errors import FileError
-from foretouch.tactile import ELECTRODES
-from foretouch.tactile.channels import columns
+from foretouch.tactile.description import Sensor
 from foretouch.types import AnyArray, Cloud, Float32
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
@@ -35,7 +35,6 @@ _FILES_A_CHUNK: Final = 1000
 _FILE_MB: Final = 100
 _PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _INFO: Final = "meta/info.json"
-_FINGERS: Final = {"TH": "thumb", "MF": "middle_finger"}
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _OWN: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns")
 _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "xyz"] + [
@@ -46,10 +45,10 @@ _NS: Final = 1_000_000_000
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     out.mkdir(parents=True)
-    channels, period_ns = _survey(samples)
-    tables = _Tables(out, channels, max(1, round(_NS / period_ns)) if period_ns else 1)
+    others, period_ns = _survey(samples)
+    tables = _Tables(out, samples.sensor, others, max(1, round(_NS / period_ns)) if period_ns else 1)
     config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
-    with RecordingWriter(out / _SAMPLES, samples.identity, config) as writer, closing(tables):
+    with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
         for record in samples.records(discarded=True):
             progress()
             writer.append(record)
@@ -71,15 +70,16 @@ def _no_episode(record: SampleRecord) -> str:
 
 
 def _survey(samples: SampleSet) -> tuple[list[str], float]:
-    """Channels besides PDC and electrodes that all samples have, and the median period of their readings [ns], or 0."""
-    channels: list[set[str]] = []
+    """What all samples have of both fingers besides their touches, and the median period of their readings [ns], or 0."""
+    others: list[set[str]] = []
     periods = []
     for record in samples.records():
         if (series := readings(record)) is not None:
-            thumb, middle = ({name[:-3] for name in series.others if name.endswith(one)} for one in ("_TH", "_MF"))
-            channels = [thumb.intersection(middle, *channels)]
+            suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
+            both = [{name.removesuffix(one) for name in series.others if name.endswith(one)} for one in suffixes]
+            others = [set.intersection(*both, *others)]
             periods += np.diff(series.stamps_ns)[:100].tolist()
-    return sorted(set().union(*channels)), float(np.median(periods or [0]))
+    return sorted(set().union(*others)), float(np.median(periods or [0]))
 
 
 class _Rows:
@@ -116,16 +116,17 @@ class _Rows:
 class _Tables:
     """The tables of a dataset: adds episodes, and writes what describes them at the end."""
 
-    def __init__(self, root: Path, channels: Sequence[str], fps: int) -> None:
-        names = ["pdc", *(f"electrode_{k}" for k in range(1, ELECTRODES + 1)), *(name.lower() for name in channels)]
-        vectors = {f"observation.tactile.{finger}": names for finger in _FINGERS.values()}
+    def __init__(self, root: Path, sensor: Sensor, others: Sequence[str], fps: int) -> None:
+        names = [*_value_names(sensor), *(name.lower() for name in others)]
+        self._fingers = {finger: finger_key(finger) for finger in sensor.channels.fingers}
+        vectors = {f"observation.tactile.{finger}": names for finger in self._fingers.values()}
         vectors |= {"action": _ACTION, "observation.pointcloud": [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]}
         self._features = {
             name: {"dtype": "float32", "shape": [len(one)], "names": one} for name, one in vectors.items()
         } | {
             name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in _OWN
         }
-        self._root, self._channels, self._fps = root, channels, fps
+        self._root, self._columns, self._others, self._fps = root, sensor.channels.finger_columns, others, fps
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far
@@ -148,9 +149,9 @@ class _Tables:
             "task_index": np.full(count, self._tasks.setdefault(task, len(self._tasks))),
             "stamp_ns": series.stamps_ns,
         }
-        for finger, name in _FINGERS.items():
-            own = series.counts[:, np.r_[columns([f"PDC_{finger}"]), columns([f"E_{finger}"])]]
-            others = [series.others[f"{channel}_{finger}"] for channel in self._channels]
+        for finger, name in self._fingers.items():
+            own = series.counts[:, self._columns[finger]]
+            others = [series.others[f"{channel}_{finger}"] for channel in self._others]
             frames[f"observation.tactile.{name}"] = np.column_stack([own, *others]).astype(np.float32)
         chunk, file = self._data.place()
         self._data.write(pa.table({name: _arrow(frames[name], one) for name, one in self._features.items()}))
@@ -208,6 +209,15 @@ class _Tables:
         }
         for file, content in ((meta / "stats.json", stats), (self._root / _INFO, info)):
             file.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def _value_names(sensor: Sensor) -> list[str]:
+    """Names of the values of a finger, such as `pdc` and `electrode_1`, or `taxel_x_1`."""
+    names = []
+    for one in sensor.channels.channels:
+        key = channel_key(one.name)
+        names += [key] if one.size == 1 else [f"{key}_{k}" for k in range(1, one.size + 1)]
+    return names
 
 
 def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:

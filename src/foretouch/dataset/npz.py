@@ -9,10 +9,16 @@ import numpy as np
 
 from foretouch.cloud.io.files import CLOUD_ARRAYS, archived_cloud, read_arrays
 from foretouch.dataset.record import Identity, SampleRecord, TouchSeries, check_id
-from foretouch.dataset.recording.sample_codec import OUTCOMES, parse_properties, properties_text
+from foretouch.dataset.recording.sample_codec import (
+    OUTCOMES,
+    parse_properties,
+    parse_sensor,
+    properties_text,
+    sensor_text,
+)
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.tactile import biotac_touch
+from foretouch.tactile.description import Sensor, packaged_sensor, with_sensor
 from foretouch.types import AnyArray, Grasp, GraspSample, Touch
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
@@ -28,6 +34,7 @@ _OTHERS: Final = (
     "flags",
     "hand",
     "camera",
+    "sensor",
     "series_names",
     "series_others",
 )
@@ -39,6 +46,8 @@ _OPTIONAL: Final = (*CLOUD_ARRAYS, *_GRASP_ARRAYS, *_CANDIDATES, *_TEXTS, *_NUMB
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     out.mkdir(parents=True)
     facts = {name: properties_text(getattr(samples.identity, name)) for name in ("hand", "camera")}
+    if with_sensor({}, samples.sensor):
+        facts["sensor"] = sensor_text(samples.sensor)
     for record in samples.records():
         progress()
         check_id(record.sample.id, record.sample.object)
@@ -89,19 +98,20 @@ def _grasps(grasps: Any) -> dict[str, AnyArray]:
     return {**numbers, **{name: np.array(texts, dtype=np.str_) for name, texts in ids.items()}}
 
 
-def _read(path: Path) -> tuple[SampleRecord, Identity]:
-    """The sample in an archive, and hand and camera; a `FileError` if it is none."""
+def _read(path: Path) -> tuple[SampleRecord, Identity, Sensor]:
+    """The sample in an archive, and hand, camera and sensor; a `FileError` if it is none."""
     arrays = read_arrays(path, _REQUIRED, _OPTIONAL)
     try:
         hand, camera = (parse_properties(str(arrays.get(name, "{}"))) for name in ("hand", "camera"))
-        return _record(path, arrays), Identity(hand=hand, camera=camera)
+        sensor = parse_sensor(str(arrays["sensor"])) if "sensor" in arrays else packaged_sensor("biotac_sp")
+        return _record(path, arrays, sensor), Identity(hand=hand, camera=camera), sensor
     except FileError:
         raise
     except (ForetouchError, ValueError, TypeError, IndexError, OverflowError) as err:
         raise FileError(path, f"is no sample: {' '.join(str(err).split())}") from err
 
 
-def _record(path: Path, arrays: Mapping[str, AnyArray]) -> SampleRecord:
+def _record(path: Path, arrays: Mapping[str, AnyArray], sensor: Sensor) -> SampleRecord:
     def text(name: str) -> str:
         return str(arrays[name][()]) if name in arrays else ""
 
@@ -109,7 +119,7 @@ def _record(path: Path, arrays: Mapping[str, AnyArray]) -> SampleRecord:
         return [str(one) for one in arrays.get(name, np.array([], np.str_)).ravel()]
 
     def touch(name: str) -> Touch | None:
-        return biotac_touch(arrays[name]) if name in arrays else None
+        return Touch(np.array(arrays[name], np.float64), sensor.channels) if name in arrays else None
 
     check_id(text("id"), text("object"))
     outcome = next((one for one in OUTCOMES if one == (text("outcome") or "unknown")), None)
@@ -167,16 +177,22 @@ def _recognise(path: Path) -> bool:
 
 def _open(path: Path, _: bool) -> SampleSet:
     files = _files(path)
-    identity = _read(files[0])[1]
+    identity, sensor = _read(files[0])[1:]
 
     def record(k: int) -> SampleRecord:
-        found, own = _read(files[k])
-        if own != identity:
-            raise FileError(files[k], f"is of another hand or camera than {files[0]}")
+        found, own, other = _read(files[k])
+        if own != identity or other.sha256 != sensor.sha256:
+            raise FileError(files[k], f"is of another hand, camera or sensor than {files[0]}")
         return found
 
     return SampleSet(
-        path=path, kind="npz", size=len(files), record=record, name=lambda k: str(files[k]), identity=identity
+        path=path,
+        kind="npz",
+        size=len(files),
+        record=record,
+        name=lambda k: str(files[k]),
+        identity=identity,
+        sensor=sensor,
     )
 
 

@@ -25,7 +25,8 @@ from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError, shown
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
-from foretouch.tactile import ELECTRODES, biotac_touch
+from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
+from foretouch.tactile.description import require_same
 from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, GraspSample, Touch
 
 CLOUD_FILE: Final = "cloud-object.pcd"
@@ -148,6 +149,7 @@ def _open_samples(path: Path, _: bool) -> SampleSet:
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    require_same(samples.sensor.channels, BIOTAC, str(samples.path))
     out.mkdir(parents=True)
     exported = {f"{name}_{finger}" for name in _EXTRA for finger in ("MF", "TH")}
     for record in samples.records():

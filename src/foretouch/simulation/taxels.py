@@ -30,7 +30,8 @@ from foretouch.errors import ConfigError, TactileError
 from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
 from foretouch.simulation.fingertip import GAIN_SPREAD
 from foretouch.tactile.description import ChannelConfig, Sensor
-from foretouch.types import Bool, Float64
+from foretouch.tactile.layout import nearest_valid
+from foretouch.types import Float64
 
 REST_SPREAD: Final = 0.02  # standard deviation of the rest level from taxel to taxel, of the range
 NOISE_N: Final = 0.001  # standard deviation of the noise of a channel whose description states none [N]: 0.1 gf
@@ -38,10 +39,7 @@ SESSION_N: Final = 0.02  # standard deviation of the rest level from session to 
 KELVIN_N: Final = 0.005  # standard deviation of the drift with the temperature [N/K]
 
 _AXES: Final = {**dict.fromkeys(("p", "n", "f", "normal", "force", "pressure"), 2), "x": 0, "y": 1, "z": 2}
-_LEVELS: Final = {
-    "rise": 0.1,
-    "fall": 0.9,
-}  # rest level of a channel by what contact does to it, of the range; else 0.5
+_LEVELS: Final = {"rise": 0.1, "fall": 0.9}  # rest level by what contact does, of the range; else 0.5
 _STEEPEST: Final = 0.2  # least part of a taxel's normal along that of the pad
 _FLAT_1_M: Final = 0.1  # curvature below which a pad is flat [1/m]
 _NEIGHBOURS: Final = 1.2  # taxels within this many times the least distance are neighbours
@@ -74,6 +72,7 @@ class TaxelArray:
     middle: ContactFrame  # of the pad, in the sensor's frame
     curvature: Float64  # (2, 2) float64 K [1/m]
     half_m: Float64  # (2,) float64, half of the pad's extent along its x and y [m]
+    window: PadWindow  # the whole pad, in which contacts are solved
     axes: Float64  # (N, 3, 3) float64, rows: x, y and outward normal of each taxel in the sensor's frame
     weights: Float64  # (N, cells) float64, the share of a cell's force that each taxel takes
     rest: Float64  # (2, V) float64, values without contact
@@ -88,19 +87,14 @@ class TaxelArray:
         pad = pad.replace(window_m=2.0 * float(half.max()))
         x = _tangents(sensor.layout.normals, middle.rotation[:, 0])
         axes = np.stack([x, np.cross(sensor.layout.normals, x), sensor.layout.normals], axis=1)
-        cells = _window(pad, middle, curvature, half).points.reshape(-1, 3)
-        weights = _weights(cells, sensor.layout.positions, axes, size, config.spread_m)
+        window = _window(pad, middle, curvature, half)
+        weights = _weights(window.points.reshape(-1, 3), sensor.layout.positions, axes, size, config.spread_m)
         channels, area_m2 = _channels(sensor), float(size.prod(axis=1).mean())
         levels = [_rest_and_gain(one, area_m2 * sensor.size / count, config) for one, count in channels]
         rest, spread, nominal, gain_spread = _each(levels, channels).T
         drawn = rng.standard_normal((3, 2, len(rest)))
         gain, kelvin = nominal * np.exp(gain_spread * drawn[1]), KELVIN_N * nominal * drawn[2]
-        return cls(sensor, pad, middle, curvature, half, axes, weights, rest + spread * drawn[0], gain, kelvin)
-
-    @cached_property
-    def window(self) -> PadWindow:
-        """The whole pad, in which contacts are solved."""
-        return _window(self.pad, self.middle, self.curvature, self.half_m)
+        return cls(sensor, pad, middle, curvature, half, window, axes, weights, rest + spread * drawn[0], gain, kelvin)
 
     def aimed(self, pitch_rad: float, roll_rad: float) -> ContactFrame:
         """The frame that a finger aims with: where the pad has this normal, of a flat one its middle.
@@ -160,11 +154,10 @@ class TaxelArray:
         whole = _each(["int" in one.dtype for one, _ in channels], channels)
         found = np.clip(np.where(whole, np.rint(series), series.astype(np.float32)), low, high)
         for finger, valid in enumerate(self.sensor.valid):
-            if not valid.all():
-                repair = _nearest(self.sensor.layout.positions, valid)
+            for index, nearest in nearest_valid(self.sensor.layout.positions, valid):
                 for _, part, of_taxels in self._parts:
                     if of_taxels:
-                        found[:, finger, part] = found[:, finger, part] @ repair.T
+                        found[:, finger, part.start + index] = found[:, finger, part.start + nearest].mean(axis=1)
         return found
 
     @cached_property
@@ -182,15 +175,19 @@ class TaxelArray:
         """(N, N) float64: 1 of taxels that are neighbours."""
         distance = _distances(self.sensor.layout.positions)
         nearest = distance.min(axis=1)
-        return np.asarray(distance <= _NEIGHBOURS * np.minimum(nearest, nearest[:, None]), np.float64)
+        near = np.isfinite(distance) & (distance <= _NEIGHBOURS * np.minimum(nearest, nearest[:, None]))
+        return np.asarray(near, np.float64)
 
 
 def require_channels(sensor: Sensor) -> None:
     """Refuse a sensor that cannot be simulated.
 
     Raises:
-        ConfigError: If a channel is no force along an axis, or has neither a known unit nor a range.
+        ConfigError: If a channel is no force along an axis, or has neither a known unit nor a range; or if half of the taxels
+            of a finger are dead, which then counts as not read.
     """
+    if (2 * sensor.valid.sum(axis=1) <= sensor.size).any():
+        raise ConfigError(f"{sensor.config.name}: dead: half of the taxels of a finger or more")
     for channel, _ in _channels(sensor):
         _axis(channel, sensor)
         _rest_and_gain(channel, 1.0, TaxelConfig())
@@ -307,12 +304,3 @@ def _distances(positions: Float64) -> Float64:
     distance = np.asarray(np.linalg.norm(positions[:, None] - positions, axis=2))
     np.fill_diagonal(distance, np.inf)
     return distance
-
-
-def _nearest(positions: Float64, valid: Bool) -> Float64:
-    """(N, N) float64: for each taxel itself, for one that is not valid the mean of the nearest that are."""
-    distance = np.where(valid, _distances(positions), np.inf)
-    near = distance <= _NEIGHBOURS * distance.min(axis=1, keepdims=True)
-    mean = near & np.isfinite(distance)
-    mean = np.where(valid[:, None], np.eye(len(valid)), mean / np.maximum(mean.sum(axis=1, keepdims=True), 1))
-    return np.asarray(mean, np.float64)

@@ -19,7 +19,9 @@ from foretouch.errors import ConfigError
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Bool, Float64, Index, Touch
 
-BIOTAC: Final = packaged_sensor("biotac_sp").channels
+BIOTAC_SP: Final = packaged_sensor("biotac_sp")
+
+BIOTAC: Final = BIOTAC_SP.channels
 """The 50 values of a touch of the BioTac SP, which the papers predict."""
 
 FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
@@ -32,7 +34,7 @@ def finger_label(finger: str) -> str:
 
 
 MODALITIES: Final = BIOTAC.modalities
-ELECTRODES: Final = packaged_sensor("biotac_sp").size
+ELECTRODES: Final = BIOTAC_SP.size
 TOUCH_SIZE: Final = BIOTAC.size
 _NARROWEST: Final = 1e-6  # [counts]
 _WIDEST: Final = 1e12  # [counts]
@@ -151,9 +153,9 @@ P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_t
 
 def electrode_positions() -> Float64:
     """(24, 3) float64 [m], fingertip frame; row k is electrode k + 1; read-only."""
-    return packaged_sensor("biotac_sp").layout.positions
+    return BIOTAC_SP.layout.positions
 
 
 def electrode_normals() -> Float64:
     """(24, 3) float64, outward unit normals, radial from the axis of the core (x); read-only."""
-    return packaged_sensor("biotac_sp").layout.normals
+    return BIOTAC_SP.layout.normals

@@ -12,13 +12,14 @@ import numpy as np
 from foretouch.checked_files import read_bytes
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError, quoted
-from foretouch.types import Bool, Float64, Int64
+from foretouch.types import Bool, Float64, Index, Int64
 
 COLUMNS: Final = ("index", "x", "y", "z", "nx", "ny", "nz")
 PIXEL_COLUMNS: Final = ("row", "col")
 
 _MOST: Final = 65_536  # taxels of a finger
 _BYTES: Final = 20_000_000
+_AS_NEAR: Final = 1.001  # of the least distance: rounding must not decide between neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,15 @@ class ArrayConfig(Settings):
         positions = np.zeros((len(pixels), 3))
         positions[:, :2] = pixels * np.array(self.spacing or self.size) - self.offset
         return Layout(positions, np.tile((0.0, 0.0, 1.0), (len(pixels), 1)), pixels)
+
+
+def nearest_valid(positions: Float64, valid: Bool) -> list[tuple[int, Index]]:
+    """The index of each taxel that is not valid, with those of the nearest valid ones, by the positions (N, 3)."""
+    usable, pairs = np.flatnonzero(valid), []
+    for index in np.flatnonzero(~valid).tolist():
+        distances = np.linalg.norm(positions[usable] - positions[index], axis=1)
+        pairs.append((index, usable[distances <= _AS_NEAR * distances.min()]))
+    return pairs
 
 
 def require_length(settings: Settings, length: int, *names: str) -> None:

@@ -45,7 +45,7 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one in _sample_messages(path, FileBytes(path))]
+    return [(one.start, one.end) for one, _ in _sample_messages(path, FileBytes(path))]
 
 
 def numbers(path: Path) -> list[int]:

@@ -24,7 +24,6 @@ def test_clouds_are_read_as_they_were_written_also_in_another_process(rng, tmp_p
         np.testing.assert_array_equal(clouds[k], made[k])
         assert clouds[k].dtype == np.float32
     np.testing.assert_array_equal(clouds[-1], made[-1])
-    assert [cloud.tolist() for cloud in clouds[3:9:2]] == [cloud.tolist() for cloud in made[3:9:2]]
     with pytest.raises(IndexError):
         clouds[40]
     copy = pickle.loads(pickle.dumps(clouds))

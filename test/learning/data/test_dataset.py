@@ -14,9 +14,9 @@ from every_case import every_case
 from run_builders import quiet, run_config, write_store
 
 from foretouch.dataset.store import content_sha256
-from foretouch.dataset.stored_sample import StoredSample
 from foretouch.errors import FileError
 from foretouch.learning.data import load_dataset
+from foretouch.learning.data.dataset import StoredSample
 from foretouch.learning.training.run import train_run
 from foretouch.types import Cloud, GraspSample
 

@@ -1,14 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions of any sensor on the topic `tactile`, and what the interfaces of the BioTac SP say with a model of another."""
 
+import json
+
 import numpy as np
 import pytest
 from constant_models import constant_model, counted, sensor_with_dead
+from rich.console import Console
+from visualization_msgs.msg import MarkerArray
 
-from foretouch.pipeline import Pipeline
+from foretouch.cli.answers import answer_record, prediction_from_record
+from foretouch.cli.live import live_panel
+from foretouch.cli.run import _draw
+from foretouch.errors import ModelError
+from foretouch.models.budget import profile_scene
+from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg, prediction_from_msg
+from foretouch.ros.nodes.monitor import Drawable, MonitorNode
 from foretouch.tactile.description import packaged_sensor
+from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Status, TactilePredictionArray
 from foretouch_msgs.srv import PredictTouch
@@ -87,6 +98,45 @@ def test_another_sensor_is_on_tactile_alone_and_touch_says_so(graph, predictor, 
     ):
         np.testing.assert_array_equal(values[f, :, c], predicted[f"{channel}_{finger}"].astype(np.float32))
     assert np.flatnonzero(np.array(one.valid) == 0).tolist() == [5]  # of the first finger
+
+
+def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt_to_a_biotac(
+    graph, predictor, monkeypatch, tmp_path
+):
+    sensor = packaged_sensor("xela_uskin_4x4")
+    model = constant_model(sensor, counted(sensor), np.full(96, 50.0))
+    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    monitor = MonitorNode(sensor=sensor)
+    graph.serve(monitor)
+    node, send, _ = predictor()
+    markers = graph.listen(MarkerArray, "markers")
+    graph.matched("markers", "tactile")
+    send(9)
+    graph.until(lambda: markers and monitor.view().answers)
+    spheres = {one.ns: len(one.points) for one in markers[0].markers if one.type == one.SPHERE_LIST}
+    assert spheres == {"thumb": 16, "FF": 16}
+    assert dict(monitor.view().answers) == {"ok": 1}
+    (one,) = monitor.view().last.predictions
+    found = prediction_from_msg(one, sensor)
+    np.testing.assert_array_equal(found.value.values, counted(sensor).astype(np.float32))
+    np.testing.assert_allclose(found.upper.values - found.lower.values, 100.0, rtol=1e-3)
+    with pytest.raises(ModelError, match=r"xela_uskin_4x4 .* is not biotac_sp"):
+        prediction_from_msg(one)
+    (record,) = answer_record(monitor.view().last, sensor)["predictions"]
+    read = prediction_from_record(json.loads(json.dumps(record, default=np.ndarray.tolist)), sensor.channels)
+    np.testing.assert_array_equal(read.value.values, found.value.values)
+    console = Console(width=120, color_system=None)
+    with console.capture() as shown:
+        console.print(live_panel(monitor.view(), "title"))
+    for words in ("X_TH", "Z_FF", "±50", "last prediction (counts) by constant"):
+        assert words in shown.get()
+    target = FoundObject("1", profile_scene(1)[0], ASSUMED_TABLE)
+    _draw([Drawable(None, target, one)], str(tmp_path / "a.png"), sensor)
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    (warning,) = [text for text in node.warnings() if "adapt" in text]
+    assert "/rh/tactile: is of biotac_sp" in warning
+    assert "not xela_uskin_4x4" in warning
+    assert node.notes()["regime"] == warning
 
 
 def test_another_sensor_is_refused_by_the_service_and_the_action_by_name(graph, uskin):

@@ -6,6 +6,7 @@ from pair_builders import PERIOD, REST, T0, interval, stream, true_counts
 
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile.contact_detector import ContactConfig
+from foretouch.tactile.description import packaged_sensor
 
 MS = 1_000_000
 
@@ -44,3 +45,15 @@ def test_it_ages_is_none_of_a_stream_that_began_in_contact_and_repeated_stamps_f
         tare.update(T0, REST, k * 0.01)
     assert len(tare._recent) == 20_000
     assert {len(finger._recent) for finger in tare._detector.fingers.values()} == {20_000}
+
+
+def test_channels_that_rest_at_zero_have_no_tare_and_others_are_those_of_the_sensor(rng):
+    for name, rest in (("xela_uskin_4x4", 30_000.0), ("tacsl_20x25", 0.01)):
+        channels = packaged_sensor(name).channels
+        tare = LiveTare(ContactConfig(), channels)
+        for k in range(400):
+            noisy = rest + rng.normal(0.0, 0.3, channels.size) * channels.resolution
+            tare.update(T0 + k * PERIOD, noisy.astype(np.float32), k * 1e-9 * PERIOD)
+        found = tare.tare(400e-9 * PERIOD, 60.0)
+        assert found.channels is channels
+        np.testing.assert_allclose(found.values, rest * channels.tared, atol=0.5)

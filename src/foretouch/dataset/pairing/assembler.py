@@ -65,6 +65,7 @@ class SampleAssembler:
         self.config = config
         self.results: Counter[str] = Counter()  # executed grasps: `recorded`, or why they were rejected
         self.rejected_clouds: Counter[str] = Counter()  # no samples without a touch, as `unlabelled <reason>`
+        self.invalid: Counter[str] = Counter()  # `taxels_<reason>` that were replaced, `not_read_<finger>` messages
         self.clouds_without_grasps = 0  # that left the buffer without a plan
         self._reader = reader
         self.readings = TouchBuffer(config.pairing.kept_s, channels=reader.channels)
@@ -131,10 +132,10 @@ class SampleAssembler:
     def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TouchReading, ...]:
         """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`).
 
-        One in which a finger was not read is left out, and counted by finger among the anomalies, as are invalid taxels.
+        One in which a finger was not read is left out, and counted as `invalid`, as are taxels.
         """
         content = self._reader.read(message)
-        self.readings.anomalies.update({f"taxels_{reason}": count for reason, count in content.invalid.items()})
+        self.invalid.update({f"taxels_{reason}": count for reason, count in content.invalid.items()})
         if np.isnan(content.counts).any():
             self._leave_out(content.counts)
             return ()
@@ -161,7 +162,7 @@ class SampleAssembler:
         """Count a reading without one of the fingers."""
         self._health.update(counts)
         for finger, columns in self._reader.channels.finger_columns.items():
-            self.readings.anomalies[f"not_read_{finger}"] += bool(np.isnan(counts[columns]).any())
+            self.invalid[f"not_read_{finger}"] += bool(np.isnan(counts[columns]).any())
 
     # Output.
 

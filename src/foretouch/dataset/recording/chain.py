@@ -36,6 +36,7 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import ABOUT
 from foretouch.errors import FileError
+from foretouch.tactile.description import Sensor
 
 SESSIONS = "sessions"
 ID = "id"
@@ -78,7 +79,7 @@ def list_sessions(path: Path) -> None:
     _write(path, [session_in(file) for file in session_files(path)])
 
 
-def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity) -> Path:
+def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity, sensor: Sensor) -> Path:
     """Copy a session whose file was removed into a new dataset in `folder`, which appears complete or not at all.
 
     Returns:
@@ -89,7 +90,7 @@ def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity)
     name = file.parent.absolute().name
     names = (name if number == 1 else f"{name}-{number}" for number in count(1))
     path = next(folder / one for one in names if not (folder / one).exists())
-    with new_folder(path) as part, opened_to_write(part, identity):
+    with new_folder(path) as part, opened_to_write(part, identity, sensor):
         with (part / file.name).open("xb") as copy:
             source.seek(0)
             shutil.copyfileobj(source, copy)

@@ -4,8 +4,8 @@
 Layout, schema version 1::
 
     dataset/
-      manifest.json        format, schema version, hand, camera, version of foretouch, sessions and edits; with its own
-                           checksum. See `chain`; a manifest of foretouch 0.2.0 lacks sessions and edits
+      manifest.json        format, schema version, hand, camera, version of foretouch, sessions and edits, and the sensor
+                           if it is no BioTac SP; with its own checksum. See `chain`; a manifest of foretouch 0.2.0 lacks sessions and edits
       session-0001.mcap    the first session; later ones add files, and never change a finished file
       .lock                locked by the one process that writes
 """
@@ -24,6 +24,7 @@ from foretouch.dataset.files import disk_errors, read_manifest, sealed, sync_fol
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
 from foretouch.errors import FileError
+from foretouch.tactile.description import Sensor, packaged_sensor, sensor_in, with_sensor
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
@@ -92,9 +93,16 @@ def lock(path: Path) -> Iterator[None]:
         os.close(fd)
 
 
+def recorded_sensor(path: Path) -> Sensor:
+    """The sensor of a dataset (raises as `read_manifest`, and a `ConfigError` for a faulty description)."""
+    file = path / _MANIFEST
+    return sensor_in(read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL), file)
+
+
 @contextmanager
-def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
-    """Lock a dataset of this hand and camera for writing (see `lock`); it is created if it does not exist."""
+def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None) -> Iterator[None]:
+    """Lock a dataset of this hand, camera and sensor for writing (see `lock`); it is created if it does not exist."""
+    sensor = sensor or packaged_sensor("biotac_sp")
     with disk_errors(path):  # such as a name that is too long
         is_other = path.exists() and not (path / _MANIFEST).exists()
         # A process that is killed before it has written the manifest leaves these two.
@@ -103,9 +111,9 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
         if (path / _MANIFEST).exists():
-            _require_same(path, identity)
+            _require_same(path, identity, sensor)
         else:
-            _create_manifest(path, identity)
+            _create_manifest(path, identity, sensor)
         yield
 
 
@@ -121,7 +129,7 @@ def write_listed(path: Path, name: str, value: Any) -> None:
     _write_manifest(path, {**read_manifest(path / _MANIFEST, _FORMAT, SCHEMA_VERSION, _SEAL), name: value})
 
 
-def _create_manifest(path: Path, identity: Identity) -> None:
+def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:
     content = {
         "format": _FORMAT,
         "schema_version": SCHEMA_VERSION,
@@ -131,7 +139,7 @@ def _create_manifest(path: Path, identity: Identity) -> None:
         "sessions": [],
         "edits": {"count": 0, "sha256": ""},
     }
-    _write_manifest(path, content)
+    _write_manifest(path, with_sensor(content, sensor))
 
 
 def _write_manifest(path: Path, content: Mapping[str, Any]) -> None:
@@ -141,15 +149,20 @@ def _write_manifest(path: Path, content: Mapping[str, Any]) -> None:
         sync_folder(path)
 
 
-def _require_same(path: Path, identity: Identity) -> None:
-    """Refuse to continue with another hand, camera or minor version of foretouch; names all differences."""
+def _require_same(path: Path, identity: Identity, sensor: Sensor) -> None:
+    """Refuse to continue with another hand, camera, sensor or minor version of foretouch; names all differences."""
     known, version = _read_identity(path)
+    recorded = recorded_sensor(path)
     differences = [
         f"{name}.{fact}: {old.get(fact, 'absent')} there, {new.get(fact, 'absent')} here"
         for name, old, new in (("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera))
         for fact in sorted(old.keys() | new.keys())
         if old.get(fact) != new.get(fact)
     ]
+    if recorded.sha256 != sensor.sha256:
+        pair = [f"{one.config.name} ({one.sha256[:8]})" for one in (recorded, sensor)]
+        changed = ", the description has changed" * (recorded.config.name == sensor.config.name)
+        differences.append(f"sensor: {pair[0]} there, {pair[1]} here{changed}")
     if version.split(".")[:2] != __version__.split(".")[:2]:
         differences.append(f"foretouch: {version} there, {__version__} here")
     if differences:

@@ -17,7 +17,7 @@ from foretouch.checked_files import FileBytes, open_regular
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.chain import require_chain
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, recorded_files, session_files
+from foretouch.dataset.recording.folder import is_dataset, recorded_files, recorded_sensor, session_files
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     MAGIC,
@@ -32,9 +32,10 @@ from foretouch.dataset.recording.records import (
     walk,
 )
 from foretouch.dataset.recording.repair import readable, salvaged
-from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPE, StoredSample, decode_sample
+from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
+from foretouch.tactile.description import packaged_sensor
 
 _T = TypeVar("_T")
 _HEAD_SIZE: Final = 65536  # bytes of a serialised sample that hold its frame and its id
@@ -44,6 +45,7 @@ class _Sample(NamedTuple):
     file: Path
     data: FileBytes
     message: RecordedMessage
+    type_name: str
 
 
 class RecordedDataset:
@@ -62,7 +64,7 @@ class RecordedDataset:
         self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
         for file in self.files:
             data = FileBytes(file)
-            found = [_Sample(file, data, message) for message in _sample_messages(file, data)]
+            found = [_Sample(file, data, *one) for one in _sample_messages(file, data)]
             if is_finished(data):
                 _check_count(file, data, len(found))
             else:
@@ -83,9 +85,9 @@ class RecordedDataset:
 
     def as_recorded(self, index: int) -> StoredSample:
         """One sample before any edit (raises as indexing)."""
-        file, data, message = self._samples[index]
+        file, data, message, type_name = self._samples[index]
         try:
-            return decode_sample(data[message.start : message.end])
+            return decode_sample(data[message.start : message.end], type_name)
         except DatasetError as err:
             raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
 
@@ -122,11 +124,11 @@ def _holds_samples(path: Path) -> bool:
         start = file.read(65536)
     contents = (record.content for record in walk(start) if isinstance(record, Record))
     begins = any(isinstance(content, Metadata) and content.name == ABOUT for content in contents)
-    return start.startswith(MAGIC) and (begins or SAMPLE_TYPE.encode() in start)
+    return start.startswith(MAGIC) and (begins or any(name.encode() in start for name in SAMPLE_TYPES))
 
 
-def _sample_messages(path: Path, data: FileBytes) -> Iterator[RecordedMessage]:
-    """The messages with samples in a file, in order, up to its end or to where it is cut off.
+def _sample_messages(path: Path, data: FileBytes) -> Iterator[tuple[RecordedMessage, str]]:
+    """The messages with samples in a file and their types, in order, up to its end or to where it is cut off.
 
     Raises a `FileError` at the first invalid record, unless the file merely ends within it.
     """
@@ -145,7 +147,9 @@ def _sample_messages(path: Path, data: FileBytes) -> Iterator[RecordedMessage]:
             yield from _samples_of(path, data, record, declared)
 
 
-def _samples_of(path: Path, data: FileBytes, chunk: Record, declared: Declarations) -> Iterator[RecordedMessage]:
+def _samples_of(
+    path: Path, data: FileBytes, chunk: Record, declared: Declarations
+) -> Iterator[tuple[RecordedMessage, str]]:
     indexed = set()  # channels of the chunk, according to the index after it
     for record in walk(data, chunk.end):
         if isinstance(record, Damage) or record.opcode != Opcode.MESSAGE_INDEX:
@@ -156,9 +160,9 @@ def _samples_of(path: Path, data: FileBytes, chunk: Record, declared: Declaratio
         declared.add(record)  # declarations stand before the first message
         if not isinstance(record.content, RecordedMessage):
             continue
-        if declared.type_of(record.content.channel) == SAMPLE_TYPE:
-            yield record.content
-        elif indexed and SAMPLE_TYPE not in map(declared.type_of, indexed):
+        if (type_name := declared.type_of(record.content.channel)) in SAMPLE_TYPES:
+            yield record.content, type_name
+        elif indexed and not set(SAMPLE_TYPES).intersection(map(declared.type_of, indexed)):
             return
 
 
@@ -174,7 +178,7 @@ def recorded_ids(path: Path) -> set[str]:
     for file in session_files(path):
         data = FileBytes(file)
         cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-        found = list(_sample_messages(file, data))
+        found = [message for message, _ in _sample_messages(file, data)]
         if is_finished(data) and declared_samples(data) != len(found):  # what is declared is damaged
             cut = len(MAGIC)
         saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
@@ -204,16 +208,19 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
+    first = dataset[0] if len(dataset) else None
+    biotac = packaged_sensor("biotac_sp")
     return SampleSet(
         path=path,
         kind="recording",
         size=len(dataset),
         record=lambda k: dataset[k].record,
         name=dataset.name,
-        identity=dataset[0].identity if len(dataset) else Identity(),
+        identity=first.identity if first else Identity(),
         unfinished=cut,
         message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
+        sensor=recorded_sensor(path) if path.is_dir() else first.sensor if first else biotac,
     )
 
 

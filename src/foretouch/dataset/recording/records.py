@@ -25,7 +25,7 @@ from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema,
 from mcap.writer import MCAP0_MAGIC
 
 from foretouch.checked_files import FileBytes, parse_json
-from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPE
+from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPES
 from foretouch.errors import DatasetError, FileError
 
 MAGIC: Final[bytes] = MCAP0_MAGIC
@@ -192,7 +192,7 @@ def declared_samples(data: FileBytes) -> int | Damage:
         declared.add(record)
         if isinstance(record.content, Statistics):
             counts = record.content.channel_message_counts
-    return sum(count for channel, count in counts.items() if declared.type_of(channel) == SAMPLE_TYPE)
+    return sum(count for channel, count in counts.items() if declared.type_of(channel) in SAMPLE_TYPES)
 
 
 def _content(data: FileBytes | bytes, opcode: int, start: int, end: int) -> Any:

@@ -18,7 +18,6 @@ from mcap.records import Message
 
 from foretouch.checked_files import FileBytes, free_name
 from foretouch.dataset.files import disk_errors, sync_folder
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
 from foretouch.dataset.recording.folder import lock, recorded_files
@@ -40,8 +39,10 @@ from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
     SAMPLE_TOPIC,
-    SAMPLE_TYPE,
+    SAMPLE_TYPES,
+    StoredSample,
     decode_sample,
+    sample_type,
     sample_types,
 )
 from foretouch.dataset.recording.verify import verify_file
@@ -166,7 +167,8 @@ class _Repair:
 
     def _declare(self) -> None:
         # The file's own copy of the definition may be damaged.
-        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
+        type_name = self._sample_type()
+        self._file.declare(SAMPLE_TOPIC, type_name, sample_types().text(type_name))
         for number, channel in sorted(self._declared.channels.items()):
             schema = self._declared.schemas.get(channel.schema_id)
             if schema is None or channel.message_encoding != "cdr" or schema.encoding != "ros2msg":
@@ -174,6 +176,16 @@ class _Repair:
             self._topics[number] = channel.topic
             if channel.topic not in self._file.types:
                 self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
+
+    def _sample_type(self) -> str:
+        """The type of the samples: as declared, else as that of the first one which is intact, if any."""
+        declared = (self._declared.type_of(channel) for channel in self._declared.channels)
+        if found := next((name for name in declared if name in SAMPLE_TYPES), ""):
+            return found
+        messages = (one for one in salvaged(self._data) if not isinstance(one, Damage))
+        intact = (readable(self._data, one) for one in messages)
+        first = next(filter(None, intact), None)
+        return SAMPLE_TYPES[-1] if first is None else sample_type(first.sensor)
 
     def _copy(self, one: RecordedMessage) -> None:
         """Write a message; a sample gets a chunk of its own."""
@@ -233,8 +245,8 @@ def _samples_in(data: FileBytes, start: int, end: int) -> Iterator[RecordedMessa
             continue
         for last in sorted({stop, end}):
             one = RecordedMessage(0, 0, 0, 0, head + _HEAD, last)
-            if last <= end and last - head <= _LARGEST and (record := readable(data, one)) is not None:
-                stamp_ns = record.sample.stamp_ns
+            if last <= end and last - head <= _LARGEST and (stored := readable(data, one)) is not None:
+                stamp_ns = stored.record.sample.stamp_ns
                 yield one._replace(log_time_ns=stamp_ns, publish_time_ns=stamp_ns)
                 at = last
                 break
@@ -250,10 +262,10 @@ def _message_heads(data: FileBytes, start: int, end: int) -> list[tuple[int, int
     return sorted(heads.items())
 
 
-def readable(data: FileBytes, message: RecordedMessage) -> SampleRecord | None:
+def readable(data: FileBytes, message: RecordedMessage) -> StoredSample | None:
     """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
-        return decode_sample(data[message.start : message.end]).record
+        return decode_sample(data[message.start : message.end])
     except VersionError:
         raise
     except DatasetError:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Encodes a recorded grasp as a `foretouch_msgs/GraspSample` and decodes it, without ROS.
+"""Encodes a recorded grasp as a message and decodes it, without ROS.
+
+The message is a `foretouch_msgs/GraspSample` for the BioTac SP, and for any other sensor a `foretouch_msgs/TactileSample`, which
+holds the sensor's description.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
@@ -31,6 +34,7 @@ from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp,
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
 from foretouch.tactile import TOUCH_SIZE, biotac_touch
+from foretouch.tactile.description import Sensor, packaged_sensor, require_same, sensor_of, with_sensor
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, GraspSample, Touch
 
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
+TACTILE_SAMPLE_TYPE: Final = "foretouch_msgs/msg/TactileSample"
+SAMPLE_TYPES: Final = (TACTILE_SAMPLE_TYPE, SAMPLE_TYPE)
 SAMPLE_TOPIC: Final = "/foretouch/samples"
 ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
@@ -47,24 +53,45 @@ _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
 OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
-_FINITE: Final = (*_TOUCH, *(f"tare_{name}" for name in _TOUCH), "series", "others", "extra_values")
+_PREFIX: Final = {"touch": "", "tare": "tare_"}
+_VALUES: Final = (*(f"{one}{name}" for one in _PREFIX.values() for name in _TOUCH), *_PREFIX)
+_FINITE: Final = (*_VALUES, "series", "others", "extra_values")
 
 
 class StoredSample(NamedTuple):
-    """A decoded sample, and hand and camera that it was recorded with."""
+    """A decoded sample, and hand, camera and sensor that it was recorded with."""
 
     record: SampleRecord
     identity: Identity
+    sensor: Sensor
 
 
-def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
-    """A record, whose id is set, as the CDR of a `foretouch_msgs/GraspSample` with encapsulation header.
+def sample_type(sensor: Sensor) -> str:
+    """Type of the messages that hold samples of a sensor."""
+    return TACTILE_SAMPLE_TYPE if with_sensor({}, sensor) else SAMPLE_TYPE
 
-    Raises a `DatasetError` if the id or a stamp is invalid, or a number other than a grasp's score is not finite.
+
+def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
+    """A record, whose id is set, as the CDR of the sensor's `sample_type` with encapsulation header.
+
+    Args:
+        record: The sample.
+        identity: Hand and camera.
+        sensor: Which was read; by default the BioTac SP.
+
+    Raises:
+        DatasetError: If the id or a stamp is invalid, or a number other than a grasp's score is not finite.
+        TactileError: If the touch is of another sensor.
     """
-    sample = record.sample
+    sample, sensor = record.sample, sensor or packaged_sensor("biotac_sp")
     check_id(sample.id, sample.object)
-    series = record.series
+    type_name, series = sample_type(sensor), record.series
+    for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
+        if touch is not None:
+            require_same(touch.channels, sensor.channels, f"{sample.id}: {name}")
+    if series is not None and series.counts.shape[1] != sensor.channels.size:
+        raise DatasetError(f"{sample.id}: series: {series.counts.shape[1]} values, not {sensor.channels.size}")
+    fields = _biotac_fields if type_name == SAMPLE_TYPE else functools.partial(_tactile_fields, sensor)
     others = {} if series is None else dict(sorted(series.others.items()))
     extra = {name: float(value) for name, value in sorted(sample.extra.items())}
     message = SimpleNamespace(
@@ -78,8 +105,9 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         grasp=grasp_fields(sample.grasp),
         score=float(sample.grasp.score),
         candidates=[grasp_fields(grasp) for grasp in record.candidates],
-        **_touch_fields(sample.touch, "labelled", ""),
-        **_touch_fields(sample.tare, "tared", "tare_"),
+        labelled=sample.touch is not None,
+        tared=sample.tare is not None,
+        **fields(sample),
         series_stamps=np.asarray([] if series is None else series.stamps_ns, np.int64),
         series_phase=np.asarray([] if series is None else series.phases, np.uint8),
         series=np.asarray([] if series is None else series.counts, np.float32).ravel(),
@@ -97,22 +125,27 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
     for name in _FINITE:
-        if not np.isfinite(getattr(message, name)).all():
+        if not np.isfinite(getattr(message, name, 0.0)).all():
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
-    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    body = bytes(sample_types().store.serialize_cdr(message, type_name))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
-def decode_sample(data: bytes | memoryview) -> StoredSample:
+def decode_sample(data: bytes | memoryview, type_name: str = "") -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
-    Raises a `DatasetError` if the bytes are damaged, of another schema version, or break a rule.
+    Args:
+        data: The message.
+        type_name: One of `SAMPLE_TYPES`; "" for that which it is found to be.
+
+    Raises:
+        DatasetError: If the bytes are damaged, of another schema version, or break a rule.
     """
     body, digest = data[:-_DIGEST_SIZE], bytes(data[-_DIGEST_SIZE:])
     if not body or hashlib.sha256(body).digest() != digest:
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
-        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
+        message: Any = sample_types().store.deserialize_cdr(data, type_name or _found_type(data))
         require_version(message.schema_version, SCHEMA_VERSION)
         check_id(message.id, message.object)
         return _stored(message)
@@ -124,14 +157,24 @@ def decode_sample(data: bytes | memoryview) -> StoredSample:
         raise DatasetError(f"damaged: {described(err)}") from err
 
 
+def _found_type(data: bytes | memoryview) -> str:
+    """The type of a sample: where one has its sensor's description, the other has a flag, and no text of more than a byte."""
+    try:
+        message: Any = sample_types().store.deserialize_cdr(data, TACTILE_SAMPLE_TYPE)
+        return TACTILE_SAMPLE_TYPE if len(message.sensor) > 1 else SAMPLE_TYPE
+    except Exception:  # noqa: BLE001  as other bytes the parser may fail anywhere
+        return SAMPLE_TYPE
+
+
 def _stored(message: Any) -> StoredSample:
+    sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else packaged_sensor("biotac_sp")
     sample = GraspSample(
         id=message.id,
         object=message.object,
         cloud=decode_cloud(message.cloud),
         grasp=_grasp_of(message.grasp, float(message.score)),
-        touch=_touch_of(message, "labelled", ""),
-        tare=_touch_of(message, "tared", "tare_"),
+        touch=_touch_of(message, "touch", sensor) if message.labelled else None,
+        tare=_touch_of(message, "tare", sensor) if message.tared else None,
         stamp_ns=stamp_ns(message.header.stamp),
         extra=dict(zip(message.extra_names, map(float, message.extra_values), strict=True)),
     )
@@ -140,13 +183,14 @@ def _stored(message: Any) -> StoredSample:
         candidates=tuple(_grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
         outcome=OUTCOMES[message.outcome],
         note=message.note,
-        series=_series_of(message),
+        series=_series_of(message, sensor),
         contact_ns=message.contact or None,
         detector=message.detector,
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
     )
-    return StoredSample(record, Identity(hand=parse_properties(message.hand), camera=parse_properties(message.camera)))
+    identity = Identity(hand=parse_properties(message.hand), camera=parse_properties(message.camera))
+    return StoredSample(record, identity, sensor)
 
 
 def parse_properties(text: str) -> dict[str, str]:
@@ -159,9 +203,10 @@ def parse_properties(text: str) -> dict[str, str]:
 
 @functools.cache
 def sample_types() -> Definitions:
-    """The definitions of a sample, of all types in it, and of those that were looked up since."""
+    """The definitions of samples, of all types in them, and of those that were looked up since."""
     definitions = Definitions()
-    definitions.text(SAMPLE_TYPE)
+    for name in SAMPLE_TYPES:
+        definitions.text(name)
     return definitions
 
 
@@ -175,21 +220,41 @@ def _grasp_of(message: Any, score: float) -> Grasp:
     return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
 
 
-def _touch_fields(touch: Touch | None, flag: str, prefix: str) -> dict[str, Any]:
-    """A touch by field, with `prefix` before each name; zeros and a false `flag` if there is none."""
-    values = biotac_touch(np.zeros(TOUCH_SIZE) if touch is None else touch.values)
-    fields = {f"{prefix}{name}": part for name, part in zip(_TOUCH, values.parts().values(), strict=True)}
-    return {flag: touch is not None, **fields}
+def _biotac_fields(sample: GraspSample) -> dict[str, Any]:
+    """Touch and tare of a BioTac SP by field; zeros where there is none."""
+    fields: dict[str, Any] = {}
+    for prefix, touch in zip(_PREFIX.values(), (sample.touch, sample.tare), strict=True):
+        parts = biotac_touch(np.zeros(TOUCH_SIZE) if touch is None else touch.values).parts()
+        fields |= {f"{prefix}{name}": part for name, part in zip(_TOUCH, parts.values(), strict=True)}
+    return fields
 
 
-def _touch_of(message: Any, flag: str, prefix: str) -> Touch | None:
-    """The inverse of `_touch_fields`."""
-    if not getattr(message, flag):
-        return None
-    return biotac_touch(np.hstack([getattr(message, f"{prefix}{name}") for name in _TOUCH]))
+def _tactile_fields(sensor: Sensor, sample: GraspSample) -> dict[str, Any]:
+    """Touch, tare and description of any sensor; no values where there is no touch."""
+    both = zip(_PREFIX, (sample.touch, sample.tare), strict=True)
+    return {"sensor": sensor_text(sensor), **{name: np.empty(0) if one is None else one.values for name, one in both}}
 
 
-def _series_of(message: Any) -> TouchSeries | None:
+def _touch_of(message: Any, name: str, sensor: Sensor) -> Touch:
+    """The inverse of both for the `touch` or the `tare`."""
+    if hasattr(message, "sensor"):
+        return Touch(np.array(getattr(message, name), np.float64), sensor.channels)
+    return biotac_touch(np.hstack([getattr(message, f"{_PREFIX[name]}{part}") for part in _TOUCH]))
+
+
+@functools.lru_cache(maxsize=16)
+def sensor_text(sensor: Sensor) -> str:
+    """The description of a sensor as JSON."""
+    return json.dumps(sensor.to_mapping(), ensure_ascii=False, sort_keys=True)
+
+
+@functools.lru_cache(maxsize=16)
+def parse_sensor(text: str) -> Sensor:
+    """The inverse of `sensor_text`; a `DatasetError` or a `ConfigError` if the text is none."""
+    return sensor_of(parse_json(text), "sensor")
+
+
+def _series_of(message: Any, sensor: Sensor) -> TouchSeries | None:
     """The series in a sample as views of the message; None if it is empty."""
     length = len(message.series_stamps)
     if length == 0:
@@ -197,7 +262,7 @@ def _series_of(message: Any) -> TouchSeries | None:
     others = np.asarray(message.others, np.float32).reshape(len(message.other_names), length)
     return TouchSeries(
         stamps_ns=np.asarray(message.series_stamps, np.int64),
-        counts=np.asarray(message.series, np.float32).reshape(length, TOUCH_SIZE),
+        counts=np.asarray(message.series, np.float32).reshape(length, sensor.channels.size),
         phases=np.asarray(message.series_phase, np.uint8),
         others=dict(zip(message.other_names, others, strict=True)),
     )

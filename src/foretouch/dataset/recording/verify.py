@@ -32,7 +32,7 @@ from foretouch.dataset.recording.records import (
     walk,
     walk_on,
 )
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
 from foretouch.errors import DatasetError
 
 
@@ -163,10 +163,10 @@ class _Verification:
             yield Damage(message.start, f"a message of channel {message.channel}, which is not declared")
             return
         self.found[message.channel] += 1
-        if type_name != SAMPLE_TYPE:
+        if type_name not in SAMPLE_TYPES:
             return
         try:
-            self.report.ids.append(decode_sample(self.data[message.start : message.end]).record.sample.id)
+            self.report.ids.append(decode_sample(self.data[message.start : message.end], type_name).record.sample.id)
         except DatasetError as err:
             yield Damage(message.start, f"sample: {err}")
 

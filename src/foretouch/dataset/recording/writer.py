@@ -49,12 +49,13 @@ from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
     SAMPLE_TOPIC,
-    SAMPLE_TYPE,
     SCHEMA_VERSION,
     encode_sample,
+    sample_type,
     sample_types,
 )
 from foretouch.errors import DatasetError, FileError, ForetouchError
+from foretouch.tactile.description import Sensor, packaged_sensor
 
 _MB: Final = 1_000_000
 _CHUNK_BYTES: Final = 4_000_000  # largest amount of messages that is collected before it is written
@@ -83,10 +84,11 @@ class RecordingWriter:
         path: The dataset: created if it does not exist, else the session is added to it.
         identity: Hand and camera; must equal those of the dataset.
         config: Settings.
+        sensor: Which is read, by default the BioTac SP; must be that of the dataset.
         fallback_folder: Folder of a new dataset for a session whose file is removed meanwhile; None for none.
 
     Raises:
-        FileError: If another process records into the dataset, or it is of another hand, camera, version or format,
+        FileError: If another process records into the dataset, or it is of another hand, camera, sensor, version or format,
             or cannot be written.
     """
 
@@ -96,10 +98,12 @@ class RecordingWriter:
         identity: Identity,
         config: RecordingConfig | None = None,
         *,
+        sensor: Sensor | None = None,
         fallback_folder: str | Path | None = None,
     ) -> None:
         self.path = Path(path)  # that in `fallback_folder` after the session was copied there
         self.identity = identity
+        self.sensor = sensor or packaged_sensor("biotac_sp")
         self.config = config or RecordingConfig()
         self.counts = MessageCounts()  # by topic; samples are counted under `SAMPLE_TOPIC`
         self.samples = 0  # appended
@@ -114,7 +118,7 @@ class RecordingWriter:
         self._pending: list[tuple[str, Message]] = []
         self._pending_bytes = 0
         with ExitStack() as stack:
-            stack.enter_context(opened_to_write(self.path, identity))
+            stack.enter_context(opened_to_write(self.path, identity, self.sensor))
             self._ids = recorded_ids(self.path)  # each is used once, and numbers continue those before
             self._last_number = max(map(id_number, self._ids), default=0)
             self.file = new_session_path(self.path)
@@ -122,7 +126,8 @@ class RecordingWriter:
             stack.callback(self.output.abandon)
             session = Session(self.file.name, uuid4().hex)
             self.output.write_metadata(ABOUT, _about(self.file.stem, identity) | {ID: session.id})
-            self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
+            type_name = sample_type(self.sensor)
+            self.output.declare(SAMPLE_TOPIC, type_name, sample_types().text(type_name))
             self._sync()
             sync_folder(self.path)
             begin_session(self.path, session)
@@ -212,7 +217,7 @@ class RecordingWriter:
         with self._guard:
             self._require_open()
             record = self._with_id(record)
-            data = encode_sample(record, self.identity)
+            data = encode_sample(record, self.identity, self.sensor)
             sample = record.sample
             message = self.output.message(SAMPLE_TOPIC, data, time.time_ns(), sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
@@ -343,7 +348,7 @@ class RecordingWriter:
         removed, lost = "was removed during the recording:", "no fallback_folder is set"
         if self._fallback_folder is not None:
             try:
-                self.path = copy_session(remains, self.file, self._fallback_folder, self.identity)
+                self.path = copy_session(remains, self.file, self._fallback_folder, self.identity, self.sensor)
                 return f"{removed} the session was written to {self.path}, {self.samples} samples"
             except FileError as err:
                 lost = str(err)

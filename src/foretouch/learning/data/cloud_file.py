@@ -17,8 +17,8 @@ from foretouch.types import Float32
 class CloudFile(Sequence[Float32]):
     """Clouds (N_i, C) float32 in a temporary file without a name, which is removed with the last process that reads it.
 
-    They are read, not mapped: the pages of a mapping count as memory of the process. A pickle of it is for other processes
-    on the machine, while this one lives.
+    They are read, not mapped: the pages of a mapping count as memory of the process. A pickle of it is for processes of
+    this machine while this one lives.
 
     Raises:
         FileError: If the folder of temporary files (`TMPDIR`) has no room.
@@ -43,13 +43,10 @@ class CloudFile(Sequence[Float32]):
         return len(self._ends) - 1
 
     def __getitem__(self, index: Any) -> Any:
-        """One cloud, read-only, or a list of those of a slice."""
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
+        """One cloud, read-only; slices are not supported."""
         k = range(len(self))[index]
-        start, end = self._ends[k], self._ends[k + 1]
-        with disk_errors(self._folder, "prepared clouds cannot be read"):
-            content = os.pread(self._file.fileno(), 4 * (end - start), 4 * start)
+        start, end = self._ends[k : k + 2]
+        content = os.pread(self._file.fileno(), 4 * (end - start), 4 * start)
         return np.frombuffer(content, np.float32).reshape(-1, self._columns)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -5,14 +5,13 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.store_writer import SampleFacts
-from foretouch.dataset.stored_sample import StoredSample
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
@@ -133,6 +132,28 @@ class Dataset:
         if validation > 0.0 and not len(chosen):
             raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
         return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+
+
+class StoredSample(GraspSample):
+    """A sample in memory but for its cloud, which is read from the store whenever it is used and is not kept.
+
+    Clouds that are used in the order of the store cost one read of each batch. A pickle holds the path of the store.
+    """
+
+    @classmethod
+    def of(cls, sample: GraspSample, store: Store, number: int) -> Self:
+        """Sample `number` of a store, read before."""
+        stored = cls.__new__(cls)
+        vars(stored).update({**vars(sample), "_place": (store, number)})
+        del vars(stored)["cloud"]
+        return stored
+
+    def __getattr__(self, name: str) -> Any:
+        """The cloud; raises `FileError` if the store was removed or changed since it was opened."""
+        if name != "cloud":
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        store, number = vars(self)["_place"]
+        return only_finite(store[number]).cloud
 
 
 def sample_hash(sample: GraspSample) -> str:

@@ -14,7 +14,9 @@ from std_msgs.msg import Header
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import quaternion_xyzw
-from foretouch.tactile import ELECTRODES, TOUCH_SIZE, biotac_touch
+from foretouch.tactile import ELECTRODES, TOUCH_SIZE
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Interval, Status, TactilePrediction
@@ -137,24 +139,44 @@ def _intervals(rows: Sequence[tuple[float, float, float]]) -> list[Interval]:
     return made
 
 
-def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
+def values_from_msg(message: TouchPredictionMsg | TactilePrediction, sensor: Sensor) -> Float64:
+    """(3, D) value, lower and upper bounds of a prediction, float32 in double precision; NaN where there is none.
+
+    A `ModelError` if it is for another sensor.
+    """
+    if isinstance(message, TouchPredictionMsg):
+        rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
+        return np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
+    if message.sensor_sha256 != sensor.sha256:
+        raise ModelError(f"sensor: {message.sensor} ({message.sensor_sha256[:8]}) is not {sensor.config.name}")
+    columns = np.concatenate([sensor.scalar_columns.ravel(), sensor.taxel_columns.ravel()])
+    found = np.empty((3, columns.size))
+    ends = [
+        (message.scalars, message.values),
+        (message.scalars_lower, message.lower),
+        (message.scalars_upper, message.upper),
+    ]
+    found[:, columns] = [[*scalars, *taxels] for scalars, taxels in ends]
+    return found
+
+
+def prediction_from_msg(message: TouchPredictionMsg | TactilePrediction, sensor: Sensor = BIOTAC_SP) -> TouchPrediction:
     """Convert a received prediction; values are float32, and NaN bounds become None.
 
     Raises:
         GraspError: As `decode_grasp`.
-        ModelError: If the reference is unknown.
+        ModelError: If the reference is unknown, or the prediction is for another sensor.
     """
-    rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
-    value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
+    value, lower, upper = values_from_msg(message, sensor)
     if (reference := _REFERENCE_NAMES.get(message.reference)) is None:
         raise ModelError(f"reference: {message.reference} is none of {', '.join(REFERENCE_CODES)}")
     refused = bool(np.isnan(value).any())
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
     return TouchPrediction(
         grasp=decode_grasp(message.grasp),
-        value=None if refused else biotac_touch(value),
-        lower=None if np.isnan(lower).any() else biotac_touch(lower),
-        upper=None if np.isnan(upper).any() else biotac_touch(upper),
+        value=None if refused else Touch(value, sensor.channels),
+        lower=None if np.isnan(lower).any() else Touch(lower, sensor.channels),
+        upper=None if np.isnan(upper).any() else Touch(upper, sensor.channels),
         reference=reference,
         flags=tuple(message.flags),
         status=refusal if refused else "ok",

@@ -23,13 +23,23 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
+from foretouch.ros.messages.answers import other_sensor
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, PREDICTED_TOPIC, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import (
+    BiotacAll,
+    ExecutedGrasp,
+    TactilePrediction,
+    TactilePredictionArray,
+    TouchPrediction,
+    TouchPredictionArray,
+)
 
 
 @dataclass(frozen=True)
@@ -45,10 +55,13 @@ class NodeView:
 class View:
     """State of the graph at one moment."""
 
-    answers: Counter[str] = field(default_factory=Counter)  # number of `touch` messages by status
+    sensor: Sensor = BIOTAC_SP  # whose readings are predicted
+    answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
-    last: TouchPredictionArray | None = None  # the last `touch` message
-    executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
+    last: TouchPredictionArray | TactilePredictionArray | None = None  # the last array
+    executed: tuple[TouchPrediction | TactilePrediction, TouchCut] | None = (
+        None  # of the last grasp with success, and its readings
+    )
     nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
 
 
@@ -58,18 +71,19 @@ class Drawable:
 
     scene: Cloud | None  # the whole cloud, if it was received
     target: FoundObject  # the object
-    prediction: TouchPrediction  # the prediction
+    prediction: TouchPrediction | TactilePrediction  # the prediction
     readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
 
 
-def _is_unfamiliar(prediction: TouchPrediction) -> bool:
+def _is_unfamiliar(prediction: TouchPrediction | TactilePrediction) -> bool:
     return "unfamiliar" in prediction.flags
 
 
 class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
-    `on_touch` is called with each `touch` message, in the executor's thread, and must not call the monitor. The view is
+    With a `sensor` that is not the BioTac SP, it subscribes to `tactile` in place of `touch`, and shows no readings of the hand.
+    `on_touch` is called with each message of either, in the executor's thread, and must not call the monitor. The view is
     closed after `count` of them, if that is given.
     """
 
@@ -79,25 +93,29 @@ class MonitorNode(GuardedCallbacks, Node):
         namespace: str = NAMESPACE,
         with_clouds: bool = False,
         with_hand: bool = False,
-        on_touch: Callable[[TouchPredictionArray], None] | None = None,
+        on_touch: Callable[[Any], None] | None = None,
+        sensor: Sensor = BIOTAC_SP,
         count: int | None = None,
         **options: Any,
     ) -> None:
         super().__init__("monitor", namespace=namespace, **options)
         self._lock = threading.Lock()
-        self._view = View()
+        self._view = View(sensor)
+        touch, topic = (TouchPredictionArray, "touch")
+        if other_sensor(sensor):
+            touch, topic, with_hand = TactilePredictionArray, PREDICTED_TOPIC, False
         self._on_touch, self._count = on_touch, count
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
         self._kept = 32 if with_hand else 8  # clouds: enough to find that of an answer again, or of an executed grasp
-        self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
+        self._drawable: deque[TouchPredictionArray | TactilePredictionArray] = deque(maxlen=self._kept)
         # The last by whether the model does not know the object, and by the touches of it before, up to two.
         self._executed: dict[tuple[bool, int], Drawable] = {}
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
         self._with_hand = with_hand
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-        self.create_subscription(TouchPredictionArray, "touch", self._receive_touch, reliable)
+        self.create_subscription(touch, topic, self._receive_touch, reliable)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 50)
         if with_hand:
             self.create_subscription(BiotacAll, TACTILE_TOPIC, partial(self._assemble, "tactile"), reliable)
@@ -113,7 +131,8 @@ class MonitorNode(GuardedCallbacks, Node):
         """A copy of the state."""
         with self._lock:
             view = self._view
-            return View(Counter(view.answers), Counter(view.reasons), view.last, view.executed, dict(view.nodes))
+            counts = Counter(view.answers), Counter(view.reasons)
+            return View(view.sensor, *counts, view.last, view.executed, dict(view.nodes))
 
     def close_view(self) -> View:
         """The state at the end: later answers are neither counted nor passed on."""
@@ -139,7 +158,9 @@ class MonitorNode(GuardedCallbacks, Node):
                 found[_is_unfamiliar(one)] = drawn
         return [found[key] for key in sorted(found)]
 
-    def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
+    def _drawn(
+        self, prediction: TouchPrediction | TactilePrediction, readings: TouchCut | None = None
+    ) -> Drawable | None:
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
@@ -154,7 +175,7 @@ class MonitorNode(GuardedCallbacks, Node):
         drawables = (Drawable(scene, one, prediction, readings) for one in found)
         return next((one for one in drawables if one.target.id == prediction.grasp.object_id), None)
 
-    def _receive_touch(self, message: TouchPredictionArray) -> None:
+    def _receive_touch(self, message: TouchPredictionArray | TactilePredictionArray) -> None:
         with self._lock:
             if self._closed:
                 return

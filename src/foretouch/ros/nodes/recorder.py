@@ -103,7 +103,7 @@ class RecorderConfig(NodeConfig, TactileInput):
 def _dataset_identity(config: RecorderConfig) -> Identity:
     """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
     identity, (thumb, middle) = config.identity, config.tactile.fingers
-    hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.type}
+    hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.message_type}
     return Identity(
         hand={**hand, "thumb": thumb, "middle_finger": middle},
         camera={"model": identity.camera, "serial": identity.camera_serial},
@@ -248,7 +248,11 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             check_name(name, "object")
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(
-            target, _dataset_identity(config), config.writing, fallback_folder=config.fallback_folder or None
+            target,
+            _dataset_identity(config),
+            config.writing,
+            sensor=self.reader.sensor,
+            fallback_folder=config.fallback_folder or None,
         )
         for name, one in topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)

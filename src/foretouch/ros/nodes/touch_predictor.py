@@ -35,6 +35,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
+from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject
 from foretouch.report.taxel_view import TaxelView
@@ -60,6 +61,7 @@ from foretouch.ros.touch.grasp_actions import (
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
+from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
 from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Touch
@@ -103,6 +105,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._latest_lock = threading.Lock()
         self._warned = False  # that no level meets the budget
         self._requests: Counter[str] = Counter()  # by name and status
+        self._other_hand = ""  # why readings of the hand are not those of the model's sensor
         self._foreign = ("", -math.inf)  # frame of the last request that the graph does not know, and when [s]
 
     def _setup(self) -> None:
@@ -172,6 +175,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if model is not None and model.calibration is None:
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
             found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+        found += [self._other_hand] * bool(self._other_hand)
         frame, asked_s = self._foreign
         if time.monotonic() - asked_s < self.config.silence_s:
             found.append(
@@ -193,7 +197,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if predictor is not None and predictor.model is not None:
             found |= {"model": predictor.model.name, "model_sha256": predictor.model.sha256}
             if self._adapter is None:
-                found["regime"] = "none: the model's card holds no calibration"
+                found["regime"] = self._other_hand or "none: the model's card holds no calibration"
         for part in (predictor.budget if predictor else None, self._adapter, self._keeper, self._frame):
             found |= part.notes() if part is not None else {}
         found |= {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
@@ -290,11 +294,18 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # Online adaptation.
 
     def _adapt(self, predictor: Predictor) -> None:
-        """Subscribe to the topics of the hand, if the model has a calibration."""
+        """Subscribe to the topics of the hand, if the model has a calibration and is for the sensor of the hand."""
         config, model = self.config, predictor.model
         reader = make_reader(config.tactile)  # wrong settings are reported in any case
-        message = tactile_class(config.tactile.type)
+        message = tactile_class(config.tactile.message_type)
+        self._other_hand = ""
         if model is None or model.calibration is None:
+            return
+        try:
+            require_same(reader.channels, model.sensor.channels, config.tactile_topic)
+        except TactileError as err:
+            self._other_hand = f"model {model.name} does not adapt to readings: {err}; set tactile.sensor to its sensor"
+            self.get_logger().warning(self._other_hand)
             return
         log = self.get_logger()
         self._keeper = HistoryKeeper(

@@ -27,14 +27,14 @@ from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.taxels import TAXEL_TOPICS, taxel_clouds
+from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
-from foretouch.tactile.description import packaged_sensor
+from foretouch.topics import TAXELS
 from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
@@ -208,9 +208,12 @@ class RecordingSession:
         """Write for viewers what a grasp read, at the times of its stamps: every reading as taxels, and markers."""
         if sample.touch is None:
             return
-        markers = serialize_message(sample_markers(sample, packaged_sensor("biotac_sp")))
+        markers = serialize_message(sample_markers(sample, self.writer.sensor))
         views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
-        views += [(topic, POINT_CLOUD_TYPE, stamp_ns, data) for topic, stamp_ns, data in taxel_clouds(record)]
+        views += [
+            (topic, POINT_CLOUD_TYPE, stamp_ns, data)
+            for topic, stamp_ns, data in taxel_clouds(record, self.writer.sensor)
+        ]
         for topic, type_name, stamp_ns, data in views:
             self.writer.add_topic(topic, type_name)
             self.writer.receive(topic)
@@ -271,7 +274,10 @@ class RecordingSession:
                 samples=self.writer.labelled,
                 unlabelled=self.writer.samples - self.writer.labelled,
                 results=+assembler.results,
-                anomalies=assembler.readings.anomalies + assembler.rejected_clouds + self._unreadable,
+                anomalies=assembler.readings.anomalies
+                + assembler.rejected_clouds
+                + assembler.invalid
+                + self._unreadable,
                 last_sample=self._last_sample,
                 pairing_errors_ns=tuple(self._errors_ns),
                 sensors=assembler.sensor_states(now),
@@ -298,8 +304,8 @@ def status_to_msg(
 
     `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
     """
-    made_here = (SAMPLE_TOPIC, MARKERS_TOPIC, *TAXEL_TOPICS.values())
-    received = {name: account for name, account in session.accounts.items() if name not in made_here}
+    made_here = (SAMPLE_TOPIC, MARKERS_TOPIC, TAXELS)
+    received = {name: account for name, account in session.accounts.items() if not name.startswith(made_here)}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())

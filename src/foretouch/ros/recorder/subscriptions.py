@@ -167,7 +167,7 @@ class SerializedInput:
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
     """The topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
     return [
-        InputTopic(config.tactile_topic, tactile_class(config.tactile.type), depth),
+        InputTopic(config.tactile_topic, tactile_class(config.tactile.message_type), depth),
         InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
         InputTopic("table", TablePlane, depth),
         InputTopic(GRASPS_TOPIC, GraspArray, depth),

@@ -131,7 +131,7 @@ def cost_of(rule: str, prediction: TouchPrediction, ranges: Ranges) -> float:
     if rule == SCORE:
         cost = -prediction.grasp.score
     elif prediction.status == Status.OK:
-        pressures = ((prediction.pdc_th, ranges.of("PDC_TH")), (prediction.pdc_mf, ranges.of("PDC_MF")))
+        pressures = zip((prediction.pdc_th, prediction.pdc_mf), ranges.limits, strict=False)  # the first two modalities
         shares = [(pressure.value - low) / (high - low) for pressure, (low, high) in pressures]
         cost = max(shares) if rule == HARDER_FINGER else float(np.mean(shares))
     return cost if math.isfinite(cost) else math.inf

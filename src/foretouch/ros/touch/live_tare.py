@@ -2,7 +2,7 @@
 """The tare of a hand: its readings while it touches nothing. No node, no thread.
 
 A reading is at rest if neither finger is in contact, by the contact detector, nor will be within `lag_s`: a contact is
-detected a moment after it has begun. The tare is the median over the last `window_s` of rest; during a grasp, the tare
+detected a moment after it has begun. The tare is the median over the last `window_s` of rest, and 0 for channels whose rest level is zero; during a grasp, the tare
 from before is kept, and ages.
 """
 
@@ -10,19 +10,22 @@ from collections import deque
 
 import numpy as np
 
-from foretouch.tactile import biotac_touch, touch_faults
+from foretouch.channels import Channels
+from foretouch.tactile import BIOTAC, touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
+from foretouch.tactile.readings import rest_of
 from foretouch.types import Float32, Touch
 
 _SECOND_NS = 1_000_000_000
 
 
 class LiveTare:
-    """The tare of a stream of readings. Not thread-safe."""
+    """The tare of a stream of readings of a sensor. Not thread-safe."""
 
-    def __init__(self, config: ContactConfig) -> None:
+    def __init__(self, config: ContactConfig, channels: Channels = BIOTAC) -> None:
         self.fault = ""  # why the last rest gives no tare, such as a dead sensor
-        self._detector = ContactDetector(config)
+        self._channels = channels
+        self._detector = ContactDetector(config, channels)
         self._lag_ns = round(config.lag_s * _SECOND_NS)
         self._window_ns = round(config.window_s * _SECOND_NS)
         # More than the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory.
@@ -34,7 +37,7 @@ class LiveTare:
         self._since_renewal = 0
 
     def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
-        """Add a reading (50,), as `Touch.values`, whose stamp [ns] the `TouchBuffer` has accepted.
+        """Add a reading (D,), as `Touch.values`, whose stamp [ns] the `TouchBuffer` has accepted.
 
         `now_s` is that of a clock that never goes back [s].
         """
@@ -55,7 +58,7 @@ class LiveTare:
         if self.age_s(now_s) > max_age_s:
             return None
         if self._tare is None and not self.fault:
-            touch = biotac_touch(np.median(self._rest, axis=0))
+            touch = rest_of(np.median(self._rest, axis=0), self._channels)
             self.fault = "; ".join(touch_faults(touch))
             self._tare = None if self.fault else touch
         return self._tare

@@ -43,7 +43,7 @@ from foretouch_msgs.msg import Grasp as GraspMsg
 class OnlineAdapter:
     """Adapts the predictions of one model, which has a calibration.
 
-    `config` gives the current settings, `now_ns` the time of the node's clock [ns]; `warn` is called with a line for each
+    The `reader` is of the model's sensor. `config` gives the current settings, `now_ns` the time of the node's clock [ns]; `warn` is called with a line for each
     touch that is refused.
     """
 
@@ -68,7 +68,7 @@ class OnlineAdapter:
         self._assembler = SampleAssembler(
             AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
         )
-        self._tare = LiveTare(settings.contact)
+        self._tare = LiveTare(settings.contact, reader.channels)
         self._channels = reader.others
         self._others: Float32 | None = None  # of the newest reading, by channel
         self._received = self._unreadable = 0

@@ -16,11 +16,11 @@ import numpy as np
 from foretouch.errors import ConfigError, TactileError, shown
 from foretouch.tactile.description import STAMP_UNITS, FingerConfig, Sensor
 from foretouch.tactile.field_path import FieldPath
+from foretouch.tactile.layout import nearest_valid
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
 from foretouch.types import Bool, Float32, Float64, Index
 
 _KEPT = 64  # sets of valid taxels whose neighbours are kept
-_AS_NEAR = 1.001  # of the least distance: rounding must not decide between neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +153,7 @@ class _TouchReader:
         if key not in self._known:
             if len(self._known) == _KEPT:
                 self._known.clear()
-            usable, pairs = np.flatnonzero(valid), []
-            for index in np.flatnonzero(~valid).tolist():
-                distances = np.linalg.norm(self._positions[usable] - self._positions[index], axis=1)
-                pairs.append((index, usable[distances <= _AS_NEAR * distances.min()]))
-            self._known[key] = pairs
+            self._known[key] = nearest_valid(self._positions, valid)
         return self._known[key]
 
 
