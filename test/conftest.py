@@ -84,3 +84,13 @@ def ray_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     cluster = Cluster(initialize_head=True, head_node_args=head)
     yield cluster
     cluster.shutdown()
+
+
+@pytest.fixture(scope="session")
+def uskin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A store of readings of the XELA uSkin, and the card of a model trained on it."""
+    from other_sensor import train_on, write_readings
+
+    folder = tmp_path_factory.mktemp("uskin")
+    store = write_readings(folder / "store")
+    return store, train_on(store, folder / "uskin")

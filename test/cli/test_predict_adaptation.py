@@ -23,6 +23,7 @@ from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import biotac_touch
+from foretouch.tactile.description import packaged_sensor
 from foretouch.types import GraspSample, TouchPrediction
 
 
@@ -163,7 +164,7 @@ def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:
     def check(content: Any, rule: str) -> None:
         path.write_text(content if isinstance(content, str) else json.dumps(content))
         with pytest.raises(FileError, match=f"t.json: .*{rule}"):
-            _read_tare([str(path)])
+            _read_tare([str(path)], packaged_sensor("biotac_sp"))
 
     cases = [
         ("{", "is no JSON"),

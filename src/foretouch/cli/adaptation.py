@@ -16,19 +16,21 @@ from foretouch.checked_files import read_json, require_schema
 from foretouch.cli.output import warn
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
-from foretouch.tactile import ELECTRODES, MODALITIES, biotac_touch, make_tare, tdc_of
+from foretouch.tactile import make_tare, tdc_of
+from foretouch.tactile.description import require_same
 from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 if TYPE_CHECKING:
+    from foretouch.channels import Channels
     from foretouch.models.calibration import Calibration
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.tactile.description import Sensor
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name
-_FIELDS: dict[str, Any] = {"pdc_th": float, "pdc_mf": float, "e_th": [float], "e_mf": [float]}
-_TDC_FIELDS = ("tdc_th", "tdc_mf")  # optional
+_TEMPERATURE = "TDC"  # of the finger
 
 
 def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,8 +40,8 @@ def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="F|sample",
-        help="reading without contact, taken shortly before: JSON with pdc_th, pdc_mf, e_th [24], e_mf [24] and optionally tdc_th, tdc_mf, a list of such, "
-        "or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
+        help="reading without contact, taken shortly before: JSON with the modalities in lower case (pdc_th, pdc_mf, e_th [24], e_mf [24] and optionally tdc_th, "
+        "tdc_mf of the BioTac SP), a list of such, or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
     )
     parser.add_argument(
         "--touched",
@@ -150,33 +152,37 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
     own = _OWN in arguments.tare
     if own and len(arguments.tare) > 1:
         raise ConfigError(f"--tare: {_OWN!r} cannot be combined with files")
-    touched = _labelled_samples(arguments.touched)
+    channels = model.sensor.channels
+    touched = _labelled_samples("--touched", arguments.touched, channels)
     labels = sorted({sample.object for sample in touched} - {_UNKNOWN})
     if len(labels) > 1:
         raise DatasetError(f"--touched: {', '.join(labels)}: touches must be of one object")
-    tare = _read_tare(arguments.tare, model.calibration) if arguments.tare and not own else None
+    tare = _read_tare(arguments.tare, model.sensor, model.calibration) if arguments.tare and not own else None
     files = [path for path in arguments.history if path.endswith(".safetensors")]
     if len(files) > 1:
         raise ConfigError(f"--history: {', '.join(files)}: more than one file of a hand")
-    history = _labelled_samples([path for path in arguments.history if path not in files])
+    history = _labelled_samples("--history", [path for path in arguments.history if path not in files], channels)
     for sample in history:
         if not sample.stamp_ns:
             raise DatasetError(f"--history: {sample.id}: has no stamp, so its place in time is not known")
     return Adaptation(model, tare, touched, own, history, read_history(Path(files[0]), model) if files else None)
 
 
-def _read_tare(paths: Sequence[str], calibration: Calibration | None = None) -> tuple[Touch, Float64]:
-    """The median of all readings in some files with its TDC; warns of each file whose readings are like those in contact."""
+def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | None = None) -> tuple[Touch, Float64]:
+    """The median of all readings of a sensor in some files with its TDC; warns of each file whose readings are like those in contact."""
     from foretouch.dataset.vision2tactile import read_touch
 
     readings: list[tuple[Touch, Float64]] = []
     for path in map(Path, paths):
         if path.suffix == ".tac":
             touch, extra = read_touch(path)
+            require_same(touch.channels, sensor.channels, f"--tare: {path}")
             fresh = [(touch, tdc_of(extra))]
         else:
             document = read_json(path)
-            fresh = [_reading(path, entry) for entry in (document if isinstance(document, list) else [document])]
+            fresh = [
+                _reading(path, entry, sensor) for entry in (document if isinstance(document, list) else [document])
+            ]
         try:
             tare = make_tare([touch for touch, _ in fresh])
         except TactileError as err:
@@ -187,17 +193,23 @@ def _read_tare(paths: Sequence[str], calibration: Calibration | None = None) -> 
     return make_tare([touch for touch, _ in readings]), np.median([tdc for _, tdc in readings], axis=0)
 
 
-def _reading(path: Path, entry: Any) -> tuple[Touch, Float64]:
+def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     """One reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
-    if not isinstance(entry, dict) or entry.keys() - {*_TDC_FIELDS} != _FIELDS.keys():
-        allowed = f"{', '.join(_FIELDS)}, optionally {', '.join(_TDC_FIELDS)}"
-        raise FileError(path, f"is no reading: it must hold {allowed} and nothing else")
-    require_schema(path, entry, {**_FIELDS, **{f"{name}?": float for name in _TDC_FIELDS}})
-    for name in ("e_th", "e_mf"):
-        if len(entry[name]) != ELECTRODES:
-            raise FileError(path, f"is not {ELECTRODES} numbers", field=name)
-    tdc = tdc_of({f"TDC_{name[-2:].upper()}": float(entry.get(name, np.nan)) for name in _TDC_FIELDS})
-    return biotac_touch(np.hstack([entry[name.lower()] for name in MODALITIES])), tdc
+    channels = sensor.channels
+    sizes = {name.lower(): one.size for name, one in channels.channel_of.items()}
+    measured = any(one.name == _TEMPERATURE for one in sensor.config.scalars)
+    temperatures = [f"{_TEMPERATURE}_{finger}" for finger in channels.fingers if measured]
+    optional = [name.lower() for name in temperatures]
+    if not isinstance(entry, dict) or entry.keys() - {*optional} != sizes.keys():
+        allowed = f"{', '.join(sizes)}{', optionally ' * measured}{', '.join(optional)}"
+        raise FileError(path, f"is no reading of {channels.sensor}: it must hold {allowed} and nothing else")
+    fields = {name: float if size == 1 else [float] for name, size in sizes.items()}
+    require_schema(path, entry, {**fields, **{f"{name}?": float for name in optional}})
+    for name, size in sizes.items():
+        if size > 1 and len(entry[name]) != size:
+            raise FileError(path, f"is not {size} numbers", field=name)
+    tdc = tdc_of({name: float(entry.get(name.lower(), np.nan)) for name in temperatures})
+    return Touch(np.hstack([entry[name] for name in sizes]), channels), tdc
 
 
 def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
@@ -214,18 +226,23 @@ def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:
     return sample.tare, tdc_of(sample.extra, "tare_")
 
 
-def read_samples(paths: Sequence[str]) -> list[GraspSample]:
-    """All samples of some datasets."""
+def read_samples(paths: Sequence[str], channels: Channels) -> list[GraspSample]:
+    """All samples of some datasets; a `TactileError` names one that is of another sensor than a model's channels."""
     samples: list[GraspSample] = []
     for path in paths:
-        samples += [record.sample for record in open_samples(path).records()]
+        opened = open_samples(path)
+        require_same(opened.sensor.channels, channels, path)
+        samples += [record.sample for record in opened.records()]
     return samples
 
 
-def _labelled_samples(paths: Sequence[str]) -> list[GraspSample]:
+def _labelled_samples(option: str, paths: Sequence[str], channels: Channels) -> list[GraspSample]:
     samples: list[GraspSample] = []
     for path in paths:
-        labelled = [sample for sample in read_samples([path]) if sample.touch is not None]
+        try:
+            labelled = [sample for sample in read_samples([path], channels) if sample.touch is not None]
+        except TactileError as err:
+            raise DatasetError(f"{option}: {err}") from err
         if not labelled:
             raise DatasetError(f"{path}: holds no sample with a touch")
         samples += labelled

@@ -13,7 +13,7 @@ import numpy as np
 
 from foretouch.channels import Channels
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
-from foretouch.errors import ConfigError, FileError, ForetouchError
+from foretouch.errors import ConfigError, FileError, ForetouchError, TactileError
 from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import stamp_ns
@@ -140,7 +140,7 @@ def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPre
         value, lower, upper = touches
         others: dict[str, Any] = {name: record[name] for name in ("reference", "status", "reason")}
         return TouchPrediction(grasp, value, lower, upper, flags=tuple(record["flags"]), **others)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, TactileError) as err:
         raise ConfigError(
             f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
         ) from err

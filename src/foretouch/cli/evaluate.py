@@ -14,7 +14,7 @@ from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.evaluate import evaluate_model, own_samples
 from foretouch.learning.evaluation.prequential import evaluate_prequential
 from foretouch.models.registry import load_model
-from foretouch.tactile import MODALITIES
+from foretouch.tactile.description import require_same
 
 _SCORED: Final = {
     "held_out": "held-out samples",
@@ -86,6 +86,9 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     data, *earlier = (load_dataset(path) for path in (arguments.dataset, *arguments.history))
     model = load_model(arguments.model)
     index = np.array([k for k, sample in enumerate(data.samples) if sample.touch is not None], np.intp)
+    channels = model.sensor.channels
+    for one in (data, *earlier):
+        require_same(one.sensor.channels, channels, one.name)
     own = own_samples(model.card, data, index)
     excluded = np.full(len(index), False) if own is None or arguments.training_scores else own
     if excluded.all():
@@ -110,7 +113,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         f"{result['samples']} grasps in order of time after {result['history']} of the history; by touches of the object before "
         "(grasps); skill: 0 is the mean of the other objects, 1 is perfect; in brackets: share of readings in the 90 % interval"
     )
-    print_table(title, ["touches", "predictor", *MODALITIES], rows)
+    print_table(title, ["touches", "predictor", *channels.modalities], rows)
     return 0
 
 
@@ -128,13 +131,18 @@ def show_scores(result: Mapping[str, Any]) -> None:
         for name, by_modality in result["scores"].items():
             one = by_modality[key]
             inside = "" if one["coverage90"] is None else f"{one['coverage90']:.3f}"
-            numbers = (f"{one['rmse']:.1f}", f"{one['nrmse']:.4f}", f"{one['skill']:+.3f}", inside)
+            numbers = (
+                f"{one['rmse']:{'.1f' if one['rmse'] >= 1.0 else '.2g'}}",
+                f"{one['nrmse']:.4f}",
+                f"{one['skill']:+.3f}",
+                inside,
+            )
             shown = name if own or name != "training_mean" else "dataset_mean"
             rows.append([key if name == "model" else "", shown, *numbers])
     unfamiliar = "" if result["unfamiliar"] is None else f"{result['unfamiliar']} flagged unfamiliar, "
     title = (
         f"{result['samples']} {_SCORED[result['scored']]}, {unfamiliar}split {result['split']}; "
-        f"rmse in counts; skill: 0 is the {mean}, 1 is perfect; inside: share of readings in the 90 % interval"
+        f"rmse in the unit of the sensor; skill: 0 is the {mean}, 1 is perfect; inside: share of readings in the 90 % interval"
     )
     # Short heads: on 80 columns, as in a pipe, longer ones would cut the names of the baselines.
     print_table(title, ["", "predictor", "rmse", "rmse / range", "skill", "inside"], rows)

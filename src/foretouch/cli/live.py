@@ -12,6 +12,7 @@ from rich.text import Text
 
 from foretouch.cli.answers import modality_text
 from foretouch.cli.screen import FittedPanel, FittedTable
+from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 
@@ -77,7 +78,7 @@ def _predictions(predictions: Sequence[TouchPrediction | TactilePrediction], sen
     from foretouch.ros.messages.conversions import reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
-    modalities = sensor.channels.channel_of
+    modalities = TaxelView(sensor).modalities
     rows: list[list[str | Text]] = []
     for one in predictions:
         width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (one.grasp.g1, one.grasp.g2)))
@@ -87,34 +88,37 @@ def _predictions(predictions: Sequence[TouchPrediction | TactilePrediction], sen
             continue
         flags = [flag.replace("_", " ") for flag in one.flags]
         based = Text("\n".join([reference_text(one), *flags]), "yellow" if flags else "")
-        rows.append([one.grasp.object_id, width, *_modalities(one, sensor), based])
-    units = ", ".join(dict.fromkeys(channel.unit for channel in modalities.values()))
+        rows.append([one.grasp.object_id, width, *_modalities(one, sensor, modalities), based])
+    units = ", ".join(dict.fromkeys(sensor.channels.channel_of[name].unit for name in modalities))
     title = f"last prediction ({units}){models and f' by {models}'}"
     return _table("object", "mm", *modalities, "based on", rows=rows, title=title)
 
 
-def _modalities(prediction: TouchPrediction | TactilePrediction, sensor: Sensor) -> list[str]:
-    """Values of each modality with their half width."""
+def _modalities(
+    prediction: TouchPrediction | TactilePrediction, sensor: Sensor, modalities: Sequence[str]
+) -> list[str]:
+    """Values of some modalities with their half width."""
     from foretouch.ros.messages.conversions import values_from_msg
 
     value, lower, upper = values_from_msg(prediction, sensor)
-    columns = [(sensor.channels.columns([name]), one.text) for name, one in sensor.channels.channel_of.items()]
+    columns = [(sensor.channels.columns([name]), sensor.channels.channel_of[name].text) for name in modalities]
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
 
 def executed_table(
-    prediction: TouchPrediction | TactilePrediction | None, readings: TouchCut, sensor: Sensor = BIOTAC_SP
+    prediction: TouchPrediction | TactilePrediction | None, readings: TouchCut, sensor: Sensor | None = None
 ) -> FittedTable:
-    """The values of an executed grasp: as predicted for a sensor, if they were, as read, and at rest before."""
+    """The values of an executed grasp: as predicted, if they were, as read, and at rest before; all without a sensor."""
+    channels = readings.touch.channels.channel_of
+    modalities = TaxelView(sensor).modalities if sensor else list(channels)
     rows: list[list[str | Text]] = []
     if prediction is not None and not prediction.status:
-        rows.append(["predicted", *_modalities(prediction, sensor)])
-    channels = readings.touch.channels.channel_of
+        rows.append(["predicted", *_modalities(prediction, sensor or BIOTAC_SP, modalities)])
     rows += [
-        [name, *(modality_text(touch[key], None, None, one.text) for key, one in channels.items())]
+        [name, *(modality_text(touch[key], None, None, channels[key].text) for key in modalities)]
         for name, touch in (("read", readings.touch), ("tare", readings.tare))
     ]
-    return _table("last grasp", *channels, rows=rows)
+    return _table("last grasp", *modalities, rows=rows)
 
 
 def _rounded(number: str) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foretouch.channels import Channels
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation, read_samples
 from foretouch.cli.answers import modality_text, prediction_record
@@ -23,9 +24,10 @@ from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models.registry import load_model
+from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.tactile import MODALITIES, biotac_touch
-from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, TouchPrediction
+from foretouch.tactile import BIOTAC
+from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
 
 if TYPE_CHECKING:
     from foretouch.models.budget import LatencyBudget
@@ -65,7 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
     budget = None if arguments.budget_ms is None else _make_budget(arguments.budget_ms, pipeline)
-    return inputs.process_inputs(arguments, partial(_answer, arguments, pipeline, adaptation, budget), _show)
+    answer = partial(_answer, arguments, pipeline, adaptation, budget)
+    return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
 
 
 def _answer(
@@ -98,8 +101,8 @@ def _answer(
             "object": target.id,
             "status": "ok" if predictions and not refused else "refused",
             "reason": "; ".join(refused) or reason,
-            "predictions": [prediction_record(one) for one in predictions],
-            "model": {"name": pipeline.model.name, "sha256": pipeline.model.sha256},
+            "predictions": [prediction_record(one, pipeline.model.sensor.channels) for one in predictions],
+            "model": _named(pipeline.model),
             **level,
             "touched": len(adaptation.touches_for(item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
@@ -148,12 +151,13 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 
     model = load_model(arguments.model) if arguments.model else load_model()
-    history = [one for one in read_samples(arguments.history) if one.touch is not None]
-    done = replay_model(model, read_samples(arguments.inputs), history)
+    channels = model.sensor.channels
+    history = [one for one in read_samples(arguments.history, channels) if one.touch is not None]
+    done = replay_model(model, read_samples(arguments.inputs, channels), history)
     for k in np.flatnonzero(done.scored):
         sample, level = done.samples[k], done.played.levels[k]
         counts, half = done.played.counts[k], done.played.half[k]
-        value, lower, upper = (biotac_touch(end) for end in (counts, counts - half, counts + half))
+        value, lower, upper = (Touch(end, channels) for end in (counts, counts - half, counts + half))
         outside, known = bool(model.ranges.outside(counts).any()), done.recording.is_known(int(k))
         flags = ("out_of_range",) * outside + ("unfamiliar",) * (not known)
         evidence = level.evidence
@@ -165,14 +169,14 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
             "object": sample.object,
             "status": "ok",
             "reason": "",
-            "predictions": [prediction_record(predicted)],
-            "model": {"name": model.name, "sha256": model.sha256},
+            "predictions": [prediction_record(predicted, channels)],
+            "model": _named(model),
             "touched": evidence.touches,
             "history": evidence.readings,
             "history_age_s": evidence.reading_age_s,
             "restarted": list(done.played.restarted[k]),
         }
-        (print_json if arguments.json else _show)(record)
+        (print_json if arguments.json else partial(_show, channels=channels))(record)
     return 0
 
 
@@ -191,17 +195,24 @@ def _grasps(
     return list(plan.grasps), plan.reason
 
 
-def _show(record: dict[str, Any]) -> None:
+def _named(model: TouchModel) -> inputs.Record:
+    """The model for a record, with its sensor unless it is the BioTac SP."""
+    channels = model.sensor.channels
+    sensor = {} if channels == BIOTAC else {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
+    return {"name": model.name, "sha256": model.sha256, **sensor}
+
+
+def _show(record: dict[str, Any], *, channels: Channels) -> None:
     rows = [
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
-            *(modality_text(**one[name]) for name in MODALITIES),
+            *(modality_text(**one[name], text=channel.text) for name, channel in channels.channel_of.items()),
             "\n".join([_reference_text(one, record["touched"]), *(flag.replace("_", " ") for flag in one["flags"])]),
         ]
         for one in record["predictions"]
     ]
     title = inputs.heading(record, f" by {record['model']['name']}")
-    print_table(title, ["g1, g2 [m]", *MODALITIES, "adapted to"], rows)
+    print_table(title, ["g1, g2 [m]", *channels.modalities, "adapted to"], rows)
 
 
 def _reference_text(prediction: inputs.Record, touched: int) -> str:

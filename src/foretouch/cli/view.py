@@ -82,7 +82,8 @@ class _Steps:
         data = arguments.data if self._are_answers else arguments.path
         samples = data is not None and arguments.topic is None and is_sample_set(data)
         found = open_samples(data, unfinished=True).sensor if samples else None
-        self.sensor = found or (BIOTAC_SP if self._are_answers else self._pipeline.model.sensor)
+        unnamed = self._are_answers and arguments.model is None
+        self.sensor = found or (BIOTAC_SP if unnamed else self._pipeline.model.sensor)
 
     @property
     def _are_answers(self) -> bool:

@@ -8,6 +8,7 @@
 /answer                                         the same as text, with flags and reasons
 """
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -234,7 +235,7 @@ class _Writer:
             np.array([np.ptp(flat[:, 0]) + 8.0, 0.0]),
             np.array([low_x + np.ptp(flat[:, 0]) / 2.0, low_y - 3.0]),
         )
-        radius = min(1.0, 0.4e3 * _spacing_m(layout.positions))  # [mm]
+        radius = min(1.0, 10.0 / math.sqrt(view.sensor.size))  # [mm]
         for k, (name, finger) in enumerate(zip(self._names, view.fingers, strict=True)):
             levels = {
                 what: [
@@ -309,13 +310,6 @@ def _lively(rows: Float64) -> int:
         if len(seen) > 1:
             return int(np.argmax(seen.std(axis=0)))
     return 0
-
-
-def _spacing_m(positions: Float64) -> float:
-    """Distance of the two nearest of (N, 3) positions [m]; infinite for one."""
-    from scipy.spatial import KDTree
-
-    return float(KDTree(positions).query(positions, 2)[0][:, 1].min())
 
 
 def _fingertip_pose(grasp: Grasp, contact: Float64, depth_m: float) -> tuple[Float64, Float64]:

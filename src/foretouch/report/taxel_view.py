@@ -30,6 +30,12 @@ class TaxelView:
         channels = self.sensor.taxel_channels
         return next((one for one in reversed(channels) if one.contact), channels[-1])
 
+    @cached_property
+    def modalities(self) -> list[str]:
+        """Those of the scalars and of the shown channel."""
+        shown = (*self.sensor.scalar_channels, self.channel)
+        return [name for name, one in self.sensor.channels.channel_of.items() if one in shown]
+
     def columns(self, finger: int) -> Index:
         """(N,) columns of a touch: the values of the shown channel."""
         found: Index = self.sensor.taxel_columns[finger, :, self.sensor.taxel_channels.index(self.channel)]

@@ -100,7 +100,8 @@ class ChannelConfig(Settings):
     def channel(self, size: int) -> Channel:
         """What a touch holds of it, for `size` numbers of a finger."""
         low, high = np.clip(self.limits, -LARGEST, LARGEST).tolist()
-        resolution = (self.noise or 1e-6 * (high - low)) if self.dtype.startswith("float") else 1.0
+        span = high - low if high - low < LARGEST else 1.0  # of a force without a stated range, a millionth of a newton
+        resolution = (self.noise or 1e-6 * span) if self.dtype.startswith("float") else 1.0
         sign, noise = {"rise": 1, "fall": -1}.get(self.contact, 0), self.noise or 0.0
         return Channel(self.name, size, self.unit, low, high, sign, self.rest == "tare", noise, resolution)
 

@@ -128,7 +128,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     console = Console(width=120, color_system=None)
     with console.capture() as shown:
         console.print(live_panel(monitor.view(), "title"))
-    for words in ("X_TH", "Z_FF", "±50", "last prediction (counts) by constant"):
+    for words in ("Z_TH", "Z_FF", "±50", "last prediction (counts) by constant"):
         assert words in shown.get()
     target = FoundObject("1", profile_scene(1)[0], ASSUMED_TABLE)
     _draw([Drawable(None, target, one)], str(tmp_path / "a.png"), sensor)

@@ -16,7 +16,8 @@ from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
 
 _VISION2TACTILE: Final = {
@@ -66,7 +67,7 @@ class Dataset:
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
-    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
+    sensor: Sensor = BIOTAC_SP
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.

@@ -78,11 +78,12 @@ def score(
     result = {}
     for name in modalities or channels.modalities:
         column = channels.columns([name])
-        if not np.all(baseline[column] > 0.0):
+        scored = column[(baseline[column] > 0.0) | channels.tared[column]]  # without taxels that never read a force
+        if not len(scored) or not np.all(baseline[scored] > 0.0):
             raise DatasetError(f"{name}: the training mean is exact, so the skill is undefined")
         low, high = ranges.of(name)
         rmse = float(np.sqrt(squared[:, column].mean()))
-        skill = float(np.mean(1.0 - squared[:, column].mean(axis=0) / baseline[column]))
+        skill = float(np.mean(1.0 - squared[:, scored].mean(axis=0) / baseline[scored]))
         result[name] = Score(rmse, rmse / (high - low), skill)
     return result
 

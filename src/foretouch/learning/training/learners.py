@@ -84,6 +84,11 @@ class Learner(ABC):
     ) -> Path:
         """Write weights, card and calibration of the last `fit`, all files or none; returns the path of the card."""
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Modalities that are predicted."""
+        return self.config.model.outputs if self.config.has_network else self.sensor.channels.modalities
+
     def predict_fold(self, fold: Fold) -> Float64:
         """(T, D) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
         learner = copy.copy(self)

@@ -158,7 +158,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     config, count = learner.config, len(learner.samples)
     duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
     return {
-        "summary": f"{', '.join(config.model.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
+        "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
             "sample_hashes": "".join(sorted(data.hashes(np.concatenate([learner.split.train, learner.split.validation])))),
@@ -188,7 +188,7 @@ def _release_facts(
     objects = [sample.object for sample in learner.samples]
     base = _facts(learner, data)
     return {
-        "summary": f"{', '.join(learner.config.model.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
+        "summary": f"{', '.join(learner.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
         "data": {
             **base["data"],
             "sha256": data.aliases[0] if data.aliases else data.sha256,

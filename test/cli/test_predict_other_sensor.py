@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`train`, `predict` and `evaluate` for another sensor than the BioTac SP: its JSON, its tares, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from calibrated_models import save_calibrated_contact
+from every_case import every_case
+from other_sensor import USKIN
+from run_builders import write_store
+
+from foretouch.cli.answers import prediction_from_record
+from foretouch.learning.data import load_dataset
+from foretouch.models import load_model
+
+MODALITIES = USKIN.channels.modalities
+
+
+@pytest.fixture(scope="module")
+def biotac(tmp_path_factory) -> tuple[str, str]:
+    """A store of readings of the BioTac SP, and a model of it."""
+    from experiment_samples import make_samples
+
+    folder = tmp_path_factory.mktemp("biotac")
+    return str(write_store(folder / "cans", make_samples(2, 3))), save_calibrated_contact(folder)
+
+
+def test_predictions_are_by_the_modalities_of_the_sensor_and_can_be_read_back(call, uskin) -> None:
+    store, path = uskin
+    lines = [json.loads(line) for line in call("predict", store, "--model", path, "--json").out.splitlines()]
+    model, data = load_model(path), load_dataset(store)
+    for line, sample in zip(lines, data.samples, strict=True):
+        (record,) = line["predictions"]
+        (wanted,) = model.predict(sample.cloud, [sample.grasp])
+        read = prediction_from_record(record, USKIN.channels)
+        for name in ("value", "lower", "upper"):
+            np.testing.assert_array_equal(getattr(read, name).values, getattr(wanted, name).values)
+        assert [key for key in record if key in MODALITIES] == list(MODALITIES)
+        assert line["model"]["sensor"] == "xela_uskin_4x4"
+    table = call("predict", store, "--model", path).out
+    assert all(name in table for name in MODALITIES)
+
+
+def test_the_tare_of_a_file_is_by_modality_in_lower_case_and_shifts_the_predictions(call, uskin, tmp_path) -> None:
+    store, path = uskin
+    sample = load_dataset(store).samples[0]
+    tare = tmp_path / "rest.json"
+    tare.write_text(json.dumps({name.lower(): sample.tare[name].tolist() for name in MODALITIES}))
+    words = ("predict", store, "--model", path, "--json")
+    (by_file,), (own,), (none,) = (
+        json.loads(call(*words, *tail).out.splitlines()[0])["predictions"]
+        for tail in (("--tare", tare), ("--tare", "sample"), ())
+    )
+    assert by_file["Z_TH"] == own["Z_TH"] != none["Z_TH"]
+    assert by_file["reference"] == "tare"
+
+
+def test_readings_and_models_of_another_sensor_are_refused_in_one_line(call, uskin, biotac, tmp_path) -> None:
+    (store, path), (cans, contact) = uskin, biotac
+    samples = load_dataset(store).samples
+    tare = tmp_path / "rest.json"
+    tare.write_text(json.dumps({"pdc_th": 2000.0, "pdc_mf": 2000.0, "e_th": [3000.0] * 24, "e_mf": [3000.0] * 24}))
+    of_uskin, of_biotac = "is of xela_uskin_4x4 (", "is of biotac_sp ("
+    predict = ("predict", store, "--model")
+
+    def check(words: tuple[object, ...], rule: str) -> None:
+        answer = call(*words)
+        assert answer.status != 0
+        lines = [one for one in answer.err.splitlines() if one.startswith("foretouch: ")]
+        assert len(lines) == (len(samples) if "sample" in words else 1)
+        assert rule in lines[0]
+
+    cases = [
+        ((*predict, contact, "--tare", "sample"), f"tare: {of_uskin}"),
+        ((*predict, contact, "--touched", store), f"--touched: {store}: {of_uskin}"),
+        ((*predict, path, "--history", cans), f"--history: {cans}: {of_biotac}"),
+        (("predict", store, "--model", contact, "--prequential"), f"{store}: {of_uskin}"),
+        ((*predict, path, "--tare", tare), "is no reading of xela_uskin_4x4: it must hold x_th, x_ff, y_th,"),
+        (("evaluate", contact, store), f"store: {of_uskin}"),
+        (("evaluate", path, cans, "--prequential"), f"cans: {of_biotac}"),
+        (("evaluate", path, store, "--prequential", "--training-scores", "--history", cans), f"cans: {of_biotac}"),
+        (("train", "supervised", f"data={store}", "-o", tmp_path / "net"), "trains networks for biotac_sp"),
+    ]
+    every_case(cases, check)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models of other sensors than the BioTac SP: what they learn, what their card states, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from other_sensor import USKIN, changed_sensor, readings, train_on, write_readings
+from run_builders import quiet, run_config
+
+from foretouch.errors import ConfigError, TactileError
+from foretouch.learning.data import channels_of, load_dataset
+from foretouch.learning.evaluation.evaluate import evaluate_model
+from foretouch.learning.evaluation.prequential import evaluate_prequential
+from foretouch.learning.training.calibration import rest_level, resting_labels
+from foretouch.learning.training.run import train_run
+from foretouch.models import load_model
+from foretouch.models.calibration import tare_offset
+from foretouch.tactile import touch_faults
+from foretouch.types import Touch
+
+
+def test_a_model_of_another_sensor_states_it_and_predicts_its_readings(uskin) -> None:
+    store, path = uskin
+    card, model, data = json.loads(path.read_text()), load_model(path), load_dataset(store)
+    assert (card["sensor"], card["sensor_name"]) == (USKIN.to_mapping(), "xela_uskin_4x4")
+    assert card["sensor_sha256"] == model.sensor.sha256 == data.sensor.sha256 == USKIN.sha256
+    assert card["ranges"]["z_th"] == [0.0, 65535.0]
+    assert "ranges" not in card["config"]
+    assert card["summary"].startswith("X_TH, X_FF, Y_TH, Y_FF, Z_TH, Z_FF, contact")
+    for sample in data.samples[::5]:
+        (one,) = model.predict(sample.cloud, [sample.grasp], tare=sample.tare)
+        assert one.value.channels == one.lower.channels == USKIN.channels
+        assert touch_faults(one.value) == ()
+        inside = (one.lower.values <= sample.touch.values) & (sample.touch.values <= one.upper.values)
+        assert inside.mean() > 0.8, sample.id
+
+
+def test_its_scores_are_by_its_modalities_and_touches_narrow_its_intervals(uskin) -> None:
+    store, path = uskin
+    data = load_dataset(store)
+    found = evaluate_model(path, data, "object", training_scores=True)
+    assert tuple(found["scores"]["model"]) == USKIN.channels.modalities
+    assert min(row["skill"] for row in found["scores"]["model"].values()) > 0.0
+    assert min(row["coverage90"] for row in found["scores"]["model"].values()) > 0.8
+    played = evaluate_prequential(load_model(path), data.samples)["touches"]
+    before, after = (played[name]["scores"]["tracker"]["Z_FF"]["half_width"] for name in ("none", "3-9"))
+    assert after < before
+
+
+def test_a_dataset_of_another_sensor_or_of_a_changed_description_is_refused_by_name(uskin, data, tmp_path) -> None:
+    store, path = uskin
+    other = changed_sensor(tmp_path, array={"rows": 4, "cols": 4, "size": [0.005, 0.005]})
+    changed = load_dataset(write_readings(tmp_path / "changed", other, 2, 3))
+    with pytest.raises(TactileError, match=r"boxes: is of biotac_sp \(\w{8}\): not xela_uskin_4x4 \("):
+        evaluate_model(path, data, "object")
+    with pytest.raises(
+        TactileError, match=r"changed: is of xela_uskin_4x4 \(\w{8}\): the description of .* has changed"
+    ):
+        evaluate_model(path, changed, "random")
+    with pytest.raises(TactileError, match=rf"{changed.samples[0].id}: is of xela_uskin_4x4 .* has changed"):
+        evaluate_prequential(load_model(path), changed.samples)
+    with pytest.raises(TactileError, match=r"touch: is of biotac_sp .* not xela_uskin_4x4"):
+        channels_of([*load_dataset(store).samples, *data.samples])
+
+
+def test_the_networks_of_the_papers_refuse_another_sensor_by_name(uskin, tmp_path) -> None:
+    rule = "method: supervised trains networks for biotac_sp, and store is of xela_uskin_4x4; use contact"
+    with pytest.raises(ConfigError, match=rule):
+        train_run(run_config(), load_dataset(uskin[0]), tmp_path / "run", quiet)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_rest_level_that_was_not_read_is_on_the_side_that_contact_leaves(samples, tmp_path, rng) -> None:
+    """Of values that contact raises it is near the least label, of those that it lowers near the largest."""
+    kinds = {"rise": (0.01, "tare"), "fall": (0.95, "tare"), "both": (0.5, "tare"), "forces": (None, "zero")}
+    values = [
+        {"name": name, "field": name, "contact": name if name != "forces" else "both", "rest": rest, "dtype": "int16"}
+        for name, (_, rest) in kinds.items()
+    ]
+    channels = changed_sensor(tmp_path, values=values).channels
+    bare = [replace(one, tare=None) for one in readings(list(samples), channels)]
+    rest, recorded = rest_level(bare)
+    labels = np.array([one.touch.values for one in bare])
+    assert not recorded
+    for name, (quantile, _) in kinds.items():
+        columns = channels.columns([f"{name}_{finger}" for finger in channels.fingers])
+        wanted = 0.0 if quantile is None else np.quantile(labels[:, columns], quantile, axis=0)
+        assert_array_equal(rest[columns], np.broadcast_to(wanted, columns.shape), err_msg=name)
+    tare = Touch(rng.normal(100.0, 10.0, channels.size), channels)
+    assert_array_equal(tare_offset(tare, rest) != 0.0, channels.tared)
+    (shifted,) = resting_labels([replace(bare[0], tare=tare)], labels[:1], rest)
+    assert_allclose((labels[0] - shifted)[channels.tared], (tare.values - rest)[channels.tared], atol=1e-9)
+    assert_array_equal(shifted[~channels.tared], labels[0, ~channels.tared])
+
+
+def test_forces_in_newtons_whose_taxels_mostly_read_zero_are_learned_and_have_narrow_intervals(tmp_path) -> None:
+    force = {"name": "normal", "field": "values", "unit": "N", "contact": "rise", "rest": "zero", "range": [0.0, 50.0]}
+    array = {"rows": 3, "cols": 3, "size": [0.001, 0.001]}
+    sensor = changed_sensor(tmp_path, "tacsl_20x25", values=[force], array=array)
+    store = write_readings(tmp_path / "store", sensor, zero=(0, 8))
+    path, data = train_on(store, tmp_path / "forces"), load_dataset(store)
+    model = load_model(path)
+    (one,) = model.predict(data.samples[0].cloud, [data.samples[0].grasp])
+    half = (one.upper.values - one.lower.values) / 2.0
+    assert_array_equal(one.value.values[[0, 8]], 0.0)
+    assert half[[0, 8]].max() < 1e-3
+    assert half.max() < 10.0
+    scores = evaluate_model(path, data, "object", training_scores=True)["scores"]["model"]
+    assert min(row["skill"] for row in scores.values()) > 0.0  # of the taxels that are ever touched

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model of one sensor and the readings, histories and descriptions of another, or of a changed one."""
+
+import shutil
+
+import numpy as np
+import pytest
+from contact_model_builders import edit_card, small_estimator
+from other_sensor import USKIN, changed_sensor
+
+from foretouch.errors import FileError, ModelError, TactileError
+from foretouch.learning.data import load_dataset
+from foretouch.models import load_model
+from foretouch.models.contact.estimator import save_contact
+from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
+from foretouch.tactile import biotac_touch
+from foretouch.tactile.description import with_sensor
+from foretouch.types import Touch
+
+
+def test_a_tare_and_a_touch_of_another_sensor_are_refused_by_name(uskin, tmp_path) -> None:
+    model, sample = load_model(uskin[1]), load_dataset(uskin[0]).samples[0]
+    changed = changed_sensor(tmp_path, values=[{"name": name, "field": name, "dtype": "int16"} for name in "XYZ"])
+    history, biotac = HandHistory(model), biotac_touch(np.full(50, 2000.0))
+    same_size = Touch(np.full(96, 2000.0), changed.channels)
+    with pytest.raises(
+        TactileError, match=r"tare: is of biotac_sp \(\w{8}\): not xela_uskin_4x4 \(\w{8} is expected\)"
+    ):
+        model.predict(sample.cloud, [sample.grasp], tare=biotac)
+    with pytest.raises(
+        TactileError, match=r"tare: is of xela_uskin_4x4 .* the description of xela_uskin_4x4 has changed"
+    ):
+        history.add_tare(1, same_size)
+    with pytest.raises(TactileError, match=r"touched: is of xela_uskin_4x4 .* has changed"):
+        history.add_touch(1, sample.cloud, sample.grasp, same_size)
+    assert history.tracker.evidence(0).readings == 0
+
+
+def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_is_refused(uskin, tmp_path) -> None:
+    model, samples = load_model(uskin[1]), load_dataset(uskin[0]).samples
+    history = HandHistory(model)
+    for number, sample in enumerate(samples[:3]):
+        history.add_tare((2 * number + 1) * 10**9, sample.tare)
+        history.add_touch((2 * number + 2) * 10**9, sample.cloud, sample.grasp, sample.touch)
+    HistoryFile(tmp_path / "hand", "left").write(history)
+    again = read_history(tmp_path / "hand", model)
+    asked = [samples[4].grasp]
+    (one,), (other,) = (
+        model.predict(samples[4].cloud, asked, history=part.snapshot(9 * 10**9, same_object=True))
+        for part in (history, again)
+    )
+    np.testing.assert_array_equal(one.value.values, other.value.values)
+    biotac = load_model("contact-v2")
+    with pytest.raises(FileError, match=r"hand: sensor: is of xela_uskin_4x4 \(\w{8}\): not biotac_sp"):
+        read_history(tmp_path / "hand", biotac)
+    HistoryFile(tmp_path / "other", "left").write(HandHistory(biotac))
+    with pytest.raises(FileError, match=r"other: sensor: is of biotac_sp \(\w{8}\): not xela_uskin_4x4"):
+        read_history(tmp_path / "other", model)
+
+
+def test_a_card_whose_description_has_changed_is_refused(uskin, tmp_path) -> None:
+    shutil.copytree(uskin[1].parent, tmp_path / "model")
+    card = tmp_path / "model" / uskin[1].name
+    edit_card(card, sensor={**USKIN.to_mapping(), "grasp": ["FF", "TH"]})
+    with pytest.raises(ModelError, match=r"uskin.json: sensor_sha256: is of xela_uskin_4x4 .* has changed"):
+        load_model(card)
+    edit_card(card, sensor={"name": "?"})
+    with pytest.raises(ModelError, match=r"uskin.json: sensor: name: '\?' is not"):
+        load_model(card)
+    edit_card(card, sensor=...)  # as of the BioTac SP
+    with pytest.raises(ModelError, match=r"uskin.json: sensor_sha256: is of xela_uskin_4x4 .* not biotac_sp"):
+        load_model(card)
+    edit_card(card, sensor_name=..., sensor_sha256=...)
+    with pytest.raises(ModelError, match=r"ranges: x_th: unknown; known: pdc_th"):
+        load_model(card)
+
+
+def test_a_card_of_the_biotac_sp_names_it_and_weights_of_other_channels_do_not_fit(tmp_path) -> None:
+    path = save_contact(tmp_path, "toy", small_estimator(), {})
+    assert load_model(path).card["sensor_name"] == "biotac_sp"
+    assert "sensor" not in load_model(path).card
+    edit_card(path, **with_sensor({}, USKIN), sensor_name="xela_uskin_4x4", sensor_sha256=USKIN.sha256)
+    edit_card(path, ranges={name.lower(): [0, 1] for name in USKIN.channels.modalities})
+    with pytest.raises(ModelError, match=r"mean: is missing, of another shape than \(96,\)"):
+        load_model(path)
