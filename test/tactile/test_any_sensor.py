@@ -23,6 +23,7 @@ OWN = (
     "ros/messages/tactile.py",
     "ros/nodes/hand.py",
     "models/network/",
+    "learning/data/training_set.py",
     "learning/training/supervised.py",
     "learning/training/srgan.py",
     "learning/training/trainer.py",
@@ -31,6 +32,7 @@ OWN = (
 )
 NAMES = {"ELECTRODES", "TOUCH_SIZE", "MODALITIES", "FULL_SCALE", "FINGER_ORDER", "OTHERS"}
 WORDS = re.compile(r"(?<![A-Za-z])(PDC|TH|MF|FF|RF|LF)(?![A-Za-z])")
+PROSE = 5  # words; what people read may name examples
 SHAPES = {"arange", "empty", "full", "ones", "range", "reshape", "tile", "zeros"}
 
 
@@ -55,9 +57,9 @@ def findings(path: Path) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and node.id in NAMES:
             yield f"{node.lineno}: {node.id}"
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in texts:
-            if WORDS.search(node.value):
-                yield f"{node.lineno}: {node.value!r}"
+        text = node.value if isinstance(node, ast.Constant) and id(node) not in texts else None
+        if isinstance(text, str) and len(text.split()) < PROSE and WORDS.search(text):
+            yield f"{node.lineno}: {text!r}"
     yield from (f"{one.lineno}: {one.value}" for one in sizes_in(tree) if one.value in (24, 25, 50))
 
 
