@@ -16,6 +16,8 @@ OWN = (
     "tactile/readings.py",
     "tactile/messages/biotac_",
     "tactile/messages/tactile_state.py",
+    "cli/dataset.py",
+    "dataset/importing.py",
     "dataset/vision2tactile.py",
     "dataset/recording/sample_codec.py",
     "ros/messages/answers.py",
