@@ -23,6 +23,7 @@ from foretouch.types import Float64
 USKIN: Any = {"sensor": "xela_uskin_4x4", "pad": {"layer_m": 0.003, "modulus_pa": 3e5}}
 FIELD = USKIN | {"sensor": "tacsl_20x25"}
 BALL = {"name": "ball", "shape": "ball", "size_m": [0.07, 0.07, 0.07]}
+STIFF = {"spread_m": 1e-5, "alignment": 0.0}
 WRITTEN: Any = {"grasps": {"insertion_m": 0.0, "thumb": {"force_n": [1.5, 1.5]}}}
 
 
@@ -56,7 +57,7 @@ def test_the_normal_forces_of_an_array_are_those_of_the_solver_and_shear_is_with
 def test_an_inclined_pad_is_sheared_by_what_pushes_along_it() -> None:
     """The place that looks ten degrees towards the tip leads: the object pushes the skin back, away from the tip."""
     posture = {"pitch_deg": [10.0, 10.0]}
-    config = scene(BALL, fingers=FIELD | {"thumb_posture": posture, "taxels": {"spread_m": 1e-5}}, **WRITTEN)
+    config = scene(BALL, fingers=FIELD | {"thumb_posture": posture, "taxels": STIFF}, **WRITTEN)
     state = run(config, "readings", "contacts", "fingers", "touches")
     found, force_n = forces(config, state), state.contacts[0].force_n
     assert float(state.fingers[0].normal @ state.touches[0].normal) == pytest.approx(np.cos(np.radians(10.0)))
@@ -67,11 +68,30 @@ def test_an_inclined_pad_is_sheared_by_what_pushes_along_it() -> None:
 def test_the_weight_of_the_object_pulls_the_skin_down() -> None:
     """x is along the finger, which points down: both skins carry the object's weight."""
     heavy = CAN | {"mass_kg": 0.06}
-    config = scene(heavy, fingers=FIELD | {"taxels": {"spread_m": 1e-5}}, gravity={}, **WRITTEN)
+    config = scene(heavy, fingers=FIELD | {"taxels": STIFF}, gravity={}, **WRITTEN)
     state = run(config, "readings", "contacts", "weight")
     found = forces(config, state)
     down = found["shear_x_left"].sum() + found["shear_x_right"].sum()
     assert down == pytest.approx(0.06 * 9.81, rel=0.1)
+
+
+def test_a_pad_turns_about_the_point_of_first_touch_until_it_lies_on_the_surface() -> None:
+    normal = np.array([0.1, -0.05, -1.0]) / np.linalg.norm([0.1, -0.05, -1.0])
+    point = np.array([0.01, 0.02, 0.03])
+    start = array_of().middle
+    for share in (0.0, 0.5, 1.0):
+        turned = array_of(alignment=share).aligned(start, point, normal)
+        angles = [np.degrees(np.arccos(np.clip(-normal @ one.normal, -1.0, 1.0))) for one in (start, turned)]
+        assert angles[1] == pytest.approx((1.0 - share) * angles[0], abs=1e-2)
+        assert np.linalg.norm(turned.origin - point) == pytest.approx(np.linalg.norm(start.origin - point))
+        assert_allclose(turned.rotation.T @ turned.rotation, np.eye(3), atol=1e-12)
+    box = {"name": "box", "shape": "box", "size_m": [0.06, 0.08, 0.12]}
+    fingers = [FIELD | {"taxels": {"spread_m": 1e-5, "alignment": share}} for share in (0.0, 1.0)]
+    touched = []
+    for each in fingers:
+        config = scene(box, fingers=each, grasps={"insertion_m": 0.03, "thumb": {"force_n": [1.5, 1.5]}})
+        touched.append((forces(config, run(config, "readings"))["normal_left"] > 1e-3).sum())
+    assert touched[1] > 2 * touched[0]  # the face in place of the rim
 
 
 def array_of(name: str = "xela_uskin_4x4", changes: Any = None, **settings: Any) -> TaxelArray:

@@ -50,6 +50,11 @@ class TaxelConfig(Settings):
     """What a description does not state of a taxel array; the defaults are assumptions."""
 
     spread_m: float = setting(0.0015, "Standard deviation by which the elastomer spreads a force", bounds=(1e-5, 0.05))
+    alignment: float = setting(
+        0.9,
+        "Share of the angle between pad and object by which fingertip or object give way, so that flat pads lie on faces",
+        bounds=(0.0, 1.0),
+    )
     full_scale_n: float = setting(
         1.8, "Force on a taxel at which values that are not in newtons leave their range", bounds=(1e-3, 1e4)
     )
@@ -68,6 +73,7 @@ class TaxelArray:
     """Both fingertips of a hand with taxel arrays; the V values of a finger are in the order of the channels."""
 
     sensor: Sensor
+    config: TaxelConfig
     pad: PadConfig  # its window is as wide as the array
     middle: ContactFrame  # of the pad, in the sensor's frame
     curvature: Float64  # (2, 2) float64 K [1/m]
@@ -94,7 +100,9 @@ class TaxelArray:
         rest, spread, nominal, gain_spread = _each(levels, channels).T
         drawn = rng.standard_normal((3, 2, len(rest)))
         gain, kelvin = nominal * np.exp(gain_spread * drawn[1]), KELVIN_N * nominal * drawn[2]
-        return cls(sensor, pad, middle, curvature, half, window, axes, weights, rest + spread * drawn[0], gain, kelvin)
+        return cls(
+            sensor, config, pad, middle, curvature, half, window, axes, weights, rest + spread * drawn[0], gain, kelvin
+        )
 
     def aimed(self, pitch_rad: float, roll_rad: float) -> ContactFrame:
         """The frame that a finger aims with: where the pad has this normal, of a flat one its middle.
@@ -110,6 +118,16 @@ class TaxelArray:
         along = _tangents(normal[None], np.array([1.0, 0.0, 0.0]))[0]
         rotation = self.middle.rotation @ np.column_stack([along, np.cross(normal, along), normal])
         return ContactFrame(self.middle.points(x, y, -_depth(self.curvature, x, y)), rotation)
+
+    def aligned(self, frame: ContactFrame, point: Float64, normal: Float64) -> ContactFrame:
+        """The pad's frame after it has turned about the point where it touches a surface of this outward normal."""
+        share = self.config.alignment
+        towards = (1.0 - share) * frame.normal - share * normal
+        towards /= np.linalg.norm(towards)
+        x, y, z = np.cross(frame.normal, towards)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn = np.eye(3) + cross + cross @ cross / (1.0 + float(frame.normal @ towards))  # Rodrigues
+        return ContactFrame(point + turn @ (frame.origin - point), turn @ frame.rotation)
 
     def read(self, finger: int, tractions: Float64) -> Float64:
         """(V,) values of a finger, 0 or 1, by the tractions (N, N, 3) on its window [Pa], before noise and rounding."""

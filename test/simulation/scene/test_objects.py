@@ -36,6 +36,15 @@ def test_stiffness_is_uniform_in_its_logarithm_and_more_objects_leave_the_first_
     assert drawn(**MIXED, seed=1) != drawn(**MIXED)
 
 
+def test_the_members_of_a_family_have_the_masses_that_it_states_and_are_otherwise_the_same() -> None:
+    plain, heavy = drawn(count=8), drawn(count=8, mass_kg=[0.05, 0.2])
+    assert all(one.mass_kg is None for one in plain)
+    masses = [one.mass_kg or 0.0 for one in heavy]
+    assert min(masses) >= 0.05 < max(masses) <= 0.2
+    assert len(set(masses)) > 1
+    assert [one.replace(mass_kg=None) for one in heavy] == plain
+
+
 def test_a_scene_holds_its_families_in_full() -> None:
     config = SceneConfig.from_mapping({"objects": [CAN], "families": [{"count": 3}, {"name": "pad", "count": 2}]})
     assert [item.name for item in config.objects] == ["can", "obj_000", "obj_001", "obj_002", "pad_000", "pad_001"]

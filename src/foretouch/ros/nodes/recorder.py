@@ -180,6 +180,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Why the last recording ended by itself."""
         return (self.reason,) if self.reason else ()
 
+    def warnings(self) -> tuple[str, ...]:
+        """Publishers that nothing is received from."""
+        return () if self.input_topics is None else self.input_topics.excluded
+
     def notes(self) -> dict[str, str]:
         """The counts, for /diagnostics."""
         status = self.status()

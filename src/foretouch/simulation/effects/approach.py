@@ -46,7 +46,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
 
     They meet where their normals are opposite, which on a slope is beside the place that the hand aimed with.
     The contact is solved in the tangent plane there; that of an array of taxels in the plane of its middle, over the whole
-    pad. A slope outside of the friction cone lets the finger slip.
+    pad, which turns towards the surface. A slope outside of the friction cone lets the finger slip.
     """
     pad_config, item, array = pad_of(job), job.item, job.world.array
     offset = np.linspace(-_SEARCH_M / 2.0, _SEARCH_M / 2.0, _SEARCH_CELLS)
@@ -69,7 +69,8 @@ def _first_touch(job: Job, state: SampleState) -> None:
             )
         if array:
             way = finger.normal * way_m / float(finger.normal @ start.normal)
-            met.append((array.window, ContactFrame(start.origin + way, start.rotation)))
+            touching = ContactFrame(start.origin + way, start.rotation)
+            met.append((array.window, array.aligned(touching, point, normal)))
             continue
         try:
             pad = pad_window(pad_config, -normal @ tip)

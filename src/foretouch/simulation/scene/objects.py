@@ -144,6 +144,9 @@ class FamilyConfig(RangedSettings):
     thickness_m: tuple[float, ...] = setting(
         (0.01, 0.03), "Thickness of the soft layer, low and high", bounds=(1e-4, 0.5)
     )
+    mass_kg: tuple[float, ...] | None = setting(
+        None, "Mass, low and high; needed where the scene has gravity", minimum=0.0
+    )
     pose: PoseConfig = PoseConfig()
 
     def __post_init__(self) -> None:
@@ -184,4 +187,5 @@ def _member(family: FamilyConfig, number: int) -> ObjectConfig:
         pose=family.pose.replace(rest=rest),
         young_pa=young_pa,
         thickness_m=thickness_m,
+        mass_kg=None if family.mass_kg is None else round(draw(rng, family.mass_kg), 4),
     )
