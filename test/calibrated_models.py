@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
+from foretouch.channels import Channels
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.contact.features import CONDITIONS, FEATURES
@@ -23,17 +24,17 @@ FACTS = {
 REST = np.concatenate([[2600.0, 1700.0], np.full(24, 3100.0), np.full(24, 3300.0)])
 
 
-def make_calibration(seed: int = 0) -> Calibration:
+def make_calibration(seed: int = 0, channels: Channels = BIOTAC, rest: np.ndarray = REST) -> Calibration:
     """A calibration whose groups differ, and in which all values are correlated."""
     rng = np.random.default_rng(seed)
-    groups, factors = {}, rng.normal(size=(50, 10))
+    groups, factors = {}, rng.normal(size=(len(rest), 10))
     for k, name in enumerate(GROUPS, 1):
-        between = 40.0 * k * (factors @ factors.T + np.eye(50))
-        within = rng.uniform(300.0, 900.0, 50)
+        between = 40.0 * k * (factors @ factors.T + np.eye(len(rest)))
+        within = rng.uniform(300.0, 900.0, len(rest))
         spread = np.diag(between) + within
-        shrinkage = rng.uniform(0.2, 1.0, 50)
-        groups[name] = CalibrationGroup(BIOTAC, between, within, shrinkage, spread, (1.6 + 0.1 * k) * np.sqrt(spread))
-    return Calibration(BIOTAC, REST, groups)
+        shrinkage = rng.uniform(0.2, 1.0, len(rest))
+        groups[name] = CalibrationGroup(channels, between, within, shrinkage, spread, (1.6 + 0.1 * k) * np.sqrt(spread))
+    return Calibration(channels, rest, groups)
 
 
 def make_tracked_calibration() -> Calibration:

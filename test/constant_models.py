@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of any described sensor that predict the same for every grasp: how a prediction travels does not depend on it."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,8 @@ class ConstantEstimator:
         return Estimate(np.tile(self._values, (len(grasps), 1)), np.ones(len(grasps), np.bool_))
 
 
-def constant_model(sensor: Sensor, values: np.ndarray, half: np.ndarray | None = None) -> TouchModel:
-    """A model whose card names the sensor; with half widths of its intervals, it has what a calibration has without readings."""
-    calibration: Any = half
-    if half is not None:
-        calibration = SimpleNamespace(rest=np.zeros(len(half)), unread_half_widths={"known": half, "new": half})
+def constant_model(sensor: Sensor, values: np.ndarray, calibration: Any = None) -> TouchModel:
+    """A model whose card names the sensor."""
     card = with_sensor({"name": "constant", "sha256": "0" * 64}, sensor)
     return TouchModel(ConstantEstimator(sensor, values), card, calibration)
 

@@ -30,6 +30,8 @@ class Robot:
     """A camera, a planner and a hand in one: publishes what a grasp looks like, with stamps that it chooses."""
 
     tactile: type = BiotacAll
+    rest, level = REST, staticmethod(level)  # values without contact, and in that of a grasp by its number
+    noise = np.r_[0.3, 0.3, np.full(48, 4.0)]
 
     def __init__(self, graph: Any) -> None:
         self.clouds = graph.talk(PointCloud2, "object_cloud")
@@ -58,14 +60,14 @@ class Robot:
     def feel(self, counts: np.ndarray, readings: int) -> None:
         """So many readings at 100 Hz by the stamps, as fast as they can be sent."""
         for _ in range(readings):
-            noisy = np.round(counts + self._rng.normal(0, 1, 50) * np.r_[0.3, 0.3, np.full(48, 4.0)]).astype(np.int16)
-            self.hand.publish(self.message(noisy))
+            noisy = np.round(counts + self._rng.normal(0, 1, len(counts)) * self.noise)
+            self.hand.publish(self.message(noisy.astype(np.int16)))
             self.now += 10 * MS
             self.sent["/rh/tactile"] += 1
             time.sleep(0.001)
 
     def message(self, counts: np.ndarray) -> Any:
-        """(50,) int16 counts of now as a message of the hand."""
+        """(D,) int16 counts of now as a message of the hand."""
         fingers = {"TH": np.r_[counts[0], counts[2:26]], "MF": np.r_[counts[1], counts[26:]]}
         return biotac_all_to_msg(fingers, "rh", self.now)
 
@@ -74,13 +76,13 @@ class Robot:
         self.now = max(self.now, time.time_ns() - 700 * MS)  # what is felt below is then stamped about now
         self.see(name)
         self.now += MS
-        self.feel(REST, 40)
+        self.feel(self.rest, 40)
         times = {"start": stamp_to_msg(self.now)}
-        self.feel(REST, 5)
+        self.feel(self.rest, 5)
         times["contact"] = stamp_to_msg(self.now)
-        self.feel(level(number), 20)
+        self.feel(self.level(number), 20)
         times["release"] = stamp_to_msg(self.now)
-        self.feel(REST, 10)
+        self.feel(self.rest, 10)
         if tell:
             self.report(name, times)
         return times

@@ -24,7 +24,7 @@ import numpy as np
 from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.types import AnyArray, Float64, Index
+from foretouch.types import AnyArray, Float64, Floating, Index
 
 NEW, KNOWN = 0, 1
 """Rows of the arrays that differ between objects out of the training distribution and in it."""
@@ -53,7 +53,7 @@ _RULES: Final[dict[str, tuple[str, float, float]]] = {  # letters of the shape, 
 }
 _TOUCHES: Final = (1, 10, 100, 1000)
 _MAX_GAIN: Final = 10.0  # of the largest residual; of a sensor of many values, which add up, 0.2 for each
-_MAX_CONDITION: Final = 1e6  # of the basis, its rows scaled to length 1
+_MAX_CONDITION: Final = 1e8  # of the basis, its rows scaled to length 1, by the norm of column sums
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,20 +158,30 @@ class TrackerParameters(TensorRecord):
             if not ((array >= low) & (array <= high)).all():  # NaN fails too
                 raise ModelError(f"{name}: holds a value that is not within [{low:g}, {high:g}]")
         length = np.linalg.norm(self.basis, axis=1)
-        if not (length > 0.0).all() or not np.linalg.cond(self.basis / length[:, None]) < _MAX_CONDITION:
+        if not (length > 0.0).all() or not np.linalg.cond(self.basis / length[:, None], 1) < _MAX_CONDITION:
             raise ModelError(f"basis: is singular, or its condition exceeds {_MAX_CONDITION:g}")
         inverse = np.linalg.inv(self.basis)
         if self.thermal and not self._keeps_fingers_apart():
             raise ModelError("slope: the basis mixes values of both fingers, whose temperatures differ")
+        self._check_gain(inverse)
+
+    def _check_gain(self, inverse: Floating) -> None:
+        """Refuse what turns small residuals into large offsets."""
+        limit = max(_MAX_GAIN, 0.2 * self.channels.size)
+        modality = self.channels.modality_of_value
+        owner = modality[np.argmax(np.abs(self.basis), axis=0)]
+        if self.basis[modality[:, None] != owner].any():  # else each modality is on its own, in a fraction of the time
+            modality = owner = np.zeros_like(modality)
+        parts = [(np.flatnonzero(modality == k), np.flatnonzero(owner == k)) for k in np.unique(modality)]
         for row in (NEW, KNOWN):
             total = self.slow + self.fast + self.object[row]
             for count in _TOUCHES:
-                gain = (self.basis * (total / (total + self.noise[row] / count))) @ inverse
-                if not (largest := float(np.abs(gain).sum(axis=1).max())) <= (
-                    most := max(_MAX_GAIN, 0.2 * self.channels.size)
-                ):
-                    rule = f"{count} touches turn residuals of at most 1 into {largest:.3g}, {most:g} is allowed"
-                    raise ModelError(f"basis, object: {rule}")
+                share = total / (total + self.noise[row] / count)
+                for own, at in parts:
+                    gain = (self.basis[np.ix_(own, at)] * share[at]) @ inverse[np.ix_(at, own)]
+                    if not (largest := float(np.abs(gain).sum(axis=1).max())) <= limit:
+                        rule = f"{count} touches turn residuals of at most 1 into {largest:.3g}, {limit:g} is allowed"
+                        raise ModelError(f"basis, object: {rule}")
 
 
 class StateFilter:

@@ -66,10 +66,13 @@ def test_a_dataset_of_another_sensor_or_of_a_changed_description_is_refused_by_n
         channels_of([*load_dataset(store).samples, *data.samples])
 
 
-def test_the_networks_of_the_papers_refuse_another_sensor_by_name(uskin, tmp_path) -> None:
+def test_networks_and_ranges_of_the_papers_refuse_another_sensor_by_name(uskin, tmp_path) -> None:
     rule = "method: supervised trains networks for biotac_sp, and store is of xela_uskin_4x4; use contact"
     with pytest.raises(ConfigError, match=rule):
         train_run(run_config(), load_dataset(uskin[0]), tmp_path / "run", quiet)
+    ranges = run_config(method="contact", contact={"ranges": {"pdc_th": [0.0, 4000.0]}})
+    with pytest.raises(ConfigError, match=r"contact.ranges: are of biotac_sp, and store is of xela_uskin_4x4"):
+        train_run(ranges, load_dataset(uskin[0]), tmp_path / "run", quiet)
     assert not (tmp_path / "run").exists()
 
 

@@ -120,6 +120,16 @@ def test_a_best_effort_sensor_is_heard_and_its_dead_electrodes_are_named(graph, 
     graph.until(lambda: node.status().sensor_states[0].startswith("e_th: all 24 values are 0") or heard())
 
 
+def test_a_publisher_of_another_sensor_is_named(lone_graph, tmp_path):
+    (node,) = lone_graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
+    lone_graph.start(
+        "import rclpy, time; from std_msgs.msg import String; rclpy.init(); node = rclpy.create_node('other')\n"
+        "sender = node.create_publisher(String, '/rh/tactile', 1)\nwhile True: time.sleep(1)"
+    )
+    line = "/rh/tactile: a publisher sends std_msgs/msg/String, not foretouch_msgs/msg/BiotacAll: nothing is received from it"
+    lone_graph.until(lambda: node.warnings() == (line,))
+
+
 def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path):
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
     data, tactile = serialize_message(biotac_all_to_msg({}, "rh", 5)), node.input_topics.inputs["/rh/tactile"]

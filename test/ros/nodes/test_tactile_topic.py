@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from calibrated_models import make_calibration
 from constant_models import constant_model, counted, sensor_with_dead
 from rich.console import Console
 from visualization_msgs.msg import MarkerArray
@@ -104,7 +105,8 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     graph, predictor, monkeypatch, tmp_path
 ):
     sensor = packaged_sensor("xela_uskin_4x4")
-    model = constant_model(sensor, counted(sensor), np.full(96, 50.0))
+    calibration = make_calibration(0, sensor.channels, counted(sensor))
+    model = constant_model(sensor, counted(sensor), calibration)
     monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
     monitor = MonitorNode(sensor=sensor)
     graph.serve(monitor)
@@ -119,7 +121,8 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     (one,) = monitor.view().last.predictions
     found = prediction_from_msg(one, sensor)
     np.testing.assert_array_equal(found.value.values, counted(sensor).astype(np.float32))
-    np.testing.assert_allclose(found.upper.values - found.lower.values, 100.0, rtol=1e-3)
+    half = calibration.unread_half_widths["known"]
+    np.testing.assert_allclose(found.upper.values - found.value.values, half, atol=0.01)
     with pytest.raises(ModelError, match=r"xela_uskin_4x4 .* is not biotac_sp"):
         prediction_from_msg(one)
     (record,) = answer_record(monitor.view().last, sensor)["predictions"]
@@ -128,7 +131,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     console = Console(width=120, color_system=None)
     with console.capture() as shown:
         console.print(live_panel(monitor.view(), "title"))
-    for words in ("Z_TH", "Z_FF", "±50", "last prediction (counts) by constant"):
+    for words in ("Z_TH", "Z_FF", "±", "last prediction (counts) by constant"):
         assert words in shown.get()
     target = FoundObject("1", profile_scene(1)[0], ASSUMED_TABLE)
     _draw([Drawable(None, target, one)], str(tmp_path / "a.png"), sensor)

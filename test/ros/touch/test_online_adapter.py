@@ -10,11 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from calibrated_models import REST as TOUCH_REST
-from calibrated_models import make_tracked_calibration, save_calibrated_network
+from calibrated_models import make_calibration, make_tracked_calibration, save_calibrated_network
+from constant_models import constant_model
 from diagnostic_msgs.msg import DiagnosticStatus
 from pair_builders import REST, level
 from rich.console import Console
 from robot_builders import FRAME, MS, QUICK, Robot
+from sensor_builders import sens_stream
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -30,9 +32,10 @@ from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.tactile import biotac_touch
+from foretouch.tactile import BIOTAC, biotac_touch
+from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac_all import finger_counts
-from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
+from foretouch.tactile.messages.table import make_reader, stamp_ns
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -52,6 +55,8 @@ def card(tmp_path_factory):
 
 class CanRobot(Robot):
     """A robot whose camera sees one can that lies still, and that keeps what its hand has sent."""
+
+    channels = BIOTAC
 
     def begin(self):
         self.shift, self.felt = 0.0, []
@@ -79,31 +84,36 @@ class CanRobot(Robot):
 
     def cut(self, times):
         """What the recorder would cut out of the messages of this hand."""
-        buffer = TouchBuffer()
+        buffer = TouchBuffer(channels=self.channels)
         for message in self.felt:
-            thumb, middle = (finger_counts(message, name) for name in ("TH", "MF"))
-            counts = np.concatenate([thumb[:1], middle[:1], thumb[1:], middle[1:]])
-            stamp = stamp_ns(message.header.stamp)
+            stamp, counts = self.content(message)
             buffer.add(TouchReading(stamp, counts, np.empty(0, np.float32), stamp))
         interval = Interval(**{name: stamp_ns(stamp) for name, stamp in times.items()})
         return cut_touch(buffer, interval, TouchPredictorConfig.from_mapping({"pairing": PAIRING}).pairing)
+
+    @staticmethod
+    def content(message):
+        """Stamp and counts of a message."""
+        thumb, middle = (finger_counts(message, name) for name in ("TH", "MF"))
+        counts = np.concatenate([thumb[:1], middle[:1], thumb[1:], middle[1:]])
+        return stamp_ns(message.header.stamp), counts
 
 
 class DirectHand(CanRobot):
     """Sends its messages straight to an adapter, whose clock stands still between two of them."""
 
-    def __init__(self, card, **settings):
+    def __init__(self, model, **settings):
         self.begin()
         self.config = TouchPredictorConfig.from_mapping({"pairing": PAIRING, "use_tare": False, **settings})
-        self.model, self.said, self.now = load_model(card), [], time.time_ns()
-        reader, self.keeper = make_reader(TactileConfig()), HistoryKeeper(self.model)
+        self.model, self.said, self.now = load_model(model) if isinstance(model, str) else model, [], time.time_ns()
+        reader, self.keeper = make_reader(self.config.tactile), HistoryKeeper(self.model)
         self.adapter = OnlineAdapter(
             self.model, reader, self.keeper, lambda: self.config, lambda: self.now, self.said.append
         )
         self._rng, self.sent = np.random.default_rng(0), {"/rh/tactile": 0, "executed_grasp": 0}
         self.hand = SimpleNamespace(publish=self.adapter.add_tactile)
         self.told = SimpleNamespace(publish=self.adapter.add_executed)
-        self.feel(REST, 5)  # from then on clouds are kept
+        self.feel(self.rest, 5)  # from then on clouds are kept
 
     def see(self, name, *, requested=False):
         self.adapter.add_grasps(*self.look(name), requested=requested)
@@ -127,6 +137,55 @@ class DirectHand(CanRobot):
 
     def set(self, **settings):
         self.config = self.config.replace(**settings)
+
+
+class UskinHand(DirectHand):
+    """The same with the messages of XELA's server; Z rises in contact on both fingers."""
+
+    rest, noise = np.full(96, 30_000.0), 3.0
+    channels = packaged_sensor("xela_uskin_4x4").channels
+
+    @classmethod
+    def level(cls, number):
+        return cls.rest + 60.0 * (np.arange(96) >= 64)
+
+    def message(self, counts):
+        by_taxel = np.asarray(counts).reshape(3, 2, 16).transpose(1, 2, 0)
+        self.felt.append(sens_stream(by_taxel, time_s=self.now * 1e-9))
+        return self.felt[-1]
+
+    @staticmethod
+    def content(message):
+        taxels = [[(one.x, one.y, one.z) for one in finger.taxels] for finger in message.sensors]
+        counts = np.array(taxels, np.float32).transpose(2, 0, 1).ravel()
+        time_s = message.sensors[0].time
+        return int(time_s) * 10**9 + round(time_s % 1.0 * 1e9), counts
+
+
+def test_readings_of_a_described_sensor_move_the_predictions_of_its_model():
+    sensor = packaged_sensor("xela_uskin_4x4")
+    rest = UskinHand.rest + 40.0
+    model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
+    hand = UskinHand(model, tactile={"sensor": "xela_uskin_4x4"}, use_tare=True)
+    (alone, _) = hand.ask()
+    assert alone.reference == "none"
+    np.testing.assert_array_equal(alone.value.values, rest)
+    hand.feel(hand.rest, 250)
+    (tared, _), tare = hand.ask(), hand.adapter._recent_tare(hand.config)
+    assert tare.channels == sensor.channels
+    np.testing.assert_allclose(tare.values, hand.rest, atol=2.0)
+    history = HandHistory(model)
+    history.add_tare(hand.now, tare)
+    assert_equal([tared], expected(hand, history, tare=True)[:1])
+    assert np.abs(tared.value.values - hand.rest).mean() < 0.7 * 40.0  # towards what was read
+    cut = hand.cut(hand.grasp("good", 0))
+    np.testing.assert_allclose(cut.touch.values - cut.tare.values, 60.0 * (np.arange(96) >= 64), atol=4.0)
+    history.add_tare(hand.now + MS, cut.tare)
+    history.add_touch(hand.now + MS, hand.cloud, hand.planned[0], cut.touch)
+    found = hand.ask()
+    history.add_tare(hand.now, hand.adapter._recent_tare(hand.config))
+    assert_equal(found, expected(hand, history, tare=True))
+    assert (found[0].reference, hand.counts()) == ("touches", {"taken_in": 1})
 
 
 def expected(hand, history, model=None, *, tare=False):

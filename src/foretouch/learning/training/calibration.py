@@ -178,14 +178,14 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
         name = channels.modalities[channels.modality_of_value[k]]
         largest, unit = np.abs(residuals[:, k]).max(), channels.channel_of[name].unit
         raise DatasetError(f"calibration: {name}: a residual of {largest:g} {unit} exceeds {channels.most[k]:g}")
-    least = (_LEAST_DEVIATION * channels.resolution) ** 2
+    least = _least_variance(channels)
     objects = len(np.unique(held_out.objects))
     shrinkage = objects / (objects + _PRIOR_OBJECTS)
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
     slope = _slopes(differences, actual, channels) * (shrinkage if new else 1.0)
-    spread = np.maximum((residuals**2).mean(axis=0), least)
+    spread = _spread(held_out)
     within = spread
     if freedom := len(residuals) - len(owners):
         within = np.maximum(((actual - slope * differences) ** 2).sum(axis=0) / freedom, least)
@@ -198,8 +198,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
         most = np.where(channels.by_modality(single), _MOST_SHARE, np.inf)
         factor = np.sqrt(np.minimum(1.0, most * within / np.diag(between)))
         between = between * np.outer(factor, factor)
-    half_width = _half_widths(residuals, held_out.objects, np.sqrt(spread), channels)
-    return CalibrationGroup(channels, between, within, slope, spread, half_width)
+    return CalibrationGroup(channels, between, within, slope, spread, _half_widths(held_out))
 
 
 def _centred(values: Float64, owners: Sequence[Bool]) -> Float64:
@@ -243,9 +242,20 @@ def conformal_level(objects: int, coverage: float = COVERAGE) -> float:
     return min(coverage * (1.0 + 1.0 / objects), _HIGHEST_LEVEL)
 
 
-def _half_widths(residuals: Float64, names: Names, deviation: Float64, channels: Channels) -> Float64:
+def _least_variance(channels: Channels) -> Float64:
+    return np.asarray((_LEAST_DEVIATION * channels.resolution) ** 2, np.float64)
+
+
+def _spread(held_out: HeldOutPredictions) -> Float64:
+    """(D,) mean square of the residuals."""
+    squared = (held_out.labels - held_out.predicted) ** 2
+    return np.asarray(np.maximum(squared.mean(axis=0), _least_variance(held_out.channels)), np.float64)
+
+
+def _half_widths(held_out: HeldOutPredictions) -> Float64:
     """(D,) half widths [counts]: one factor per modality times the deviation of each value."""
-    scores = np.abs(residuals) / deviation
+    channels, names, deviation = held_out.channels, held_out.objects, np.sqrt(_spread(held_out))
+    scores = np.abs(held_out.labels - held_out.predicted) / deviation
     level = conformal_level(len(np.unique(names)))
     half = np.empty(channels.size)
     for modality in channels.modalities:
@@ -311,7 +321,7 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
-        inside = np.abs(mine.labels - mine.predicted) <= fit_group(held_out.take(held_out.objects != name)).half_width
+        inside = np.abs(mine.labels - mine.predicted) <= _half_widths(held_out.take(held_out.objects != name))
         for modality, shares in found.items():
             shares[str(name)] = round(float(inside[:, held_out.channels.columns([modality])].mean()), 3)
     return {

@@ -32,7 +32,7 @@ from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import BIOTAC, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, P2_RANGES, columns
 from foretouch.tactile.description import with_sensor
 from foretouch.types import Float64
 
@@ -107,6 +107,10 @@ class ContactLearner(Learner):
 
     def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
         super().__init__(config, data, split)
+        if self.sensor.channels != BIOTAC and config.contact.ranges != P2_RANGES:
+            raise ConfigError(
+                f"contact.ranges: are of {BIOTAC.sensor}, and {data.name} is of {data.sensor.config.name}"
+            )
         self._predictor = ContactPredictor(self.samples, self.labels, config.contact)
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
@@ -190,7 +194,7 @@ class NetworkLearner(Learner):
 
     def predict(self, index: Indices) -> Float64:
         """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""
-        predicted = np.full((len(index), TOUCH_SIZE), np.nan)
+        predicted = np.full((len(index), self._prepared.labels.shape[1]), np.nan)
         predicted[:, columns(self.config.model.outputs)] = predict_set(
             self._net, self._prepared, self.split.train[index]
         )

@@ -39,7 +39,7 @@ from foretouch.ros.recorder.subscriptions import (
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
 from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
@@ -180,6 +180,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Why the last recording ended by itself."""
         return (self.reason,) if self.reason else ()
 
+    def warnings(self) -> tuple[str, ...]:
+        """Publishers that nothing is received from."""
+        return () if self.input_topics is None else self.input_topics.excluded
+
     def notes(self) -> dict[str, str]:
         """The counts, for /diagnostics."""
         status = self.status()
@@ -273,6 +277,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             GRASPS_TOPIC: "grasps",
             EXECUTED_TOPIC: "executed",
             "touch": "touch",
+            PREDICTED_TOPIC: "touch",
         }
         inputs = {
             name: (roles[one.topic.name], one.topic.message)

@@ -30,8 +30,8 @@ from foretouch.dataset.messages import read_header
 from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TactilePredictionArray, TouchPredictionArray
 
 _RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
@@ -128,6 +128,11 @@ class SerializedInput:
         self._node.destroy_subscription(old)
         return True
 
+    def other_types(self) -> list[str]:
+        """Types of publishers on the topic whose messages cannot be received, such as those of another sensor."""
+        found = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)}
+        return sorted(found - {self.topic.type_name})
+
     def destroy(self) -> None:
         """End the subscription."""
         self._node.destroy_subscription(self._subscription)
@@ -171,7 +176,9 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
         InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
         InputTopic("table", TablePlane, depth),
         InputTopic(GRASPS_TOPIC, GraspArray, depth),
-        InputTopic("touch", TouchPredictionArray, depth),
+        InputTopic(PREDICTED_TOPIC, TactilePredictionArray, depth)
+        if config.tactile.sensor
+        else InputTopic("touch", TouchPredictionArray, depth),
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
         *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]
@@ -241,11 +248,13 @@ class TopicStatistics:
 class RecorderSubscriptions:
     """All subscriptions of the recorder; without a session, messages are only counted.
 
-    `inputs` are the subscriptions by full name of the topic; for `mismatch` see `SerializedInput`.
+    `inputs` are the subscriptions by full name of the topic; for `mismatch` see `SerializedInput`. `excluded` has a line for each
+    type of publishers, as of the last `tick`, that no message is received from.
     """
 
     def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
         self.inputs: dict[str, SerializedInput] = {}
+        self.excluded: tuple[str, ...] = ()
         self._queue: MessageQueue | None = None
         self._latched: deque[SerializedMessage] = deque(maxlen=_LATCHED_KEPT)
         self._lock = threading.Lock()  # a latched message is written once in a session
@@ -283,9 +292,17 @@ class RecorderSubscriptions:
         return {name: one.losses.count for name, one in self.inputs.items()}
 
     def tick(self) -> list[str]:
-        """Update the rates and adapt to the publishers; gives a line for each subscription that was replaced."""
+        """Update the rates and adapt to the publishers; gives a line for each replaced subscription and new `excluded` type."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
-        return [
+        before, self.excluded = (
+            self.excluded,
+            tuple(
+                f"{one.name}: a publisher sends {name}, not {one.topic.type_name}: nothing is received from it"
+                for one in self.inputs.values()
+                for name in one.other_types()
+            ),
+        )
+        return [text for text in self.excluded if text not in before] + [
             f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"
             for one in self.inputs.values()
             if one.adapt()
