@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
+from sensor_builders import XELA_TYPES, xela_stream
+from topic_builders import write_topics
 
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.learning.data.splits import read_splits
@@ -127,3 +129,20 @@ def test_info_and_verify_tell_what_was_received_written_dropped_and_lost(call, t
     assert [one["lost"] for one in verified] == [{TACTILE: 2}, {}]
     assert [one["dropped"] for one in verified] == [{TACTILE: {"queue full": 3}}, {}]
     assert "6 = 3 written + 3 dropped (queue full 3); 2 lost" in call("dataset", "info", tmp_path / "ds").out
+
+
+def test_a_bag_of_a_described_sensor_is_imported_and_shown(call, tmp_path) -> None:
+    write_topics(tmp_path / "bag", None, xela_stream(), XELA_TYPES)
+    start = ("dataset", "import", str(tmp_path / "bag"), "-o", str(tmp_path / "ds"), "--sensor")
+    call(*start, "xela").check_refused(
+        "xela: is no file and none of biotac_sp, shadow_mst, tacsl_20x25, xela_uskin_4x4"
+    )
+    call(*start, "xela_uskin_4x4", "--middle", "MF").check_refused("fingers: 'MF' is none of TH, FF")
+    (answer,) = call(*start, "xela_uskin_4x4", "--json").records
+    assert (answer["samples"], answer["labelled"], answer["left_out"]) == (2, 1, {})
+    (info,) = call("dataset", "info", str(tmp_path / "ds"), "--json").records
+    assert (info["sensor"].partition(" ")[0], info["units"]["Z_FF"]) == ("xela_uskin_4x4", "counts")
+    assert call("dataset", "verify", str(tmp_path / "ds")).status == 0
+    export = ("dataset", "export", str(tmp_path / "ds"), "-o", str(tmp_path / "out"), "--format", "vision2tactile")
+    call(*export).check_refused("ds: is of xela_uskin_4x4")
+    assert not (tmp_path / "out").exists()

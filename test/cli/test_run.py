@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,6 +20,8 @@ from websocket_client import WebSocketClient
 from foretouch.cli import run as run_command
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.models.registry import find_card
+from foretouch.tactile.description import packaged_sensor, with_sensor
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
@@ -172,3 +175,19 @@ def test_ctrl_c_ends_a_recording_in_order(tmp_path, environment) -> None:
     assert err.count("keys are off without a terminal; the services edit_grasp, ") == 1
     (report,) = verify_dataset(tmp_path / "set")
     assert (report.finished, report.faults) == (True, [])
+
+
+def test_what_is_shown_is_for_the_sensor_of_the_model_from_the_option_or_the_parameter_file(tmp_path) -> None:
+    card = json.loads(find_card("contact-v2").read_text())
+    path, params = tmp_path / "uskin.json", tmp_path / "params.yaml"
+    path.write_text(json.dumps(with_sensor(card, packaged_sensor("xela_uskin_4x4"))))
+    params.write_text(f"/foretouch/touch_predictor:\n  ros__parameters: {{model: {path}}}\n")
+    by_option, by_file = {"touch_predictor": {"model": str(path)}}, dict[str, Any](touch_predictor={})
+    for name, file, nodes in (
+        ("xela_uskin_4x4", None, by_option),
+        ("xela_uskin_4x4", params, by_file),
+        ("biotac_sp", None, by_file),
+        ("biotac_sp", params, {"touch_predictor": {"model": "absent"}}),
+    ):
+        given: Any = SimpleNamespace(params=file)
+        assert run_command._sensor(given, nodes).config.name == name

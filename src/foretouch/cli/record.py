@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from foretouch.ros.recorder.operator import OperatorState
     from foretouch.ros.recorder.session import SessionStatus
     from foretouch.ros.recorder.subscriptions import TopicStatistics
+    from foretouch.tactile.description import Sensor
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _SERVICES = "edit_grasp, next_object, pause_recording, undo_edit and stop_recording"
@@ -45,18 +46,19 @@ def record_panel(
     session: SessionStatus | None = None,
     inputs: Mapping[str, TopicStatistics] | None = None,
     keys: Sequence[Text] = (),
+    sensor: Sensor | None = None,
 ) -> FittedPanel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance.
 
     With `session`, also objects with their outcomes, the last grasp and what is worth doing next; with `inputs`, the age and the
-    clock offset of each topic. `keys` are the answer to the last key and the list of keys.
+    clock offset of each topic. `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
     """
     parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
     if session is not None:
         parts += [_objects(session.operator), Text("next: " + "; ".join(session.operator.suggestions), "cyan")]
     if session is not None and session.last is not None:
-        parts.append(executed_table(*session.last))
-    parts += [_grasps(status), _sensors(status), _topics(status.topics, inputs)]
+        parts.append(executed_table(*session.last, sensor))
+    parts += [_grasps(status), _sensors(status), *_invalid(session), _topics(status.topics, inputs)]
     for one in status.topics:
         found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
         parts += [Text(f"{one.topic} dropped {found}")] * bool(found)
@@ -96,6 +98,14 @@ def _sensors(status: RecorderStatus) -> Text:
             for name, state in zip(status.sensors, status.sensor_states, strict=True)
         ),
     )
+
+
+def _invalid(session: SessionStatus | None) -> list[Text]:
+    """What could not be used of tactile messages, if anything."""
+    counts = {} if session is None else session.anomalies
+    shown = {name: n for name, n in counts.items() if name.startswith(("taxels_", "not_read_", "unreadable "))}
+    text = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in sorted(shown.items()))
+    return [Text(f"not usable: {text}", "yellow")] * bool(text)
 
 
 def _objects(state: OperatorState) -> Text:
@@ -212,7 +222,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print_json(_status_record(status, node.session_status()))
         else:
-            terminal().print(record_panel(status, f"foretouch record: {status.path}", state))
+            terminal().print(record_panel(status, f"foretouch record: {status.path}", state, sensor=_described(node)))
         if status.reason:
             warn(status.reason)
         return int(bool(status.reason))
@@ -272,7 +282,13 @@ def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
 def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:
     session = node.session_status()
     lines = [] if keys is None else keys.lines(next(reversed(session.operator.replies), None))
-    return record_panel(node.status(), "foretouch record (Ctrl-C ends it)", session, node.inputs(), lines)
+    title = "foretouch record (Ctrl-C ends it)"
+    return record_panel(node.status(), title, session, node.inputs(), lines, _described(node))
+
+
+def _described(node: RecorderNode) -> Sensor | None:
+    """The sensor by its description; None for a BioTac SP by the type of its messages."""
+    return node.reader.sensor if node.config.tactile.sensor else None
 
 
 def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:

@@ -6,7 +6,6 @@ import math
 import numpy as np
 
 from foretouch.errors import GraspError
-from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.layout import Layout
 from foretouch.types import SQUARABLE, Bool, Float64, Grasp
 
@@ -134,11 +133,6 @@ def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
     if x @ grasp.midpoint < 0.0:  # the camera is at the origin
         x = -x
     return np.column_stack([x, np.cross(z, x), z])
-
-
-def electrodes_at(grasp: Grasp, contact: Float64, lift_m: float = 0.0) -> Float64:
-    """(24, 3) `taxels_at` of a BioTac SP."""
-    return taxels_at(packaged_sensor("biotac_sp").layout, grasp, contact, lift_m)
 
 
 def taxels_at(layout: Layout, grasp: Grasp, contact: Float64, lift_m: float = 0.0) -> Float64:

@@ -50,10 +50,13 @@ class TaxelView:
         values = touch.values[self.columns(finger)]
         if not self.has_rest(rest):
             return values
-        change: Float64 = values - (
-            rest.values[self.columns(finger)] if rest is not None and self.channel.tared else 0.0
-        )
+        change: Float64 = values - self._at_rest(rest, finger)
         return -change if self.channel.contact < 0 else change
+
+    def _at_rest(self, rest: Touch | None, finger: int) -> Float64:
+        if rest is None or not self.channel.tared:
+            return np.zeros(self.sensor.size)
+        return rest.values[self.columns(finger)]
 
     def label(self, *, from_rest: bool) -> str:
         """What `levels` are, with their unit."""
@@ -67,17 +70,15 @@ class TaxelView:
         Through its range where contact moves it in one direction from a measured rest level; else from rest, of the way to the farther
         end of its range. Without ranges, relative to what all taxels of the touch show.
         """
-        levels, columns = (
-            np.array([self.levels(touch, rest, k) for k in range(len(self.fingers))]),
-            self.columns(finger),
-        )
-        if ranges is not None and self.channel.tared and (self.channel.contact or not self.has_rest(rest)):
+        columns, tared, sign = self.columns(finger), self.channel.tared, self.channel.contact
+        levels = np.array([self.levels(touch, rest, k) for k in range(len(self.fingers))])
+        if ranges is not None and tared and (sign or rest is None):
             values, low, high = touch.values[columns], ranges.low[columns], ranges.high[columns]
-            moved, span = high - values if self.channel.contact < 0 else values - low, high - low
+            moved, span = high - values if sign < 0 else values - low, high - low
         elif self.has_rest(rest):
             moved, span = np.abs(levels[finger]), np.abs(levels).max()
             if ranges is not None:
-                at_rest = rest.values[columns] if rest is not None and self.channel.tared else 0.0
+                at_rest = self._at_rest(rest, finger)
                 span = np.maximum(np.abs(ranges.high[columns] - at_rest), np.abs(ranges.low[columns] - at_rest))
         else:
             moved, span = levels[finger] - levels.min(), np.ptp(levels)

@@ -2,6 +2,7 @@
 """XELA's sensor on two fingers over real DDS, as its server publishes it: from its messages to a store, and the check before."""
 
 import argparse
+import io
 import threading
 import time
 from pathlib import Path
@@ -11,16 +12,20 @@ import numpy as np
 import pytest
 from message_package import use_package
 from pair_builders import REST
-from robot_builders import MS, QUICK, Robot
+from rich.console import Console
+from robot_builders import FRAME, MS, QUICK, Robot
 from sensor_builders import XELA_TYPES, sens_stream, xela_counts
 
 from foretouch.cli import check
+from foretouch.cli.record import record_panel
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
+from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.tactile.description import packaged_sensor
+from foretouch_msgs.msg import Grasp, TactilePrediction, TactilePredictionArray
 
 pytestmark = [
     pytest.mark.ros,
@@ -45,6 +50,23 @@ class UskinHand(Robot):
         self.kinds = {"Taxel": Taxel, "SensorFull": SensorFull, "SensStream": SensStream}
         self.tactile = SensStream
         super().__init__(graph)
+        self.predicted = graph.talk_matched(TactilePredictionArray, "tactile")
+
+    def see(self, name: str) -> None:
+        """Its cloud and grasps, and what is predicted for them."""
+        super().see(name)
+        header, touch = header_to_msg(FRAME, self.now), xela_counts(100).ravel().astype(np.float32).tolist()
+        one = TactilePrediction(
+            header=header,
+            grasp=Grasp(id=name),
+            sensor="xela_uskin_4x4",
+            sensor_sha256=packaged_sensor("xela_uskin_4x4").sha256,
+            values=touch,
+            lower=touch,
+            upper=touch,
+        )
+        self.predicted.publish(TactilePredictionArray(header=header, predictions=[one]))
+        self.sent["tactile"] = self.sent.get("tactile", 0) + 1
 
     def feel(self, counts: np.ndarray, readings: int) -> None:
         self.level = round(counts[0] - REST[0])
@@ -82,6 +104,13 @@ def test_its_grasps_are_recorded_and_built_to_a_store(graph: Any, tmp_path: Path
     assert dict(zip(status.sensors, status.sensor_states, strict=True)) == dict.fromkeys(
         ("TH", "FF", "camera"), "alive"
     )
+    assert status.topics[4].topic == "/foretouch/tactile"
+    shown = Console(width=200, record=True, file=io.StringIO())
+    shown.print(record_panel(status, "title", node.session_status(), sensor=node.reader.sensor))
+    text = shown.export_text()
+    assert f"not usable: 1 unreadable {HAND}" in text
+    assert "predicted" in text
+    assert "30120–30570 ±0" in text  # Z_TH as predicted
     node.end()
     graph.remove(node)
     (report,) = verify_dataset(tmp_path / "set")

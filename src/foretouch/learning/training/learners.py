@@ -32,7 +32,7 @@ from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import BIOTAC, P2_RANGES, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, P2_RANGES, columns
 from foretouch.tactile.description import with_sensor
 from foretouch.types import Float64
 
@@ -194,7 +194,7 @@ class NetworkLearner(Learner):
 
     def predict(self, index: Indices) -> Float64:
         """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""
-        predicted = np.full((len(index), TOUCH_SIZE), np.nan)
+        predicted = np.full((len(index), self._prepared.labels.shape[1]), np.nan)
         predicted[:, columns(self.config.model.outputs)] = predict_set(
             self._net, self._prepared, self.split.train[index]
         )

@@ -15,7 +15,7 @@ from foretouch.learning.training.contact import ContactConfig, ranges_of
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.learning.training.supervised import TrainConfig
 from foretouch.models.network.config import ModelConfig
-from foretouch.tactile import MODALITIES, Ranges
+from foretouch.tactile import Ranges
 
 METHODS: Final = ("supervised", "srgan", "contact")
 
@@ -90,11 +90,10 @@ class RunConfig(Settings):
             raise ConfigError(f"validation: a {self.method} model has no epochs to choose from; leave it at 0")
         if self.release and (self.split is not None or self.validation > 0.0):
             raise ConfigError("release: trains on all samples; leave split empty and validation at 0")
-        if self.calibrates and self.model.outputs != MODALITIES:
+        if self.calibrates and self.model.outputs != (every := ModelConfig().outputs):
             field = "release" if self.release else "calibrate"
-            raise ConfigError(
-                f"{field}: model.outputs: {list(self.model.outputs)} are not all modalities, {', '.join(MODALITIES)}"
-            )
+            rule = f"{list(self.model.outputs)} are not all modalities, {', '.join(every)}"
+            raise ConfigError(f"{field}: model.outputs: {rule}")
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain nested data that `from_mapping` accepts, without the groups that have no effect on the method."""

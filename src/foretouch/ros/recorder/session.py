@@ -13,7 +13,7 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from rclpy.serialization import serialize_message
 
@@ -36,7 +36,7 @@ from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
 from foretouch.topics import TAXELS
 from foretouch.types import GraspSample
-from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import RecorderStatus, Status, TactilePrediction, TouchPrediction
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
 MARKERS_TOPIC: Final = "/foretouch/sample_markers"
@@ -61,7 +61,7 @@ class SessionStatus:
     bytes_per_s: float = 0.0  # current rate
     free_bytes: int = 0  # space left until the session ends by itself
     operator: OperatorState = OperatorState()
-    last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
+    last: tuple[TouchPrediction | TactilePrediction | None, TouchCut] | None = None  # of the latest sample with a touch
     error: str = ""  # why it ended by itself, else ""
 
 
@@ -69,7 +69,7 @@ class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
     The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
-    assembled from, and the predictions as `touch`; `losses` gives the messages that the middleware has lost since the
+    assembled from, and the predictions as `touch`, of either type; `losses` gives the messages that the middleware has lost since the
     session began, by topic.
 
     Attributes:
@@ -100,7 +100,7 @@ class RecordingSession:
         self._operator = operator
         self._dropping = False  # what is received in a pause
         self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
-        self._last: tuple[TouchPrediction | None, TouchCut] | None = None
+        self._last: tuple[TouchPrediction | TactilePrediction | None, TouchCut] | None = None
         self._inputs = inputs
         self._losses = losses
         self._warn = warn
@@ -232,11 +232,14 @@ class RecordingSession:
             self.writer.drop(one.topic, "paused")
         return []
 
-    def _prediction(self, sample: GraspSample) -> TouchPrediction | None:
+    def _prediction(self, sample: GraspSample) -> TouchPrediction | TactilePrediction | None:
         """What was predicted for the grasp of a sample, if that was received."""
         data = self._predictions.get(sample.cloud.stamp_ns)
-        found = () if data is None else read_serialized(data, TouchPredictionArray).predictions
-        return next((one for one in found if one.grasp.id == sample.grasp.id), None)
+        kinds = [kind for role, kind in self._inputs.values() if role == "touch"]
+        found: Sequence[Any] = () if data is None else read_serialized(data, kinds[0]).predictions
+        sha256 = self.writer.sensor.sha256  # a model of another sensor may predict
+        own = (one for one in found if getattr(one, "sensor_sha256", sha256) == sha256)
+        return next((one for one in own if one.grasp.id == sample.grasp.id), None)
 
     def _assemble(self, one: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
