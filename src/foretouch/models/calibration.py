@@ -129,9 +129,8 @@ class Calibration:
             count = np.count_nonzero(moved > 3.0 * deviation[where])
             if channel.size == 1 and count:
                 k = where[0]
-                signs.append(
-                    f"{name}: {tare.values[k]:.0f} is {side} the rest level, {self.rest[k]:.0f} ± {deviation[k]:.0f}"
-                )
+                found, rest, spread = map(channel.text, (tare.values[k], self.rest[k], deviation[k]))
+                signs.append(f"{name}: {found} is {side} the rest level, {rest} ± {spread}")
             elif count >= 3:
                 signs.append(f"{name}: {count} values are {side} their rest level")
         return tuple(signs)

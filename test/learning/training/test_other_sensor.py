@@ -109,6 +109,7 @@ def test_forces_in_newtons_whose_taxels_mostly_read_zero_are_learned_and_have_na
     (one,) = model.predict(data.samples[0].cloud, [data.samples[0].grasp])
     half = (one.upper.values - one.lower.values) / 2.0
     assert_array_equal(one.value.values[[0, 8]], 0.0)
+    assert model.card["calibration"]["rest"] == "zero by the sensor's description"
     assert half[[0, 8]].max() < 1e-3
     assert half.max() < 10.0
     scores = evaluate_model(path, data, "object", training_scores=True)["scores"]["model"]

@@ -36,6 +36,9 @@ _LEAST_DEVIATION: Final = 12.0**-0.5  # of errors and half widths, in units of t
 _MOST_SHARE: Final = 1.0  # of W that B's diagonal has at most, for the scalars of new objects
 _REST: Final = {1: 0.01, -1: 0.95, 0: 0.5}  # quantiles of the labels, by what contact does to a value
 
+GUESSED: Final = "guessed from the labels"
+"""Origin of a rest level without any tare."""
+
 Names = npt.NDArray[np.str_]
 
 
@@ -96,7 +99,7 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
         if channel.tared:
             column = channels.columns([name])
             rest[column] = np.quantile(labels[:, column], _REST[channel.contact], axis=0)
-    return rest, not channels.tared.any()
+    return rest, False
 
 
 def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
@@ -151,7 +154,14 @@ def calibrate_on_folds(
         recording = Recording.of_samples(samples, labels, predicted["new"], rest).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
         calibration = replace(calibration, tracker=tracker)
-    return calibration, {**facts, "rest": "recorded tares" if recorded else "guessed from the labels"}
+    return calibration, {**facts, "rest": _origin(channels, recorded=recorded)}
+
+
+def _origin(channels: Channels, *, recorded: bool) -> str:
+    """Of the rest level, for a card."""
+    if not channels.tared.any():
+        return "zero by the sensor's description"
+    return "recorded tares" if recorded else GUESSED
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:

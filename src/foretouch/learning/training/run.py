@@ -22,7 +22,7 @@ from foretouch.learning.data.folds import SPLITS, Fold
 from foretouch.learning.data.training_set import duplicate_labels
 from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
 from foretouch.learning.evaluation.metrics import mean_skill
-from foretouch.learning.training.calibration import calibration_folds, guarantee
+from foretouch.learning.training.calibration import GUESSED, calibration_folds, guarantee
 from foretouch.learning.training.contact import FEWEST_SAMPLES
 from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
@@ -206,7 +206,7 @@ def _limits(
 ) -> list[str]:
     """Known limits of the data, the guarantee of the intervals, and the skills beside the best baseline."""
     limits = list(data.origin.get("limits", []))
-    if calibration["rest"] != "recorded tares":
+    if calibration["rest"] == GUESSED:
         limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
     limits.append(guarantee(calibration))
     for split in skill:
