@@ -6,15 +6,18 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from chunk_makers import make
 from recording_builders import write_dataset
+from sim_builders import scene
 
 from foretouch.cli.main import main
 from foretouch.dataset import chunks
 from foretouch.dataset.chunks import made_in_chunks
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError, SimulationError
+from foretouch.simulation.simulate import Simulation
 
 
 @pytest.fixture
@@ -42,6 +45,14 @@ def here(monkeypatch) -> None:
 def begun(trace: Path) -> dict[int, int]:
     """How often each chunk was begun, by its first slot."""
     return Counter(int(path.name.split(".")[0]) for path in trace.iterdir())
+
+
+def test_chunks_hold_readings_of_the_sensor_of_the_scene(here, tmp_path) -> None:
+    simulation = Simulation(scene(fingers={"sensor": "xela_uskin_4x4"}))
+    made = list(simulation.samples_on_ray(6, tmp_path / "ds.chunks", "", 1))
+    for sample, other in zip(made, simulation.samples(6), strict=True):
+        np.testing.assert_array_equal(sample.touch.values, other.touch.values)
+    assert Store(tmp_path / "ds.chunks" / "chunk-00001").sensor.config.name == "xela_uskin_4x4"
 
 
 def test_missing_and_damaged_chunks_are_made_again_and_no_others(here, tmp_path, trace) -> None:
