@@ -111,6 +111,12 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
     campaign = {"tares": "object", "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}], "days": [0, 1]}
     configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}})]
     configs.append(scene(fidelity="hertz", camera={"segmented": {}}))
+    array = {
+        "sensor": "xela_uskin_4x4",
+        "timeline": {},
+        **{key: {} for key in ("crosstalk", "slip", "noise", "drift", "sessions")},
+    }
+    configs.append(scene(*loaded, gravity={}, fingers=array))
     configs.append(scene(campaign={"warm_up": {"tdc": {}}, "fluid_loss": {}}))
     ran = set()
     for config in configs:

@@ -9,7 +9,8 @@ from every_case import every_case
 from numpy.testing import assert_allclose
 
 from foretouch.errors import TactileError
-from foretouch.tactile import biotac_touch, columns, make_tare, offsets, restore, to_kohm, touch_faults
+from foretouch.tactile import BIOTAC, biotac_touch, columns, make_tare, offsets, restore, to_kohm, touch_faults
+from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Touch
 
 REST = biotac_touch(np.hstack([2779.0, 1676.0, np.full(24, 3300.0), np.full(24, 3500.0)]))
@@ -61,3 +62,12 @@ def test_impedance_by_hand() -> None:
     for counts, message in ((0, "0 is not above 0 and at most 4095"), ([100, 4096], "4096 is not"), (np.nan, "nan is")):
         with pytest.raises(TactileError, match=f"electrode: {message}"):
             to_kohm(counts)
+
+
+def test_the_tare_of_a_channel_whose_rest_level_is_zero_is_zero(rng: np.random.Generator) -> None:
+    channels = packaged_sensor("tacsl_20x25").channels
+    readings = [Touch(rng.normal(0.0, 0.01, channels.size), channels) for _ in range(5)]
+    assert not make_tare(readings).values.any()
+    counts = rng.integers(1, 4095, (5, BIOTAC.size)).astype(float)
+    tare = make_tare([Touch(one, BIOTAC) for one in counts])
+    np.testing.assert_array_equal(tare.values, np.median(counts, axis=0))

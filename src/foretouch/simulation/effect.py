@@ -44,6 +44,7 @@ class SampleState:
     fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
     targets: Float64  # (2,) that both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
+    tangential_n: Float64  # (2, 3) [N], force of the object's weight on both fingers in the world, across their line
     weight: HeldWeight  # forces of the object's weight on the fingers
     postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]]
     # of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3)

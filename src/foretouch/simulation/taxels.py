@@ -226,7 +226,7 @@ def _each(numbers: Sequence[Any], channels: list[tuple[ChannelConfig, int]]) -> 
 def _axis(channel: ChannelConfig, sensor: Sensor) -> int:
     """0, 1 or 2 for a force along x, y or the normal."""
     name = channel.name.lower()
-    axis = _AXES.get(name, _AXES.get(name[-1]))
+    axis = _AXES.get(name[-1] if name[-1] in "xyz" else name)
     if axis is None and sum(one.predicted for one in sensor.config.values) == 1:
         axis = 2
     if axis is None:

@@ -96,6 +96,8 @@ def test_samples_that_cannot_be_fitted_are_refused() -> None:
     rows, labels = describe_samples(SAMPLES), labels_of(SAMPLES)
     with pytest.raises(DatasetError, match="contact model: 4 samples are fewer than 5"):
         fit_contact(rows[:4], labels[:4], ["a", "a", "b", "b"], FEW_TREES)
+    with pytest.raises(DatasetError, match="contact model: 20001 samples exceed 20000, whose pairs its kernel holds"):
+        fit_contact(np.tile(rows[:1], (20_001, 1)), np.tile(labels[:1], (20_001, 1)), ["a"] * 20_001, FEW_TREES)
     for constant in (3000.0, 0.1):  # the mean of fifty times 0.1 is not 0.1: a deviation would not show it
         labels[:, 17] = constant
         with pytest.raises(DatasetError, match="contact model: value 17 of the touch is the same in all samples"):

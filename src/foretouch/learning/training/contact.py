@@ -27,6 +27,9 @@ from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
 
 FEWEST_SAMPLES: Final = 5
+MOST_SAMPLES: Final = 20_000
+"""The kernel of their pairs takes 3.2 GB."""
+
 _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
@@ -104,11 +107,16 @@ def fit_contact(
         ranges: Of the sensor; by default those of the settings, of the BioTac SP.
 
     Raises:
-        DatasetError: If there are fewer than five samples, or a tared value of the labels is constant.
+        DatasetError: If there are fewer than five samples or more than `MOST_SAMPLES`, or a tared value of the labels is constant.
     """
     if len(rows) < FEWEST_SAMPLES:
         rule = (
             f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {FEWEST_SAMPLES - len(rows)} more grasps are needed"
+        )
+        raise DatasetError(f"contact model: {rule}")
+    if len(rows) > MOST_SAMPLES:
+        rule = (
+            f"{len(rows)} samples exceed {MOST_SAMPLES}, whose pairs its kernel holds; use a network, or fewer grasps"
         )
         raise DatasetError(f"contact model: {rule}")
     ranges = ranges or config.ranges.ranges

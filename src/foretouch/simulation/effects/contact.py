@@ -24,6 +24,7 @@ def _weight(job: Job, state: SampleState) -> None:
     thumb, middle = state.touches
     weight_n = np.array([0.0, 0.0, -(job.item.mass_kg or 0.0) * _GRAVITY_M_S2])
     state.weight = weigh(weight_n, thumb.origin, middle.origin, centre)
+    state.tangential_n = -state.weight.tangential_n
     if job.scene.grasps.balanced:
         state.axial_load_n = state.weight.axial_n
 
@@ -73,7 +74,14 @@ def _held(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect("weight", _weight, "gravity", reads=("bodies", "touches"), writes=("weight",), changes=("axial_load_n",)),
+    Effect(
+        "weight",
+        _weight,
+        "gravity",
+        reads=("bodies", "touches"),
+        writes=("weight",),
+        changes=("axial_load_n", "tangential_n"),
+    ),
     *(
         Effect(
             f"contact_{level}",

@@ -86,12 +86,12 @@ def _targets(job: Job, state: SampleState) -> None:
     fingers = [grasps.thumb] if grasps.middle is None else [grasps.thumb, grasps.middle]
     drawn = [draw(rng, getattr(finger, name)) for finger in fingers]
     state.targets = np.array([drawn[0], drawn[-1]])
-    state.axial_load_n = 0.0
+    state.axial_load_n, state.tangential_n = 0.0, np.zeros((2, 3))
 
 
 EFFECTS = (
     Effect("grasp", _plan, "grasps", reads=("cloud", "pixels"), writes=("plan", "grasp")),
     Effect("fingers", _fingers, "grasps", reads=("grasp",), writes=("fingers",)),
-    Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n")),
+    Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n", "tangential_n")),
     Effect("execution_error", _execution_error, "grasps.error", changes=("fingers", "targets"), again=True),
 )

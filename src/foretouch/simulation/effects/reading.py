@@ -71,9 +71,7 @@ def _reading(
         return np.asarray(array.rest[k])
     problem, friction = contact_problem(job, window, behind), job.item.friction
     closing = state.fingers[k].normal
-    force_n = contact.force_n * (frame.normal - closing / float(closing @ frame.normal))
-    if hasattr(state, "weight"):
-        force_n = force_n - state.weight.tangential_n[k]
+    force_n = contact.force_n * (frame.normal - closing / float(closing @ frame.normal)) + state.tangential_n[k]
     slopes = skin_slopes(window.depth + contact.displacement[0], problem.step_m)
     return array.read(
         k,
@@ -251,7 +249,7 @@ EFFECTS = (
         "fingertip",
         _ideal,
         "fingers",
-        reads=("sensors", "fingers", "pads", "touches", "relief", "contacts"),
+        reads=("sensors", "fingers", "pads", "touches", "relief", "contacts", "tangential_n"),
         writes=("readings",),
     ),
     Effect(
@@ -269,7 +267,7 @@ EFFECTS = (
         "slip",
         _slip,
         "fingers.slip",
-        reads=("sensors", "readings", "bodies", "touches", "pads", "targets", "load"),
+        reads=("sensors", "readings", "bodies", "fingers", "touches", "pads", "targets", "tangential_n", "load"),
         changes=("series", "slid"),
         again=True,
     ),
