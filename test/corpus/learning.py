@@ -32,7 +32,7 @@ from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud
-from foretouch.tactile import BIOTAC, TOUCH_SIZE, TactileRanges, biotac_touch
+from foretouch.tactile import BIOTAC, P2_RANGES, TOUCH_SIZE, TactileRanges, biotac_touch
 from foretouch.types import Cloud, GraspSample
 
 Cases = Iterator[tuple[Any, ...]]
@@ -114,7 +114,7 @@ def metric_cases() -> Cases:
 
 
 def _scores(predicted: Any, actual: Any, reference: Any) -> dict[str, list[float]]:
-    found = metrics.score(predicted, actual, reference)
+    found = metrics.score(predicted, actual, reference, P2_RANGES.ranges)
     return {name: [one.rmse, one.nrmse, one.skill] for name, one in found.items()}
 
 
@@ -199,7 +199,7 @@ def label_cases() -> Cases:
     """Readings at and beyond the ranges of a working sensor."""
     for value in (1.0, 5e-324, 4095.0, 0.0, -1.0, -22072.0, 4095.5, 4096.0, 1e300, math.inf, math.nan):
         samples = made_samples(1, 2, constant=value)
-        reason = None if 1.0 <= value <= 4095.0 else "not between 1 and 4095|finite"
+        reason = None if 1.0 <= value <= 4095.0 else "not between 1 and 4095|finite|was not read"
         yield f"training: a reading of {value:g}", partial(_labels, samples), reason
     yield "training: no sample", lambda: _labels([]), "no sample"
 
