@@ -182,7 +182,7 @@ def test_readings_without_a_calibration_and_contradicting_arguments_are_refused(
     with pytest.raises(ModelError, match=rule):
         bare.predict(sample.cloud, [sample.grasp], history=history)
     for tare in (np.zeros(50), np.full(50, np.nan)):
-        with pytest.raises(TactileError, match="tare: pdc_th: (0 is not between|was not read)"):
+        with pytest.raises(TactileError, match=r"tare: pdc_th: (0 is not between|was not read)"):
             calibrated.predict(sample.cloud, [sample.grasp], tare=biotac_touch(tare))
 
 
