@@ -15,6 +15,9 @@ import numpy.typing as npt
 
 from foretouch.errors import TactileError, none_of
 
+LARGEST: Final = 1e9
+"""Of a number without a range, such as a force as float32."""
+
 _Floats = npt.NDArray[np.float64]
 _Index = npt.NDArray[np.intp]
 
@@ -155,10 +158,6 @@ class Channels:
         values = [getattr(channel, name) for channel in self.channel_of.values()]
         found: _Floats = _kept(self.by_modality(np.array(values, np.float64)))
         return found
-
-
-LARGEST: Final = 1e9
-"""Of a number without a range, such as a force as float32."""
 
 
 def _mean_rows(groups: Mapping[str, _Index], size: int) -> _Floats:

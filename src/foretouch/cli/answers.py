@@ -121,6 +121,8 @@ def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPre
     Raises:
         ConfigError: Names the field that is missing or wrong.
     """
+    if isinstance(record, dict) and (missing := [name for name in channels.modalities if name not in record]):
+        raise ConfigError(f"predictions: {missing[0]}: is missing; another sensor than {channels.sensor} was predicted")
     try:
         field = "grasp"
         shapes = {"g1": (3,), "g2": (3,), "rotation": (3, 3)}

@@ -162,6 +162,8 @@ class SensorConfig(Settings):
         _check_list("values", [channel.name for channel in self.values])
         _check_list("values, scalars", [*(channel.name for channel in self.values), *scalars])
         _check_list("grasp", [finger.name for finger in self.chosen_fingers()])
+        if not any(channel.predicted for channel in self.values):
+            raise ConfigError("values: none changes in contact from a known rest level: contact and rest are none")
         if unknown := set(self.source.invalid) - set(scalars):
             raise ConfigError(f"source.invalid: {none_of(unknown.pop(), scalars)}")
 
@@ -207,7 +209,13 @@ class Sensor:
 
     @cached_property
     def channels(self) -> Channels:
-        """The values of a touch: of the whole finger first, then those of its taxels."""
+        """The values of a touch: of the whole finger first, then those of its taxels.
+
+        Raises:
+            ConfigError: If there is only one finger.
+        """
+        if len(self.channels_fingers) < 2:
+            raise ConfigError(f"sensor: {self.config.name} has one finger, and a grasp two")
         parts = [(one, 1) for one in self.config.scalars] + [(one, self.size) for one in self.config.values]
         predicted = tuple(one.channel(size) for one, size in parts if one.predicted)
         return Channels(self.config.name, self.sha256, tuple(self.channels_fingers), predicted)

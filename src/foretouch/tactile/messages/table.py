@@ -52,13 +52,10 @@ class TactileConfig(Settings, read_only=True):
 
     @cached_property
     def described(self) -> Sensor:
-        """The sensor (raises as `load_sensor`, and a `ConfigError` if it has one finger alone)."""
+        """The sensor (raises as `load_sensor`)."""
         if not self.sensor:
             return packaged_sensor("biotac_sp")
-        found = load_sensor(self.sensor)
-        if len(found.channels.fingers) != 2:
-            raise ConfigError(f"sensor: {found.config.name} has one finger, and a grasp two")
-        return found
+        return load_sensor(self.sensor)
 
     @property
     def message_type(self) -> str:
