@@ -2,17 +2,20 @@
 """A model of one sensor and the readings, histories and descriptions of another, or of a changed one."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from contact_model_builders import edit_card, small_estimator
 from other_sensor import USKIN, changed_sensor
 
+from foretouch.channels import Channel, Channels
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.learning.data import load_dataset
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
+from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import with_sensor
 from foretouch.types import Touch
@@ -83,3 +86,18 @@ def test_a_card_of_the_biotac_sp_names_it_and_weights_of_other_channels_do_not_f
     edit_card(path, ranges={name.lower(): [0, 1] for name in USKIN.channels.modalities})
     with pytest.raises(ModelError, match=r"mean: is missing, of another shape than \(96,\)"):
         load_model(path)
+
+
+def test_of_many_values_the_modalities_are_decomposed_one_by_one(rng: np.random.Generator) -> None:
+    one = Channel("P", 101, "N", 0.0, 5.0, 1, tared=False, noise=0.01, resolution=0.01)
+    channels = Channels("large", "", ("left", "right"), (one, replace(one, name="S")))
+    factors = rng.normal(size=(channels.size, 5))
+    between, within = factors @ factors.T + np.eye(channels.size), rng.uniform(1.0, 2.0, channels.size)
+    shrinkage, factor = np.ones(channels.size), np.ones(4)
+    found = TrackerParameters.from_calibration(
+        channels, (between, between), (within, within), (shrinkage, shrinkage), factor
+    )
+    rebuilt = (found.basis * found.object[0]) @ found.basis.T
+    same = channels.modality_of_value[:, None] == channels.modality_of_value
+    np.testing.assert_allclose(rebuilt, np.where(same, between, 0.0), atol=1e-9)
+    np.testing.assert_allclose((found.basis * found.noise[0]) @ found.basis.T, np.diag(within), atol=1e-9)

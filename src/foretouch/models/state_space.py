@@ -53,6 +53,7 @@ _RULES: Final[dict[str, tuple[str, float, float]]] = {  # letters of the shape, 
 }
 _TOUCHES: Final = (1, 10, 100, 1000)
 _MAX_GAIN: Final = 10.0  # of the largest residual; of a sensor of many values, which add up, 0.2 for each
+_MANY: Final = 400  # values: to decompose all their covariances together takes minutes
 _MAX_CONDITION: Final = 1e8  # of the basis, its rows scaled to length 1, by the norm of column sums
 
 
@@ -99,7 +100,7 @@ class TrackerParameters(TensorRecord):
         empirical Bayes estimate [Efron and Morris 1973].
 
         The basis diagonalises B and W of new objects at the same time; of B and W of known ones only the diagonals are
-        used. Variances beyond their bounds, as of a model without errors, are set to these.
+        used. Of more than 400 values, modalities are taken for independent of each other. Variances beyond their bounds, as of a model without errors, are set to these.
 
         Args:
             channels: Of the readings.
@@ -109,9 +110,12 @@ class TrackerParameters(TensorRecord):
             factor: (M,) as of the record.
         """
         scale, size = np.sqrt(within[NEW]), channels.size
-        values, vectors = np.linalg.eigh(between[NEW] / np.outer(scale, scale))
+        values, vectors = _decomposed(between[NEW] / np.outer(scale, scale), channels)
         inverse = (vectors / scale[:, None]).T
-        known_object = np.einsum("ki,ij,kj->k", inverse, between[KNOWN], inverse)
+        if size > _MANY:
+            known_object = ((inverse @ between[KNOWN]) * inverse).sum(axis=1)
+        else:
+            known_object = np.einsum("ki,ij,kj->k", inverse, between[KNOWN], inverse)
         known_noise = (inverse**2) @ within[KNOWN]
         return cls(
             channels=channels,
@@ -182,6 +186,17 @@ class TrackerParameters(TensorRecord):
                     if not (largest := float(np.abs(gain).sum(axis=1).max())) <= limit:
                         rule = f"{count} touches turn residuals of at most 1 into {largest:.3g}, {limit:g} is allowed"
                         raise ModelError(f"basis, object: {rule}")
+
+
+def _decomposed(matrix: Float64, channels: Channels) -> tuple[Float64, Float64]:
+    """Eigenvalues and eigenvectors; of many values by modality, which few grasps cannot relate to each other anyway."""
+    if channels.size <= _MANY:
+        return np.linalg.eigh(matrix)
+    values, vectors = np.empty(len(matrix)), np.zeros_like(matrix)
+    for name in channels.modalities:
+        own = channels.columns([name])
+        values[own], vectors[np.ix_(own, own)] = np.linalg.eigh(matrix[np.ix_(own, own)])
+    return values, vectors
 
 
 class StateFilter:
