@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO, Final
 
+from mcap.data_stream import RecordBuilder
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -23,6 +24,28 @@ from foretouch.dataset.files import disk_errors
 from foretouch.errors import DatasetError, FileError
 
 LIBRARY: Final = f"foretouch {__version__}"
+
+
+class _PackedIndex:
+    """The index of all chunks so far, as the bytes that `finish` writes: mcap keeps objects, 5 MB for an hour of recording."""
+
+    def __init__(self) -> None:
+        self._content = bytearray()
+
+    def take(self, writer: Writer) -> None:
+        """Pack what the writer has added, and take its place."""
+        indices: list[Any] = getattr(
+            writer, "_Writer__chunk_indices", []
+        )  # no other name in the version that is pinned
+        for one in indices:
+            if one is not self:
+                one.write(builder := RecordBuilder())
+                self._content += builder.end()  # type: ignore[no-untyped-call]
+        indices[:] = [self] if self._content else []
+
+    def write(self, stream: RecordBuilder) -> None:
+        """As of mcap's records."""
+        stream.write(self._content)
 
 
 class McapFile:
@@ -125,6 +148,7 @@ class McapFile:
         output: Any = SimpleNamespace(write=self._parts.append, tell=self._end, flush=lambda: None)
         writer = Writer(output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start("ros2", LIBRARY)
+        self._index = _PackedIndex()
         return writer
 
     def _end(self) -> int:
@@ -137,6 +161,7 @@ class McapFile:
         if self._fd < 0:
             raise FileError(self.path, "is closed")
         self._writer.flush()
+        self._index.take(self._writer)
         content = b"".join(self._parts)
         self._parts.clear()
         rest = memoryview(content)
