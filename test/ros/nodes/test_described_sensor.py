@@ -40,7 +40,7 @@ HAND = "/rh/tactile"
 class UskinHand(Robot):
     """Both fingers press by the level that the counts of a BioTac have; `now` is the server's clock."""
 
-    level = 0
+    pressed = 0
     fingers: tuple[int, ...] = (0, 1)  # that press
     taxels = 16
 
@@ -69,14 +69,14 @@ class UskinHand(Robot):
         self.sent["tactile"] = self.sent.get("tactile", 0) + 1
 
     def feel(self, counts: np.ndarray, readings: int) -> None:
-        self.level = round(counts[0] - REST[0])
+        self.pressed = round(counts[0] - REST[0])
         for _ in range(readings):
             self.publish()
             self.now += 10 * MS
             time.sleep(0.001)
 
     def publish(self) -> None:
-        rest, found = xela_counts(0), xela_counts(self.level)
+        rest, found = xela_counts(0), xela_counts(self.pressed)
         found = np.where(np.isin(np.arange(2), self.fingers)[:, None, None], found, rest)
         noisy = np.round(found + self._rng.normal(0.0, 4.0, found.shape))[:, : self.taxels]
         self.hand.publish(sens_stream(noisy, (1, 2), self.now * 1e-9, self.kinds))
@@ -147,8 +147,8 @@ def test_it_is_checked_before_a_session(graph: Any, tmp_path: Path, monkeypatch:
 
     def press(text: str) -> None:
         if "press the" in text:
-            hand.fingers, hand.level = (0 if "(TH)" in text else 1,), 300
-            threading.Timer(1.0, lambda: setattr(hand, "level", 0)).start()
+            hand.fingers, hand.pressed = (0 if "(TH)" in text else 1,), 300
+            threading.Timer(1.0, lambda: setattr(hand, "pressed", 0)).start()
 
     monkeypatch.setattr(check, "warn", press)
     thread = threading.Thread(target=publish)
