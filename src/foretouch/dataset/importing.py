@@ -25,7 +25,8 @@ from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample,
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
@@ -116,7 +117,7 @@ def _own_samples(bag: Recording, types: Mapping[str, str]) -> tuple[Identity, It
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 
     first = next(_stored(), None)
-    identity, sensor = (Identity(), packaged_sensor("biotac_sp")) if first is None else first[1:]
+    identity, sensor = (Identity(), BIOTAC_SP) if first is None else first[1:]
     return identity, (one.record for one in _stored()), sensor
 
 

@@ -18,7 +18,8 @@ from foretouch.dataset.recording.sample_codec import (
 )
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.tactile.description import Sensor, packaged_sensor, with_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor, with_sensor
 from foretouch.types import AnyArray, Grasp, GraspSample, Touch
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
@@ -103,7 +104,7 @@ def _read(path: Path) -> tuple[SampleRecord, Identity, Sensor]:
     arrays = read_arrays(path, _REQUIRED, _OPTIONAL)
     try:
         hand, camera = (parse_properties(str(arrays.get(name, "{}"))) for name in ("hand", "camera"))
-        sensor = parse_sensor(str(arrays["sensor"])) if "sensor" in arrays else packaged_sensor("biotac_sp")
+        sensor = parse_sensor(str(arrays["sensor"])) if "sensor" in arrays else BIOTAC_SP
         return _record(path, arrays, sensor), Identity(hand=hand, camera=camera), sensor
     except FileError:
         raise

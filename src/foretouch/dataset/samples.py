@@ -15,7 +15,8 @@ from foretouch.dataset import formats
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
 
 
@@ -32,7 +33,7 @@ class SampleSet:
     unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
     edits: tuple[str, ...] = ()  # descriptions of later changes
-    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))  # that was read
+    sensor: Sensor = BIOTAC_SP  # that was read
 
     def __len__(self) -> int:
         return self.size

@@ -24,7 +24,8 @@ from foretouch.dataset.record import DISCARDED, SampleRecord, id_number, numbere
 from foretouch.dataset.samples import SampleSet, only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
-from foretouch.tactile.description import Sensor, packaged_sensor, require_same, with_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor, require_same, with_sensor
 from foretouch.types import GraspSample
 
 _BATCH_ROWS = 64
@@ -46,7 +47,7 @@ class StoreWriter:
     def __init__(self, path: str | Path, about: Mapping[str, Any] | None = None, sensor: Sensor | None = None) -> None:
         self.path = Path(path)
         self.about = dict(about or {})
-        self.sensor = sensor or packaged_sensor("biotac_sp")
+        self.sensor = sensor or BIOTAC_SP
         self._content = hashlib.sha256()
         self._ids: set[str] = set()
         self._rows: list[dict[str, Any]] = []

@@ -24,8 +24,8 @@ from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.taxel_view import TaxelView
 from foretouch.simulation.contact.pad import PadConfig
-from foretouch.tactile import BIOTAC
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
 _SKIN: Final = PadConfig()  # of the BioTac SP
@@ -78,7 +78,7 @@ def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor
         recording = rerun.RecordingStream("foretouch")
         recording.save(part)
         recording.send_recording_name(title)
-        written = _Writer(rerun, recording, TaxelView(sensor or packaged_sensor("biotac_sp"))).write(steps)
+        written = _Writer(rerun, recording, TaxelView(sensor or BIOTAC_SP)).write(steps)
         recording.flush()
         recording.disconnect()
         if not written:
@@ -202,7 +202,7 @@ class _Writer:
 
     @property
     def _has_skin(self) -> bool:
-        return self._view.sensor.sha256 == BIOTAC.sha256
+        return self._view.sensor.is_biotac
 
     def _on_finger(self) -> Float64:
         """(N, 3) taxels in the frame of a fingertip [m], where they are drawn: on the skin, else on the surface of the pad."""

@@ -19,7 +19,8 @@ from matplotlib.figure import Figure, SubFigure
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Index, Touch, TouchPrediction
 
 _FINGER_COLOURS = ("#d1495b", "#00798c")  # at g1, at g2
@@ -50,7 +51,7 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
     Taxels that were read outside of their intervals have a ring, dead ones are hollow. The folder of the file is created. The sensor
     of all touches is the BioTac SP unless given.
     """
-    view = TaxelView(sensor or packaged_sensor("biotac_sp"))
+    view = TaxelView(sensor or BIOTAC_SP)
     # Finger, `predicted` or `read`, and touch of each panel of taxels; those of a finger are side by side.
     panels = [
         [
@@ -122,7 +123,7 @@ def save_contact_sheet(
 
     The sensor of all touches is the BioTac SP unless given.
     """
-    view = TaxelView(sensor or packaged_sensor("biotac_sp"))
+    view = TaxelView(sensor or BIOTAC_SP)
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
     figure = new_figure(7.6 * _SHEET_COLUMNS, 2.6 * rows + 1.3)  # below title and scale
     figure.suptitle(title)

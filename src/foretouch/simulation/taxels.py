@@ -95,7 +95,7 @@ class TaxelArray:
         axes = np.stack([x, np.cross(sensor.layout.normals, x), sensor.layout.normals], axis=1)
         window = _window(pad, middle, curvature, half)
         weights = _weights(window.points.reshape(-1, 3), sensor.layout.positions, axes, size, config.spread_m)
-        channels, area_m2 = _channels(sensor), float(size.prod(axis=1).mean())
+        channels, area_m2 = sensor.predicted, float(size.prod(axis=1).mean())
         levels = [_rest_and_gain(one, area_m2 * sensor.size / count, config) for one, count in channels]
         rest, spread, nominal, gain_spread = _each(levels, channels).T
         drawn = rng.standard_normal((3, 2, len(rest)))
@@ -149,12 +149,12 @@ class TaxelArray:
 
     def session(self, rng: np.random.Generator) -> Float64:
         """(2, V): how far rest levels of one session are from the mean; those that are zero stay."""
-        tared = _each([one.rest == "tare" for one, _ in _channels(self.sensor)], _channels(self.sensor))
+        tared = _each([one.rest == "tare" for one, _ in self.sensor.predicted], self.sensor.predicted)
         return np.asarray(SESSION_N * self.gain * tared * rng.standard_normal(self.gain.shape))
 
     def noise(self, rows: int, rng: np.random.Generator) -> Float64:
         """(T, 2, V) white noise, of the standard deviation that the description states."""
-        stated = _each([one.noise or 0.0 for one, _ in _channels(self.sensor)], _channels(self.sensor))
+        stated = _each([one.noise or 0.0 for one, _ in self.sensor.predicted], self.sensor.predicted)
         deviation = np.where(stated > 0.0, stated, NOISE_N * np.abs(self.gain))
         return deviation * rng.standard_normal((rows, *deviation.shape))
 
@@ -167,7 +167,7 @@ class TaxelArray:
             raise TactileError(
                 f"{self.sensor.config.name}: {np.count_nonzero(~np.isfinite(series))} values are not finite"
             )
-        channels = _channels(self.sensor)
+        channels = self.sensor.predicted
         low, high = _each([one.saturation or one.limits for one, _ in channels], channels).T
         whole = _each(["int" in one.dtype for one, _ in channels], channels)
         found = np.clip(np.where(whole, np.rint(series), series.astype(np.float32)), low, high)
@@ -181,7 +181,7 @@ class TaxelArray:
     @cached_property
     def _parts(self) -> list[tuple[int, slice, bool]]:
         """Axis and values of each channel, and whether it is of the taxels."""
-        channels, values = _channels(self.sensor), self.sensor.config.values
+        channels, values = self.sensor.predicted, self.sensor.config.values
         ends = np.cumsum([count for _, count in channels]).tolist()
         return [
             (_axis(one, self.sensor), slice(end - count, end), one in values)
@@ -206,16 +206,9 @@ def require_channels(sensor: Sensor) -> None:
     """
     if (2 * sensor.valid.sum(axis=1) <= sensor.size).any():
         raise ConfigError(f"{sensor.config.name}: dead: half of the taxels of a finger or more")
-    for channel, _ in _channels(sensor):
+    for channel, _ in sensor.predicted:
         _axis(channel, sensor)
         _rest_and_gain(channel, 1.0, TaxelConfig())
-
-
-def _channels(sensor: Sensor) -> list[tuple[ChannelConfig, int]]:
-    """The channels of a touch, and how many values of a finger each has."""
-    config = sensor.config
-    both = [(one, 1) for one in config.scalars] + [(one, sensor.size) for one in config.values]
-    return [(one, count) for one, count in both if one.predicted]
 
 
 def _each(numbers: Sequence[Any], channels: list[tuple[ChannelConfig, int]]) -> Float64:

@@ -199,11 +199,11 @@ class Sensor:
         stated = {key: value for key, value in self.to_mapping().items() if key not in _OF_A_HAND}
         for key in ("values", "scalars"):
             stated[key] = [{k: v for k, v in one.items() if k not in _OF_A_HAND} for one in stated.get(key, [])]
-        stated["grasp"] = self.channels_fingers
+        stated["grasp"] = self._grasping
         return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
 
     @property
-    def channels_fingers(self) -> list[str]:
+    def _grasping(self) -> list[str]:
         """Names of the fingers that touch g1 and g2 in the names of modalities, whichever fingers are read."""
         return [finger.name for finger in self.config.chosen_fingers()]
 
@@ -214,11 +214,21 @@ class Sensor:
         Raises:
             ConfigError: If there is only one finger.
         """
-        if len(self.channels_fingers) < 2:
+        if len(self._grasping) < 2:
             raise ConfigError(f"sensor: {self.config.name} has one finger, and a grasp two")
-        parts = [(one, 1) for one in self.config.scalars] + [(one, self.size) for one in self.config.values]
-        predicted = tuple(one.channel(size) for one, size in parts if one.predicted)
-        return Channels(self.config.name, self.sha256, tuple(self.channels_fingers), predicted)
+        predicted = tuple(one.channel(size) for one, size in self.predicted)
+        return Channels(self.config.name, self.sha256, tuple(self._grasping), predicted)
+
+    @property
+    def predicted(self) -> list[tuple[ChannelConfig, int]]:
+        """Description of each of `channels`, and its numbers of a finger."""
+        both = [(one, 1) for one in self.config.scalars] + [(one, self.size) for one in self.config.values]
+        return [(one, size) for one, size in both if one.predicted]
+
+    @property
+    def is_biotac(self) -> bool:
+        """Whether its numbers are those of the BioTac SP, which has messages and files of its own."""
+        return self.sha256 == packaged_sensor("biotac_sp").sha256
 
     @property
     def scalar_channels(self) -> tuple[Channel, ...]:
@@ -319,8 +329,7 @@ def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:
 
 def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
     """The facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none."""
-    default = sensor.sha256 == packaged_sensor("biotac_sp").sha256
-    return facts if default else {**facts, "sensor": sensor.to_mapping()}
+    return facts if sensor.is_biotac else {**facts, "sensor": sensor.to_mapping()}
 
 
 def require_same(found: Channels, wanted: Channels, what: str) -> None:

@@ -24,7 +24,8 @@ from foretouch.dataset.files import disk_errors, read_manifest, sealed, sync_fol
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
 from foretouch.errors import FileError
-from foretouch.tactile.description import Sensor, packaged_sensor, sensor_in, with_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor, sensor_in, with_sensor
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
@@ -102,7 +103,7 @@ def recorded_sensor(path: Path) -> Sensor:
 @contextmanager
 def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None) -> Iterator[None]:
     """Lock a dataset of this hand, camera and sensor for writing (see `lock`); it is created if it does not exist."""
-    sensor = sensor or packaged_sensor("biotac_sp")
+    sensor = sensor or BIOTAC_SP
     with disk_errors(path):  # such as a name that is too long
         is_other = path.exists() and not (path / _MANIFEST).exists()
         # A process that is killed before it has written the manifest leaves these two.

@@ -35,7 +35,7 @@ from foretouch.dataset.recording.repair import readable, salvaged
 from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
-from foretouch.tactile.description import packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
 
 _T = TypeVar("_T")
 _HEAD_SIZE: Final = 65536  # bytes of a serialised sample that hold its frame and its id
@@ -209,7 +209,6 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
     first = dataset[0] if len(dataset) else None
-    biotac = packaged_sensor("biotac_sp")
     return SampleSet(
         path=path,
         kind="recording",
@@ -220,7 +219,7 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
         unfinished=cut,
         message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
-        sensor=recorded_sensor(path) if path.is_dir() else first.sensor if first else biotac,
+        sensor=recorded_sensor(path) if path.is_dir() else first.sensor if first else BIOTAC_SP,
     )
 
 

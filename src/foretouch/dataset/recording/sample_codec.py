@@ -34,7 +34,8 @@ from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp,
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
 from foretouch.tactile import TOUCH_SIZE, biotac_touch
-from foretouch.tactile.description import Sensor, packaged_sensor, require_same, sensor_of, with_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, GraspSample, Touch
 
@@ -68,7 +69,7 @@ class StoredSample(NamedTuple):
 
 def sample_type(sensor: Sensor) -> str:
     """Type of the messages that hold samples of a sensor."""
-    return TACTILE_SAMPLE_TYPE if with_sensor({}, sensor) else SAMPLE_TYPE
+    return SAMPLE_TYPE if sensor.is_biotac else TACTILE_SAMPLE_TYPE
 
 
 def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
@@ -83,7 +84,7 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
         DatasetError: If the id or a stamp is invalid, or a number other than a grasp's score is not finite.
         TactileError: If the touch is of another sensor.
     """
-    sample, sensor = record.sample, sensor or packaged_sensor("biotac_sp")
+    sample, sensor = record.sample, sensor or BIOTAC_SP
     check_id(sample.id, sample.object)
     type_name, series = sample_type(sensor), record.series
     for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
@@ -167,7 +168,7 @@ def _found_type(data: bytes | memoryview) -> str:
 
 
 def _stored(message: Any) -> StoredSample:
-    sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else packaged_sensor("biotac_sp")
+    sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else BIOTAC_SP
     sample = GraspSample(
         id=message.id,
         object=message.object,

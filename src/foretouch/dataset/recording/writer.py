@@ -55,7 +55,8 @@ from foretouch.dataset.recording.sample_codec import (
     sample_types,
 )
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.tactile.description import Sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 
 _MB: Final = 1_000_000
 _CHUNK_BYTES: Final = 4_000_000  # largest amount of messages that is collected before it is written
@@ -103,7 +104,7 @@ class RecordingWriter:
     ) -> None:
         self.path = Path(path)  # that in `fallback_folder` after the session was copied there
         self.identity = identity
-        self.sensor = sensor or packaged_sensor("biotac_sp")
+        self.sensor = sensor or BIOTAC_SP
         self.config = config or RecordingConfig()
         self.counts = MessageCounts()  # by topic; samples are counted under `SAMPLE_TOPIC`
         self.samples = 0  # appended

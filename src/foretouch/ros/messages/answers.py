@@ -38,7 +38,7 @@ class Refusal(NamedTuple):
 
 def other_sensor(sensor: Sensor | None) -> Refusal | None:
     """Why `TouchPrediction` cannot hold predictions for a sensor; None for the BioTac SP, and without a model."""
-    if sensor is None or sensor.sha256 == BIOTAC.sha256:
+    if sensor is None or sensor.is_biotac:
         return None
     text = f"the model predicts {sensor.config.name}, not {BIOTAC.sensor}: its predictions are on the topic {PREDICTED_TOPIC}"
     return Refusal(Status.REFUSED, text)

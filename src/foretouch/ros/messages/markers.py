@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from foretouch.grasp.pose import taxels_at
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.conversions import evidence_text, header_to_msg, point_to_msg
-from foretouch.tactile import BIOTAC, P2_RANGES, Ranges
+from foretouch.tactile import P2_RANGES, Ranges
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
 from foretouch_msgs.msg import ObjectArray
@@ -100,7 +100,7 @@ def sample_markers(sample: GraspSample, sensor: Sensor) -> MarkerArray:
     """
     if sample.touch is None:
         return MarkerArray()
-    view, ranges = TaxelView(sensor), P2_RANGES.ranges if sensor.sha256 == BIOTAC.sha256 else None
+    view, ranges = TaxelView(sensor), P2_RANGES.ranges if sensor.is_biotac else None
     header = header_to_msg(sample.cloud.frame_id, sample.stamp_ns)
     found = touch_markers(TouchPrediction(sample.grasp, sample.touch), header, view, ranges, sample.tare)
     for one in found.markers:

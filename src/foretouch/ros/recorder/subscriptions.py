@@ -294,13 +294,11 @@ class RecorderSubscriptions:
     def tick(self) -> list[str]:
         """Update the rates and adapt to the publishers; gives a line for each replaced subscription and new `excluded` type."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
-        before, self.excluded = (
-            self.excluded,
-            tuple(
-                f"{one.name}: a publisher sends {name}, not {one.topic.type_name}: nothing is received from it"
-                for one in self.inputs.values()
-                for name in one.other_types()
-            ),
+        before = self.excluded
+        self.excluded = tuple(
+            f"{one.name}: a publisher sends {name}, not {one.topic.type_name}: nothing is received from it"
+            for one in self.inputs.values()
+            for name in one.other_types()
         )
         return [text for text in self.excluded if text not in before] + [
             f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"

@@ -13,7 +13,7 @@ from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, Temperat
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
 from foretouch.simulation.scene.ranges import RangedSettings, Switch
 from foretouch.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
-from foretouch.tactile.description import Sensor, load_sensor, packaged_sensor
+from foretouch.tactile.description import Sensor, load_sensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ class FingersConfig(Settings):
             sensor = load_sensor(self.sensor)
         except ForetouchError as err:
             raise ConfigError(f"sensor: {err}") from err
-        return None if sensor.sha256 == packaged_sensor("biotac_sp").sha256 else sensor
+        return None if sensor.is_biotac else sensor
 
 
 @dataclass(frozen=True, kw_only=True)

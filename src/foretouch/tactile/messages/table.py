@@ -15,7 +15,8 @@ from typing import Any, Final
 from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.tactile.description import Sensor, load_sensor, packaged_sensor
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import Float32
 
 #: Message type to the module that decodes it.
@@ -54,7 +55,7 @@ class TactileConfig(Settings, read_only=True):
     def described(self) -> Sensor:
         """The sensor (raises as `load_sensor`)."""
         if not self.sensor:
-            return packaged_sensor("biotac_sp")
+            return BIOTAC_SP
         return load_sensor(self.sensor)
 
     @property
@@ -94,7 +95,7 @@ class TactileReader:
     read: Callable[[Any], TactileReading]
     others: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
-    sensor: Sensor = field(default_factory=lambda: packaged_sensor("biotac_sp"))
+    sensor: Sensor = BIOTAC_SP
 
     @property
     def channels(self) -> Channels:
