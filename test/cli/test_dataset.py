@@ -136,7 +136,7 @@ def test_info_of_a_dataset_without_samples_has_neither_times_nor_points(call, tm
         pass
     printed = call("dataset", "info", tmp_path / "ds").out
     assert "0 (0 labelled" in printed
-    assert "1970" not in printed and "points a cloud" not in printed
+    assert not [words for words in ("1970", "points a cloud") if words in printed]
 
 
 def test_a_bag_of_a_described_sensor_is_imported_and_shown(call, tmp_path) -> None:
