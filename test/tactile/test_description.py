@@ -82,6 +82,8 @@ def test_taxels_of_a_file_are_in_order_of_their_index(tmp_path) -> None:
     assert layout.pixels is None
     rounded = TAXELS.replace("0,0.6,0.8", "0.577,0.577,0.577")
     assert_allclose(load_sensor(write_sensor(tmp_path, changes, rounded)).layout.normals[0], np.full(3, 3**-0.5))
+    marked = load_sensor(write_sensor(tmp_path, changes, "\ufeff" + TAXELS)).layout  # as spreadsheets write UTF-8
+    assert_array_equal(marked.positions, layout.positions)
     image = "# DEX-01\nindex,x,y,z,nx,ny,nz,row,col\n\n1,0,0,0,0,0,1,3,0\n0,0.001,0,0,0,0,1,0,4\n"
     layout = load_sensor(write_sensor(tmp_path, {**changes, "pixels": [4, 5]}, image)).layout
     assert_array_equal(layout.pixels, [[0, 4], [3, 0]])
@@ -171,7 +173,11 @@ def test_taxels_that_break_a_rule_are_named_by_their_line(tmp_path) -> None:
         ("line 2: '0,0,0,0,0,1' is not 7 finite numbers", f"{head}\n0,0,0,0,0,1\n", ()),
         ("line 3: .* is not 7 finite numbers", f"{head}\n0,0,0,0,0,0,1\n1,x,0,0,0,0,1\n", ()),
         ("line 2: .* is not 7 finite numbers", f"{head}\n0,nan,0,0,0,0,1\n", ()),
-        ("line 2: nx, ny, nz: the normal is zero", f"{head}\n0,0,0,0,0,0,0\n", ()),
+        (
+            "line 2: nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel",
+            f"{head}\n0,0,0,0,0,0,0\n",
+            (),
+        ),
         ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,0,0,3\n", ()),
         ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,1e300,0,1e300\n", ()),
         ("line 3: index: not each of 0 to 1 once", f"{head}\n0,0,0,0,0,0,1\n0,1,0,0,0,0,1\n", ()),

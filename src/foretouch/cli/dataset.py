@@ -154,8 +154,9 @@ def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "objects", _counts(found.objects)
     yield "outcomes", _counts(found.outcomes)
     yield "flags", _counts(found.flags)
-    yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
-    yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
+    if found.samples:
+        yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
+        yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
     yield "sensor", found.sensor
     yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found.dead.items())
     yield from ((name, f"{low:g} to {high:g} {found.units[name]}") for name, (low, high) in found.ranges.items())

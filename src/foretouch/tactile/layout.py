@@ -122,7 +122,7 @@ def read_layout(path: Path, image: Sequence[int]) -> Layout:
         FileError: Names the file, the line and the rule.
     """
     columns = (*COLUMNS, *PIXEL_COLUMNS) if image else COLUMNS
-    text = read_bytes(path, _BYTES).decode("utf-8", "replace").splitlines()
+    text = read_bytes(path, _BYTES).decode("utf-8-sig", "replace").splitlines()
     lines = {f"line {n}": line for n, line in enumerate(text, 1) if line.strip() and not line.startswith("#")}
     if next(iter(lines.values()), None) != ",".join(columns):
         raise FileError(path, f"does not begin with the line {','.join(columns)}")
@@ -136,7 +136,7 @@ def read_layout(path: Path, image: Sequence[int]) -> Layout:
     inside = (pixels >= 0) & (pixels < (image or 0)) & (pixels % 1 == 0)
     for rule, wrong in (
         (f"index: not each of 0 to {len(table) - 1} once", ~np.isin(index, np.arange(len(table))) | _repeats(index)),
-        ("nx, ny, nz: the normal is zero", length == 0.0),
+        ("nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel", length == 0.0),
         ("nx, ny, nz: the normal is not of unit length", np.abs(length - 1.0) > 0.01),
         (f"row, col: not one of {list(image)} pixels for each", ~inside.all(axis=1) | (_repeats(pixels) & bool(image))),
     ):
