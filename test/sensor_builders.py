@@ -31,7 +31,7 @@ XELA_TYPES = {
 def write_sensor(folder: Path, changes: dict[str, Any] | None = None, taxels: str = TAXELS) -> Path:
     """The small sensor with changed settings, None for one that is left out; `taxels.csv` lies beside it."""
     mapping = {key: value for key, value in {**SMALL, **(changes or {})}.items() if value is not None}
-    (folder / "taxels.csv").write_text(taxels)
+    (folder / "taxels.csv").write_text(taxels, encoding="utf-8")
     path = folder / "small.yaml"
     path.write_text(yaml.safe_dump(mapping))
     return path

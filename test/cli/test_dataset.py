@@ -131,6 +131,14 @@ def test_info_and_verify_tell_what_was_received_written_dropped_and_lost(call, t
     assert "6 = 3 written + 3 dropped (queue full 3); 2 lost" in call("dataset", "info", tmp_path / "ds").out
 
 
+def test_info_of_a_dataset_without_samples_has_neither_times_nor_points(call, tmp_path) -> None:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK):
+        pass
+    printed = call("dataset", "info", tmp_path / "ds").out
+    assert "0 (0 labelled" in printed
+    assert not [words for words in ("1970", "points a cloud") if words in printed]
+
+
 def test_a_bag_of_a_described_sensor_is_imported_and_shown(call, tmp_path) -> None:
     write_topics(tmp_path / "bag", None, xela_stream(), XELA_TYPES)
     start = ("dataset", "import", str(tmp_path / "bag"), "-o", str(tmp_path / "ds"), "--sensor")

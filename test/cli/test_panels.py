@@ -117,6 +117,7 @@ def test_the_state_of_a_recording_is_whole_with_what_was_dropped_and_which_senso
     tactile = TopicAccount(topic="/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3])
     shared |= {"outcomes": ["no_tare", "recorded"], "outcome_counts": [2, 12], "last_sample": "can/000012"}
     shared |= {"pairing_error": 0.012, "pairing_error_max": 0.034, "disk_left": 600.0}
+    shared |= {"drop_reasons": ["queue full"], "drop_counts": [3]}
     status = RecorderStatus(recording=True, topics=[tactile, TopicAccount(topic="/foretouch/grasps", lost=5)], **shared)
     text = printed(record_panel(status, "title"))
     for words in ("12 samples", "can/000012", "disk full in 10 min", "2 no tare", "12 recorded", "3 queue full"):
@@ -150,8 +151,12 @@ def test_a_session_is_whole_at_80x24_with_objects_inputs_the_last_grasp_keys_and
     inputs = {names[0]: TopicStatistics(age_s=0.01, offset_s=-0.203), names[1]: TopicStatistics(age_s=12.0)}
     keys = RecordingKeys(lambda action, text: f"{action} {text}")
     keys.press("s")
+    for one in topics:
+        one.drop_reasons, one.drop_counts = ["paused"], [117]
+    status.drop_reasons, status.drop_counts = ["paused", "queue full"], [819, 3]
     panel = record_panel(status, "foretouch record (Ctrl-C ends it)", session, inputs, keys.lines(None))
     words = screen(panel, 80)
+    assert {"117", "dropped:", "819", "paused,", "full"} <= words
     assert {"success", "[q]uit", "PAUSED", "predicted", "read", "tare", "executed_grasp", "points", "sponge"} <= words
     assert {"-203", "12.0", "0.0", "2779", "±150", "2800", "repeat", "1000", "MF", "100123"} <= words
 

@@ -39,6 +39,8 @@ def test_a_data_set_of_another_sensor_names_it(scene, tmp_path, call) -> None:
     touch = store[2].touch
     assert touch is not None
     assert again["touch"] == touch.values.tolist()
+    assert store[2].extra["force_ff_n"] > 0.0
+    assert not any("_mf" in name for name in store[2].extra)
     assert touch.channels.modalities == ("X_TH", "X_FF", "Y_TH", "Y_FF", "Z_TH", "Z_FF")
 
 

@@ -2,6 +2,7 @@
 """Each fault of hand, camera and table is named with a fix, and nothing else."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,9 @@ def test_a_setup_without_a_fault_has_none_and_each_fault_is_named_alone(rng) -> 
     every_case(cases, check)
     nothing = faults(SessionCheck(("TH", "MF"), TactileReader(READ)).at_rest())
     assert {"hand rate", "camera rate", "thumb", "middle finger", "table", "hand in view"} == set(nothing)
+    silent = SessionCheck(("TH", "MF"), TactileReader(READ, ("TDC_TH", "TDC_MF")))
+    found = {one.name: one.found for one in silent.at_rest()}
+    assert (found["thumb"], found["thumb temperature"]) == ("no readings", "no readings")
     assert to_celsius(2048.0) == pytest.approx(49.3, abs=0.05)  # 4025 / ln(131900 / 0.5001) - 273.15
 
 
@@ -133,8 +137,12 @@ def test_reports_are_lines_in_the_dataset(tmp_path: Path) -> None:
     lines = [json.loads(line) for line in (tmp_path / "set" / CHECKS).read_text().splitlines()]
     assert [one["stamp_ns"] for one in lines] == [5, 6]
     assert lines[0]["findings"] == [{"name": "table", "fault": True, "found": "none", "fix": "look"}]
-    (tmp_path / "set" / CHECKS).write_text("{}\n")
-    assert last_check(tmp_path / "set") == "the last report cannot be read"
+    for content in ("{}\n", json.dumps(lines[0] | {"stamp_ns": 1e300})):
+        (tmp_path / "set" / CHECKS).write_text(content)
+        assert last_check(tmp_path / "set") == "the last report cannot be read"
+    (tmp_path / "set" / CHECKS).unlink()
+    os.mkfifo(tmp_path / "set" / CHECKS)
+    assert last_check(tmp_path / "set") == "the last report cannot be read", "and nothing waits for a writer"
     (tmp_path / "set" / CHECKS).unlink()
     (tmp_path / "set" / CHECKS).mkdir()
     with pytest.raises(FileError, match=r"checks\.jsonl"):

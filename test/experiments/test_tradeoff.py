@@ -143,13 +143,28 @@ def test_skills_are_kept_and_times_are_measured_again(lab: Path, run) -> None:
     assert status == 1
     assert "--resume" in message
     assert run("--resume")[1]["reused"] == 4  # no cell was run
+    summary = lab / "out/summary.md"
+    origin = summary.read_text().splitlines()[2]
+    assert origin.startswith("`foretouch tradeoff pi --preset small`; foretouch ")
+    assert run("--times")[1]["cells"] == 0
+    assert summary.read_text().splitlines()[2] == origin
+    times = summary.read_text().splitlines()[4]
+    assert times.startswith("Times: `foretouch tradeoff pi --preset small --times`; foretouch ")
+    assert run("--resume")[1]["reused"] == 4  # which measures the times again, too
+    assert "Times: " not in summary.read_text()
     shutil.rmtree(lab / "out/cells")  # as published results are
     (lab / "out/manifest.json").unlink()
-    assert run("--times")[1]["cells"] == 0
+    assert run("--times", "timing_s=0.2")[1]["cells"] == 0
+    changed = times.replace("small --times", "small timing_s=0.2 --times")
+    assert summary.read_text().splitlines()[2:6] == [origin, "", changed, ""]
     again = table.read_text()
     assert again != first
     assert run("--redraw")[1]["figures"] == ["tradeoff.png"]
+    assert summary.read_text().splitlines()[2:6] == [origin, "", changed, ""]
     assert table.read_text() == again
+    summary.unlink()
+    assert run("--times")[1]["cells"] == 0
+    assert summary.read_text().splitlines()[2].startswith("How the skills were measured is not known")
     assert {row["skill"] for row in read_results(table) if row["variant"] == "short"} == {0.52507}
 
 
@@ -159,7 +174,9 @@ def test_runs_of_an_idle_and_a_loaded_machine_are_kept_apart(lab: Path, run, mon
         assert run("--resume")[0] == 0
     states = [row["state"] for row in read_results(lab / "out/tradeoff.csv")]
     assert states == ["loaded"] * 9 + ["idle"] * 9
-    assert ", idle: " in (lab / "out/summary.md").read_text()  # which the picture shows
+    summary = (lab / "out/summary.md").read_text()
+    assert ", idle: " in summary  # which the picture shows
+    assert summary.count("Skipped: other library") == 1
 
 
 def test_a_wrong_area_is_refused(lab: Path, run) -> None:

@@ -89,18 +89,23 @@ def test_flying_points(rng: np.random.Generator) -> None:
         before = xyz + np.array([0.0, 0.0, 1.0], np.float32)  # the camera
         before[rng.random(len(xyz)) < 0.05] *= np.float32(0.97)
         for points in (xyz, before):
-            settings, marked, radius = (
-                np.array([20.0, 0.008, 2.0, 0.5, 1.0]),
-                np.empty(len(points), np.uint8),
-                np.empty(1),
-            )
-            flying._flying(points, len(points), settings, marked, radius)
+            n, marked, radius = len(points), np.empty(len(points), np.uint8), np.empty(1)
+            once, twice = (np.array([20.0, 1.0, 0.008, 2.0, 0.5, 1.0, 0.75, support]) for support in (-2.0, 3.0))
+            flying._flying(points, n, once, marked, radius)
             if radius[0] == 0.0:
                 assert not marked.any()
             else:
-                some = rng.permutation(len(points))[:100]
-                expected = reference.flying_points(points, some, radius[0], *settings[1:])
+                some = rng.permutation(n)[:100]
+                expected = reference.flying_points(points, some, radius[0], *once[2:6])
                 np.testing.assert_array_equal(marked[some], expected)
+                rest = np.flatnonzero(marked == 0)
+                flying._flying(points, n, twice, marked, radius)
+                some = rng.permutation(len(rest))[:100]
+                again = reference.flying_points(points[rest], some, radius[0], *twice[2:4], *twice[6:])
+                np.testing.assert_array_equal(marked[rest[some]], again & (len(rest) < n))
+                few = marked.copy()
+                flying._flying(points, n, np.array([20.0, n + 1.0, *twice[2:]]), few, radius)
+                assert not few.any()
             found[0] += radius[0] > 0.0
             found[1] += int(marked.sum())
 

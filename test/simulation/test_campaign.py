@@ -189,16 +189,16 @@ def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object() -> None:
     starts = []
     for slot, (warm, cold) in enumerate(zip(made(config, 4), made(plain, 4), strict=True)):
         assert not [name for name in cold.extra if "TDC" in name or "TAC" in name]
-        assert np.isfinite(tdc_of(warm.extra, "tare_")).all() == (warm.tare is not None) == (slot % 2 == 0)
-        change = tdc_of(warm.extra) - TDC_REST
+        assert np.isfinite(tdc_of(warm.extra, BIOTAC, "tare_")).all() == (warm.tare is not None) == (slot % 2 == 0)
+        change = tdc_of(warm.extra, BIOTAC) - TDC_REST
         pairs = ((warm.touch, cold.touch, ""), (warm.tare, cold.tare, "tare_"))
         for touch, other, prefix in pairs[: 1 + (warm.tare is not None)]:
             moved = touch.values - other.values  # type: ignore[union-attr]
-            expected = slopes * (tdc_of(warm.extra, prefix) - TDC_REST)[:, None]
+            expected = slopes * (tdc_of(warm.extra, BIOTAC, prefix) - TDC_REST)[:, None]
             np.testing.assert_allclose(moved[2:].reshape(2, -1), expected, atol=1.6)  # of rounded counts
             np.testing.assert_array_equal(moved[:2], 0.0)  # PDC does not follow
         if warm.tare is not None:
-            cooled = tdc_of(warm.extra) - tdc_of(warm.extra, "tare_")
+            cooled = tdc_of(warm.extra, BIOTAC) - tdc_of(warm.extra, BIOTAC, "tare_")
             np.testing.assert_allclose(cooled, -2.0 * 75.0 * (1.0 - np.exp(-1.0 / 20.0)), atol=1.0)
             assert (warm.extra["tare_TAC_TH"], warm.extra["TAC_TH"]) == (2048.0, 2010.0)
             starts.append(change)

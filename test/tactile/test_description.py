@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descriptions of sensors: those of the package, places of taxels by hand, the hash, and everything that is refused."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,8 @@ def test_taxels_of_a_file_are_in_order_of_their_index(tmp_path) -> None:
     assert layout.pixels is None
     rounded = TAXELS.replace("0,0.6,0.8", "0.577,0.577,0.577")
     assert_allclose(load_sensor(write_sensor(tmp_path, changes, rounded)).layout.normals[0], np.full(3, 3**-0.5))
+    marked = load_sensor(write_sensor(tmp_path, changes, "\ufeff" + TAXELS)).layout  # as spreadsheets write UTF-8
+    assert_array_equal(marked.positions, layout.positions)
     image = "# DEX-01\nindex,x,y,z,nx,ny,nz,row,col\n\n1,0,0,0,0,0,1,3,0\n0,0.001,0,0,0,0,1,0,4\n"
     layout = load_sensor(write_sensor(tmp_path, {**changes, "pixels": [4, 5]}, image)).layout
     assert_array_equal(layout.pixels, [[0, 4], [3, 0]])
@@ -170,7 +173,11 @@ def test_taxels_that_break_a_rule_are_named_by_their_line(tmp_path) -> None:
         ("line 2: '0,0,0,0,0,1' is not 7 finite numbers", f"{head}\n0,0,0,0,0,1\n", ()),
         ("line 3: .* is not 7 finite numbers", f"{head}\n0,0,0,0,0,0,1\n1,x,0,0,0,0,1\n", ()),
         ("line 2: .* is not 7 finite numbers", f"{head}\n0,nan,0,0,0,0,1\n", ()),
-        ("line 2: nx, ny, nz: the normal is zero", f"{head}\n0,0,0,0,0,0,0\n", ()),
+        (
+            "line 2: nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel",
+            f"{head}\n0,0,0,0,0,0,0\n",
+            (),
+        ),
         ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,0,0,3\n", ()),
         ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,1e300,0,1e300\n", ()),
         ("line 3: index: not each of 0 to 1 once", f"{head}\n0,0,0,0,0,0,1\n0,1,0,0,0,0,1\n", ()),
@@ -201,6 +208,29 @@ def test_what_is_no_description_is_refused(tmp_path) -> None:
     path = write_sensor(tmp_path, {"array": None, "taxels": "absent.csv"})
     with pytest.raises(FileError, match=r"absent\.csv: No such file"):
         load_sensor(path)
+
+
+def test_a_description_in_a_manifest_is_checked_as_a_file_is() -> None:
+    one = load_sensor("shadow_mst").to_mapping()
+    points, normals, _ = one["taxels"]
+    image = {**one, "pixels": [2, 4]}
+    places = [[0, k % 4] for k in range(len(points))]
+    cases = (
+        ("taxels: are no positions", {**one, "taxels": [[[10**400, 0, 0], *points[1:]], normals, None]}),
+        ("taxels: are no positions", {**image, "taxels": [points, normals, [[10**400, 0], *places[1:]]]}),
+        ("taxels: are no positions", {**image, "taxels": [points, normals, places[1:]]}),
+        ("taxels: 0 are not 1 to", {**one, "taxels": [[], [], None]}),
+        ("taxels: 70000 are not 1 to", {**one, "taxels": [[[0, 0, 0]] * 70_000, [[0, 0, 1]] * 70_000, None]}),
+        ("taxels: are not finite, or the normals not", {**one, "taxels": [points, [[0, 0, 0], *normals[1:]], None]}),
+        ("taxels: are not finite", {**one, "taxels": [[[math.nan, 0, 0], *points[1:]], normals, None]}),
+        ("pad: taxel 0 at .* is outside", {**one, "taxels": [[[1e300, 0, 0], *points[1:]], normals, None]}),
+        ("pixels: a taxel is outside", {**image, "taxels": [points, normals, [[2, 0], *places[1:]]]}),
+        ("dead: FF has no taxel 99", {**one, "fingers": [{"name": "FF", "dead": [99]}, *one["fingers"][1:]]}),
+        ("fingers: there is one", {**one, "fingers": [{"name": "TH"}], "grasp": []}),
+    )
+    every_refusal(
+        ConfigError, [(f"where: {rule}", case) for rule, case in cases], lambda case: sensor_of(case, "where")
+    )
 
 
 def test_columns_of_fingers_are_where_the_modalities_are_and_dead_taxels_are_not_valid() -> None:

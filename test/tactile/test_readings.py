@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings: faults, tare, and impedances against numbers worked out by hand."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from every_case import every_case
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
-from foretouch.tactile import BIOTAC, biotac_touch, columns, make_tare, offsets, restore, to_kohm, touch_faults
+from foretouch.tactile import BIOTAC, biotac_touch, columns, make_tare, offsets, restore, tdc_of, to_kohm, touch_faults
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Touch
 
@@ -71,3 +72,11 @@ def test_the_tare_of_a_channel_whose_rest_level_is_zero_is_zero(rng: np.random.G
     counts = rng.integers(1, 4095, (5, BIOTAC.size)).astype(float)
     tare = make_tare([Touch(one, BIOTAC) for one in counts])
     np.testing.assert_array_equal(tare.values, np.median(counts, axis=0))
+
+
+def test_temperatures_are_those_of_the_fingers_of_the_touch() -> None:
+    extra = {"TDC_TH": 2400.0, "TDC_FF": 2500.0, "tare_TDC_FF": 4095.0, "TDC_MF": 0.0}
+    other = replace(BIOTAC, fingers=("TH", "FF"))
+    assert_array_equal(tdc_of(extra, other), [2400.0, 2500.0])
+    assert_array_equal(tdc_of(extra, BIOTAC), [2400.0, np.nan])  # 0: a driver without one
+    assert_array_equal(tdc_of(extra, other, "tare_"), [np.nan, np.nan])  # absent, saturated

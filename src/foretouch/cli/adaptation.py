@@ -128,7 +128,7 @@ class Adaptation:
         assert sample.touch is not None  # noqa: S101  only labelled samples are passed
         try:
             if sample.tare is not None:
-                hand.add_tare(stamp_ns, sample.tare, tdc=tdc_of(sample.extra, "tare_"))
+                hand.add_tare(stamp_ns, sample.tare, tdc=tdc_of(sample.extra, sample.tare.channels, "tare_"))
             if id(sample) not in self._estimates:
                 self._estimates[id(sample)] = self.model.estimate_executed(sample.cloud, [sample.grasp])
             estimate = self._estimates[id(sample)]
@@ -139,7 +139,7 @@ class Adaptation:
                 sample.touch,
                 new_object=new_object,
                 estimate=estimate,
-                tdc=tdc_of(sample.extra),
+                tdc=tdc_of(sample.extra, sample.touch.channels),
             )
         except ForetouchError as err:
             raise DatasetError(f"{sample.id}: {err}") from err
@@ -177,7 +177,7 @@ def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | 
         if path.suffix == ".tac":
             touch, extra = read_touch(path)
             require_same(touch.channels, sensor.channels, f"--tare: {path}")
-            fresh = [(touch, tdc_of(extra))]
+            fresh = [(touch, tdc_of(extra, touch.channels))]
         else:
             document = read_json(path)
             fresh = [
@@ -208,7 +208,7 @@ def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     for name, size in sizes.items():
         if size > 1 and len(entry[name]) != size:
             raise FileError(path, f"is not {size} numbers", field=name)
-    tdc = tdc_of({name: float(entry.get(name.lower(), np.nan)) for name in temperatures})
+    tdc = tdc_of({name: float(entry.get(name.lower(), np.nan)) for name in temperatures}, channels)
     return Touch(np.hstack([entry[name] for name in sizes]), channels), tdc
 
 
@@ -223,7 +223,7 @@ def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Seque
 def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:
     if sample is None or sample.tare is None:
         raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
-    return sample.tare, tdc_of(sample.extra, "tare_")
+    return sample.tare, tdc_of(sample.extra, sample.tare.channels, "tare_")
 
 
 def read_samples(paths: Sequence[str], channels: Channels) -> list[GraspSample]:

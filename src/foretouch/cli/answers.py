@@ -122,7 +122,9 @@ def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPre
         ConfigError: Names the field that is missing or wrong.
     """
     if isinstance(record, dict) and (missing := [name for name in channels.modalities if name not in record]):
-        raise ConfigError(f"predictions: {missing[0]}: is missing; another sensor than {channels.sensor} was predicted")
+        raise ConfigError(
+            f"predictions: {missing[0]}: is missing; not of {channels.sensor}; name the model or its data"
+        )
     try:
         field = "grasp"
         shapes = {"g1": (3,), "g2": (3,), "rotation": (3, 3)}

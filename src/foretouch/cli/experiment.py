@@ -15,7 +15,13 @@ from foretouch.errors import ConfigError, FileError
 from foretouch.experiments import Experiment, find_experiment, list_experiments, run_sweep
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
+from foretouch.experiments.framework.manifest import (
+    SUMMARY_FILE,
+    read_results,
+    require_experiment,
+    times_line,
+    write_summary,
+)
 from foretouch.experiments.framework.sweep import SweepResult
 from foretouch.ray_cluster import ADDRESS_HELP
 
@@ -97,9 +103,10 @@ def run_experiment(
     if source is None and folder and experiment.data_folder is not None:
         source = Path(folder) / experiment.data_folder
     with progress_bar("reading the data", hidden=arguments.json) as update:
-        times = partial(update, description="times")
+        finishing, times = partial(update, description="times"), ""
         if measure is not None:
-            result = SweepResult(rows=list(measure(settings, arguments.out, source, times)))
+            result = SweepResult(rows=list(measure(settings, arguments.out, source, finishing)))
+            times = times_line(experiment, arguments.preset, settings)
         else:
             result = run_sweep(
                 experiment,
@@ -112,9 +119,9 @@ def run_experiment(
                 workers=arguments.workers or len(os.sched_getaffinity(0)),
                 address=arguments.address,
                 progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
-                finishing=times,
+                finishing=finishing,
             )
-    return _show_result(experiment, result, arguments)
+    return _show_result(experiment, result, arguments, times)
 
 
 def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
@@ -135,15 +142,19 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
     return 0
 
 
-def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path) -> list[str]:
-    """Write tables and figures of the results; returns the names of the figures."""
+def _report(
+    experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path, times: str | None = None
+) -> list[str]:
+    """Write tables and figures of the results; returns the names of the figures. For `times` see `write_summary`."""
     if not rows:
         return []
-    write_summary(out, experiment, experiment.tables(rows))
+    write_summary(out, experiment, experiment.tables(rows), times)
     return [path.name for path in experiment.draw(rows, out)]
 
 
-def _show_result(experiment: Experiment[Any, Any], result: SweepResult, arguments: argparse.Namespace) -> int:
+def _show_result(
+    experiment: Experiment[Any, Any], result: SweepResult, arguments: argparse.Namespace, times: str
+) -> int:
     """Write summary and figures of a sweep and print its result; the exit status is 1 if a cell failed."""
     summary = {
         "status": "failed" if result.failures else "done",
@@ -154,7 +165,7 @@ def _show_result(experiment: Experiment[Any, Any], result: SweepResult, argument
         "finished": result.finished,
         "failed": result.failures,
         "rows": len(result.rows),
-        "figures": _report(experiment, result.rows, arguments.out),
+        "figures": _report(experiment, result.rows, arguments.out, times),
         "data_sha256": result.data_sha256,
         "path": str(arguments.out),
     }

@@ -58,10 +58,8 @@ def record_panel(
     if session is not None and session.last is not None:
         parts.append(executed_table(*session.last, sensor))
     parts += [_grasps(status), _sensors(status), *_invalid(session), _topics(status.topics, inputs)]
-    for one in status.topics:
-        found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
-        parts += [Text(f"{one.topic} dropped {found}")] * bool(found)
-    return FittedPanel(parts, title)
+    dropped = ", ".join(f"{n} {why}" for why, n in zip(status.drop_reasons, status.drop_counts, strict=True))
+    return FittedPanel([*parts, *[Text(f"dropped: {dropped}")] * bool(dropped)], title)
 
 
 def _samples(status: RecorderStatus) -> Text:

@@ -16,9 +16,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from foretouch import __version__
-from foretouch.checked_files import open_own, parse_json
+from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, SensorHealth
+from foretouch.errors import FileError
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.contact_detector import ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReader, TactileReading
@@ -168,8 +169,10 @@ class SessionCheck:
 
     def _temperature(self, finger: str) -> CheckFinding:
         name, others = f"{finger_label(finger)} temperature", self._reader.others
-        if (channel := f"TDC_{finger}") not in others or not self._readings:
+        if (channel := f"TDC_{finger}") not in others:
             return CheckFinding(name, "this type of message has none")
+        if not self._readings:
+            return CheckFinding(name, "no readings")
         tdc = float(np.median([one.others[others.index(channel)] for one in self._readings]))
         if not is_tdc(np.array([tdc]))[0]:
             return CheckFinding(name, f"TDC is {tdc:g}: the driver sends none")
@@ -216,13 +219,13 @@ def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> 
 
 def last_check(path: Path) -> str:
     """The last report of a dataset in words; "" without one."""
+    if not (path / CHECKS).exists():
+        return ""
     try:
-        report = parse_json((path / CHECKS).read_text(encoding="utf-8").splitlines()[-1])
+        report = parse_json(read_bytes(path / CHECKS, TEXT_LIMIT).splitlines()[-1])
         faults = [str(one["name"]) for one in report["findings"] if one["fault"]]
         when = datetime.fromtimestamp(report["stamp_ns"] * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
         found = f"faults: {', '.join(faults)}" if faults else "no fault"
         return f"{when}: {len(report['findings'])} checks, {found}"
-    except (FileNotFoundError, NotADirectoryError):
-        return ""
-    except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
+    except (FileError, ValueError, KeyError, TypeError, IndexError, OverflowError, OSError):
         return "the last report cannot be read"

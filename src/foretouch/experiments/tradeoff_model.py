@@ -19,7 +19,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row, Table
-from foretouch.experiments.framework.frontier import Panel, best_state, interval, time_column
+from foretouch.experiments.framework.frontier import Panel, interval, time_column
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
 from foretouch.learning.data import Dataset, labels_of, make_folds
@@ -485,7 +485,6 @@ def _two_digits(value: float) -> str:
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     """The answer, and the main models with requests of several clouds and to two processes."""
-    rows = best_state(rows)
     requests = sorted({row["request"] for row in rows if row["request"]})
     found = {(row["variant"], row["request"]): row for row in rows}
     keys = ("ms_p50", "ms_p95", "ms_p99") if (wall := time_column(rows) == "ms_p50") else ("cpu_ms",)

@@ -20,7 +20,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel
+from foretouch.experiments.framework.frontier import Panel, time_column
 from foretouch.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant, variant_cells
 from foretouch.experiments.shared.scores import interval_columns
 from foretouch.learning.data import labels_of
@@ -128,8 +128,8 @@ def _finest(scene: str) -> str:
 def _variants(settings: SimulationSettings) -> Iterator[Variant]:
     every = settings.detail == "all"
 
-    def variant(name: str, factor: str, scene: str, changes: Mapping[str, Any], effect: str = "") -> Variant:
-        values = {"scene": scene, "changes": {**_ALWAYS[scene], **changes}, "effect": effect}
+    def variant(name: str, factor: str, scene: str, changes: Mapping[str, Any]) -> Variant:
+        values = {"scene": scene, "changes": {**_ALWAYS[scene], **changes}}
         return Variant(name, factor, values, compared_with=_shipped(scene), reference=_finest(scene))
 
     for scene in (RIGID, SOFT):
@@ -142,7 +142,7 @@ def _variants(settings: SimulationSettings) -> Iterator[Variant]:
     yield variant(_shipped(EVERYTHING), "shipped", EVERYTHING, {})
     for name, field in (_DEPTH_EFFECTS | (_OTHER_EFFECTS if every else {})).items():
         factor = "depth effect" if name in _DEPTH_EFFECTS else "other effect"
-        yield variant(f"without {name}", factor, EVERYTHING, {field: None}, effect=name)
+        yield variant(f"without {name}", factor, EVERYTHING, {field: None})
     if every:
         ideal = dict.fromkeys(_DEPTH_EFFECTS.values())
         yield variant("ideal camera", "depth effect", EVERYTHING, ideal)
@@ -157,7 +157,6 @@ class _Touched:
     drops: Mapping[int, Float64]  # (2, 24) by slot, of the electrodes of both fingers before sensor effects [counts]
     forces: Mapping[int, Float64]  # (2,) by slot [N]
     counts: Mapping[int, Float64]  # (50,) by slot, whole readings [counts]
-    seconds: Mapping[str, float]  # of a call, by effect
 
 
 @lru_cache(maxsize=8)
@@ -174,8 +173,7 @@ def _touched(scene: SceneConfig, count: int) -> _Touched:
         drops[slot] = (rest - pressed)[:, 1:]
         forces[slot] = np.array([contact.force_n for contact in state.contacts])
         counts[slot] = state.touch.values
-    seconds = {name: timing.seconds / max(timing.calls, 1) for name, timing in engine.timings.items()}
-    return _Touched(drops, forces, counts, seconds)
+    return _Touched(drops, forces, counts)
 
 
 def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
@@ -184,13 +182,11 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
     mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
     both = sorted(mine.counts.keys() & others.counts.keys())
-    names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest", "effect_ms")
+    names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest")
     row: Row = {**dict.fromkeys(names), "refused": settings.compared - len(mine.counts)}
     if name == EVERYTHING:
         change = np.array([mine.counts[k] - others.counts[k] for k in both])
         row |= {"counts": float(np.sqrt(np.mean(change**2))), "counts_largest": float(np.abs(change).max())}
-        if cell.values["effect"]:
-            row["effect_ms"] = 1e3 * others.seconds[cell.values["effect"]]
     else:
         drops, forces = ([_relative(one[k], other[k]) for k in both] for one, other in (
             (mine.drops, others.drops), (mine.forces, others.forces)))  # fmt: skip
@@ -239,7 +235,7 @@ def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
         for name in (*(f"trained_{scene}" for scene in SCENES), "trained_change"):
             found |= {f"{name}{end}": row.get(f"{name}{end}") for end in ("", "_low", "_high")}
         names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest")
-        result.append(found | {name: row[name] for name in (*names, "effect_ms", "refused")})
+        result.append(found | {name: row[name] for name in (*names, "refused")})
     return result
 
 
@@ -259,7 +255,8 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
 
 
 def _notes(rows: Sequence[Row]) -> list[str]:
-    found = []
+    found, column = [], time_column(rows)
+    whole = next((row[column] for row in rows if row["variant"] == _shipped(EVERYTHING)), None)
     for row in [row for row in rows if row["trained_change"] is not None]:
         change = f"{row['trained_change']:+.2f}"
         if row["trained_change_low"] is not None:
@@ -271,8 +268,9 @@ def _notes(rows: Sequence[Row]) -> list[str]:
                 f"{100.0 * row['pattern_error_largest']:.2g} %), force error {100.0 * round(row['force_error'], 6):.2g} %; "
                 f"{trained} the finest level."
             )
-        elif row["effect_ms"] is not None or row["counts"]:
-            cost = "" if row["effect_ms"] is None else f", costs {row['effect_ms']:.2g} ms a sample"
+        elif row["counts"] is not None and row["factor"] != "shipped":
+            less = None if None in (whole, row[column]) else whole - row[column]
+            cost = "" if less is None else f", a sample takes {abs(less):.1f} ms {'more' if less < 0.0 else 'less'}"
             found.append(
                 f"{row['variant']}: readings change by {row['counts']:.3g} counts (largest {row['counts_largest']:.0f}){cost}; "
                 f"{trained} all effects."

@@ -196,7 +196,8 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
     extra = {"seed": float(key.seed), "slot": float(key.slot), "attempt": float(key.attempt)}
     if key.repeat:
         extra["repeat"] = float(key.repeat)
-    for finger, target, contact in zip(("th", "mf"), state.targets, state.contacts, strict=True):
+    fingers = (name.lower() for name in state.touch.channels.fingers)
+    for finger, target, contact in zip(fingers, state.targets, state.contacts, strict=True):
         extra[f"target_{finger}"] = float(target)
         extra[f"force_{finger}_n"] = contact.force_n
         extra[f"depth_{finger}_m"] = float(contact.depth_m)

@@ -55,7 +55,7 @@ class FieldPath:
             if hasattr(value, step):
                 return getattr(value, step)
             fields = [one for one in dir(value) if one[0].islower() and not callable(getattr(value, one))]
-            raise self._error(f"{type(value).__name__} has no field {none_of(step, fields)}")
+            raise self._error(f"{type(value).__name__}: field {none_of(step, fields)}")
         items = self._listed(value)
         if isinstance(step, int):
             if not -len(items) <= step < len(items):

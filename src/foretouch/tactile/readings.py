@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from foretouch.channels import Channel, Channels
 from foretouch.errors import TactileError
-from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Bool, Float64, Touch
 
 FULL_SCALE: Final = 4095  # largest count of the 12-bit converter of the BioTac SP
@@ -64,14 +63,15 @@ def rest_of(values: npt.ArrayLike, channels: Channels) -> Touch:
     return Touch(np.where(channels.tared, np.asarray(values, np.float64), 0.0), channels)
 
 
-def tdc_of(values: Mapping[str, float], prefix: str = "") -> Float64:
-    """(2,) TDC of thumb and middle finger [counts] among further channels by name; NaN where it is absent or dead.
+def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") -> Float64:
+    """(F,) TDC of the fingers of a touch [counts] among further channels by name; NaN where it is absent or dead.
 
     Args:
         values: As `GraspSample.extra`.
+        channels: Of the touch, for the names of its fingers.
         prefix: Before the names: `tare_` for those of the tare.
     """
-    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in BIOTAC.fingers], np.float64)
+    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in channels.fingers], np.float64)
     return np.where(is_tdc(found), found, np.nan)
 
 

@@ -35,17 +35,9 @@ def flying_mask(xyz: Float32, least_share: float) -> Bool:
     Raises:
         MemoryError: If there is too little memory.
     """
-    flying = _alone(xyz, *_FIRST)
-    if np.count_nonzero(flying) < max(least_share * len(xyz), 1.0):
-        return np.zeros(len(xyz), np.bool_)
-    rest = np.flatnonzero(~flying)
-    flying[rest[_alone(xyz[rest], *_AGAIN)]] = True
-    return flying
-
-
-def _alone(xyz: Float32, share: float, support: float) -> Bool:
     flying, radius = np.empty(len(xyz), np.uint8), np.empty(1)
-    settings = np.array([_NEIGHBOURS, _GAP_M, _SLOPE, share, support])
+    least = max(least_share * len(xyz), 1.0)
+    settings = np.array([_NEIGHBOURS, least, _GAP_M, _SLOPE, *_FIRST, *_AGAIN])
     _flying(np.ascontiguousarray(xyz), len(xyz), settings, flying, radius)
     if radius[0] < 0.0:
         raise MemoryError("flying_points")

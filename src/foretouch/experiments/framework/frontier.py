@@ -141,7 +141,6 @@ def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row]) -> Iterat
 
 def general_notes(rows: Sequence[Row], skills: Sequence[str]) -> Iterator[str]:
     """Which variants have no skill or could not run, and on what machine they were timed."""
-    rows = best_state(rows)
     timed = [row for row in rows if not row["skipped"]]
     without = sorted({row["variant"] for row in timed if all(row.get(skill) is None for skill in skills)})
     if without:

@@ -28,7 +28,7 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.checked_files import TEXT_LIMIT, read_bytes, read_json, require_schema, write_text
-from foretouch.config import flattened
+from foretouch.config import Settings, flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
@@ -39,6 +39,7 @@ RESULTS_FILE: Final = "results.csv"
 SUMMARY_FILE: Final = "summary.md"
 
 _CELLS: Final = "cells"
+_TIMES: Final = "Times: "
 _KEY: Final = re.compile(r"[\w.+-]{1,200}")
 _LIBRARIES: Final = ("numpy", "scipy", "scikit-learn", "torch", "ray")
 
@@ -160,14 +161,22 @@ def read_results(path: Path) -> list[Row]:
         raise FileError(path, str(err)) from err
 
 
-def write_summary(out: Path, experiment: Experiment[Any, Any], tables: Sequence[Table]) -> None:
+def write_summary(
+    out: Path, experiment: Experiment[Any, Any], tables: Sequence[Table], times: str | None = None
+) -> None:
     """Write `summary.md`: the question, how the results were made and which cells they lack, tables and their notes.
+
+    Args:
+        out: The folder.
+        experiment: Whose results they are.
+        tables: The tables.
+        times: `times_line` if times alone were measured again, "" if all was; None keeps the line that is there.
 
     Raises:
         FileError: If it cannot be written, or the manifest is damaged.
     """
     file = out / SUMMARY_FILE
-    lines = [f"# {experiment.question}", "", *_origin(out, experiment)]
+    lines = [f"# {experiment.question}", "", *_origin(out, experiment, times)]
     for table in tables:
         lines += [f"## {table.title}", ""]
         if table.rows:
@@ -177,23 +186,37 @@ def write_summary(out: Path, experiment: Experiment[Any, Any], tables: Sequence[
     write_text(file, "\n".join(lines[:-1]) + "\n")
 
 
-def _origin(out: Path, experiment: Experiment[Any, Any]) -> list[str]:
+def times_line(experiment: Experiment[Any, Any], preset: str, settings: Settings) -> str:
+    """Line of `summary.md` on times that were measured now, without the skills beside them."""
+    command = _command({"preset": preset, "settings": settings.to_mapping()}, experiment)
+    return f"{_TIMES}`{command} --times`; {_version(environment(1, None))}"
+
+
+def _origin(out: Path, experiment: Experiment[Any, Any], times: str | None) -> list[str]:
     """Lines on the command, version, data and missing cells, by the manifest; without one, those written before."""
     file, written = out / MANIFEST_FILE, out / SUMMARY_FILE
-    if not file.exists():
-        before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
-        return before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
-    manifest = _read_manifest(file)
-    lines = []
-    if manifest["sessions"]:
-        session, data = manifest["sessions"][-1], manifest["data"]["sha256"]
-        version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
-        machine = f"{session['cpu']}; sha256 of the data `{data[:16]}`"
-        lines = [f"`{_command(manifest, experiment)}`; {version}, {machine}", ""]
-    cells = manifest.get("cells", {})
-    if cells and cells["finished"] != cells["all"]:
-        lines += [f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone.", ""]
-    return lines
+    before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
+    before = before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
+    lines = [line for line in before if line and not line.startswith(_TIMES)]
+    if times is None:
+        times = next((line for line in before if line.startswith(_TIMES)), "")
+    if file.exists():
+        manifest, lines = _read_manifest(file), []
+        if manifest["sessions"]:
+            data = f"sha256 of the data `{manifest['data']['sha256'][:16]}`"
+            lines.append(f"`{_command(manifest, experiment)}`; {_version(manifest['sessions'][-1])}; {data}")
+        cells = manifest.get("cells", {})
+        if cells and cells["finished"] != cells["all"]:
+            lines.append(
+                f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
+            )
+    elif not lines and times:
+        lines = ["How the skills were measured is not known: they are those of a table without its summary."]
+    return [part for line in (*lines, times) if line for part in (line, "")]
+
+
+def _version(session: Mapping[str, Any]) -> str:
+    return f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}, {session['cpu']}"
 
 
 def _command(manifest: Mapping[str, Any], experiment: Experiment[Any, Any]) -> str:

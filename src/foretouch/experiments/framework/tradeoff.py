@@ -151,7 +151,8 @@ class Area(Experiment[S, D]):
         }
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """What the area summarises, frontiers, and what is true of all variants."""
+        """What the area summarises, frontiers, and what is true of all variants, on the idle machine if it was idle once."""
+        rows = frontier.best_state(rows)
         general = [*self.notes(rows), *_answers(self, rows), *frontier.general_notes(rows, tuple(self.skills))]
         return [*self.summarise(rows), *frontier.tables(self.panels, rows), Table("All settings", [], [], general)]
 
@@ -270,7 +271,7 @@ def _largest_difference(answer: Answer | None, other: Answer | None) -> float | 
 def _answers(area: Area[Any, Any], rows: Sequence[Row]) -> Iterator[str]:
     """Of variants that are compared with another one than the shipped: how much their answers differ."""
     shipped = {row["variant"] for row in rows if row["factor"] == "shipped"}
-    differences = {(row["variant"], row["compared_with"]): row["difference"] for row in frontier.best_state(rows)}
+    differences = {(row["variant"], row["compared_with"]): row["difference"] for row in rows}
     for (name, other), difference in differences.items():
         if difference is not None and other not in {name, *shipped}:
             yield f"{name} answers like {other} within {difference:.2g} {area.unit}."

@@ -3,6 +3,7 @@
 
 import os
 import tempfile
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ class CloudFile(Sequence[Float32]):
         with disk_errors(Path("TMPDIR"), "names no folder that can be written"):
             self._folder = Path(tempfile.gettempdir())
             self._file = tempfile.TemporaryFile()  # noqa: SIM115  open as long as this object
+        weakref.finalize(self, self._file.close)
         self._ends = [0]  # in values
         self._columns = 0
 
@@ -54,3 +56,4 @@ class CloudFile(Sequence[Float32]):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update({**state, "_file": open_regular(state["_file"])})
+        weakref.finalize(self, self._file.close)

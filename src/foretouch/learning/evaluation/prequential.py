@@ -46,8 +46,8 @@ class Recording:
     expected: Float64  # (S, D) predictions by vision, at the rest level of training [counts]
     tares: Float64 | None = None  # (S, D) tare of each grasp minus the rest level, NaN where there is none [counts]
     known: Bool | None = None  # (S,) whether the object is like those of training; None if none is
-    tdc: Float64 | None = None  # (S, 2) TDC of thumb and middle finger with the reading, NaN without [counts]
-    tare_tdc: Float64 | None = None  # (S, 2) the same with the tare
+    tdc: Float64 | None = None  # (S, F) TDC of the fingers with the reading, NaN without [counts]
+    tare_tdc: Float64 | None = None  # (S, F) the same with the tare
 
     @classmethod
     def of_samples(
@@ -58,11 +58,12 @@ class Recording:
         rest: Float64,
         known: Bool | None = None,
     ) -> Self:
-        """From samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
+        """From labelled samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        tdc, tare_tdc = (np.array([tdc_of(one.extra, prefix) for one in samples]) for prefix in ("", "tare_"))
+        read_as = [(one.extra, one.touch.channels) for one in samples if one.touch is not None]  # all of them
+        tdc, tare_tdc = (np.array([tdc_of(*one, prefix) for one in read_as]) for prefix in ("", "tare_"))
         read = {"tares": tares, "tdc": tdc, "tare_tdc": tare_tdc}
         some = {name: None if np.isnan(rows).all() else rows for name, rows in read.items()}
         return cls(stamps, objects, labels, expected, known=known, **some)

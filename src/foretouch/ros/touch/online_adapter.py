@@ -149,7 +149,11 @@ class OnlineAdapter:
     def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchPredictorConfig) -> History | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns, others = self._now_ns(), self._others
-        tdc = None if others is None else tdc_of(dict(zip(self._channels, others.tolist(), strict=True)))
+        tdc = (
+            None
+            if others is None
+            else tdc_of(dict(zip(self._channels, others.tolist(), strict=True)), self._model.sensor.channels)
+        )
         with self._keeper.lock:
             try:
                 if tare is not None:
@@ -231,10 +235,16 @@ class OnlineAdapter:
             now_ns = self._now_ns()
             extra = sample.extra
             if tare is not None:
-                self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, "tare_"))
+                self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, tare.channels, "tare_"))
             new = not self._history.is_current(sample.cloud, config.same_object_m)
             self._history.add_touch(
-                now_ns, sample.cloud, sample.grasp, cut.touch, new_object=new, limits=config.limits, tdc=tdc_of(extra)
+                now_ns,
+                sample.cloud,
+                sample.grasp,
+                cut.touch,
+                new_object=new,
+                limits=config.limits,
+                tdc=tdc_of(extra, cut.touch.channels),
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
