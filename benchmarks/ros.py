@@ -2,7 +2,6 @@
 """What benchmarks of the ROS graph need: a client in a ROS domain of its own, and nodes in child processes."""
 
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -148,8 +147,11 @@ def spawn(
 
 
 def end(process: subprocess.Popen[bytes], timeout_s: float = 20.0) -> bool:
-    """End a child with SIGINT, or after some time with SIGKILL; returns whether SIGINT was enough."""
-    process.send_signal(signal.SIGINT)
+    """End a child with SIGTERM, or after some time with SIGKILL; returns whether SIGTERM was enough.
+
+    SIGINT would be ignored by children of what a shell started in the background.
+    """
+    process.terminate()
     try:
         process.wait(timeout_s)
     except subprocess.TimeoutExpired:

@@ -23,27 +23,39 @@ import numpy as np
 import pyarrow as pa
 import torch
 import yaml
+from experiment_samples import make_samples
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
+from other_sensor import readings
 from safetensors.numpy import load, save
 
 from benchmarks.fuzz import files
 from benchmarks.fuzz.driver import Case, Kind, main
+from foretouch import __version__
 from foretouch.cli.answers import prediction_from_record, read_answers
-from foretouch.dataset.editing import drop
+from foretouch.dataset import chunks
+from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
+from foretouch.dataset.importing import import_samples
+from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.dataset.recording.chain import list_sessions
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.samples import export_samples
+from foretouch.dataset.store import SEAL
+from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ForetouchError
 from foretouch.experiments.framework.manifest import open_folder, read_results
+from foretouch.learning.data.dataset import load_dataset
 from foretouch.learning.data.splits import read_splits
 from foretouch.learning.training.run_folder import RunFolder, read_state, write_state
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
+from foretouch.ray_cluster import _call
 from foretouch.simulation.objects.mesh import read_mesh_file
-from foretouch.tactile.description import load_sensor, sensor_files
+from foretouch.tactile.description import load_sensor, packaged_sensor, sensor_files
 from foretouch.tactile.messages.described import SensorReader
 
 VALUES = (
@@ -80,6 +92,9 @@ PART = {"name": "a", "train": ["x"], "test": ["y"]}
 SPLITS = {"schema_version": 1, "splits": {"random": [PART]}, "omitted": {"time": "few"}}
 TEXTS = ("", "../..", "a\x1b[2J\n", "é" * 500)
 SETTINGS: dict[str, Any] = {"a": {"b": 1}, "c": [1, 2]}
+OTHER_DIGITS = str.maketrans("012345678", "123456789")
+SENSOR = packaged_sensor("shadow_mst")  # with a file of taxels
+QUICK = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
 
 
 def retyped(value: Any, rng: np.random.Generator) -> Any:
@@ -130,10 +145,11 @@ def retype(file: Path, rng: np.random.Generator) -> None:
         _retype_arrow(file, rng)
     elif file.suffix == ".mcap":
         _retype_mcap(file, rng)
-    elif file.suffix == ".ply":
-        words = file.read_text().split(" ")
+    elif file.suffix in (".ply", ".csv"):
+        between = " " if file.suffix == ".ply" else ","
+        words = file.read_text().split(between)
         words[int(rng.integers(len(words)))] = str(_pick(VALUES, rng))
-        file.write_text(" ".join(words))
+        file.write_text(between.join(words))
     else:
         file.write_bytes(file.read_bytes()[::-1])
 
@@ -226,21 +242,38 @@ def replaced(file: Path, all_files: list[Path], victim: Path, rng: np.random.Gen
         lambda: file.write_bytes(bytes(len(content))),
         lambda: file.write_bytes(other),
         lambda: (file.write_bytes(content), os.truncate(file, 100_000_000)),
+        lambda: (file.write_bytes(content), file.with_name(file.name.translate(OTHER_DIGITS)).write_bytes(content)),
     )
-    ways[int(rng.integers(len(ways)))]()
+    _pick(ways, rng)()
+
+
+def replaced_folder(folder: Path, rng: np.random.Generator) -> None:
+    """Put something else in the place of a folder."""
+    moved = folder.with_name("moved")
+    folder.rename(moved)
+    ways: tuple[Callable[[], object], ...] = (
+        lambda: None,
+        lambda: folder.symlink_to(moved.name),
+        lambda: folder.symlink_to(folder.name),
+        lambda: folder.write_text("x"),
+        lambda: os.mkfifo(folder),
+        folder.mkdir,
+    )
+    _pick(ways, rng)()
 
 
 def _reseal(folder: Path) -> None:
     """Write the hashes of all files as they are, if all are files."""
     if any(path.is_symlink() or not (path.is_file() or path.is_dir()) for path in folder.rglob("*")):
         return
-    with suppress(Exception):
-        files._reseal(folder)
+    for manifest in folder.rglob("manifest.json"):
+        with suppress(Exception):
+            content = json.loads(manifest.read_text())
+            for part in [*content.get("shards", []), *content.get("files", [])]:
+                part["sha256"] = hashlib.sha256((manifest.parent / part["file"]).read_bytes()).hexdigest()
+            manifest.write_text(sealed(content, SEAL if "shards" in content else "sha256"))
     with suppress(Exception):
         files._rehash(folder)
-    for manifest in folder.glob("recording/manifest.json"):
-        with suppress(Exception):
-            manifest.write_text(sealed(json.loads(manifest.read_text()), "sha256"))
 
 
 def _kind(make: Callable[[Path], Path], read: Callable[[Path], object], weight: float = 1.0) -> Kind:
@@ -266,6 +299,8 @@ def _kind(make: Callable[[Path], Path], read: Callable[[Path], object], weight: 
                     retype(file, rng)
                 elif rng.random() < 0.1:
                     left_over.symlink_to(victim)
+                elif rng.random() < 0.2 and file.parent != folder / "files":
+                    replaced_folder(file.parent, rng)
                 else:
                     replaced(file, all_files, victim, rng)
             _reseal(folder / "files")
@@ -293,6 +328,80 @@ def _read_dataset(path: Path) -> None:
         with suppress(ForetouchError):
             use(path)
     files.samples_digest(path)
+
+
+def _described_record(number: int) -> SampleRecord:
+    sample = readings(make_samples(1, 4), SENSOR.channels)[number]
+    assert sample.touch is not None
+    stamps = sample.stamp_ns + np.arange(2, dtype=np.int64) * 10
+    counts = np.tile(sample.touch.values, (2, 1)).astype(np.float32)
+    others = {f"T_{finger}": counts[:, 0] for finger in SENSOR.channels.fingers}
+    return SampleRecord(sample=sample, series=TouchSeries(stamps, counts, np.array([REST, HOLD], np.uint8), others))
+
+
+def _described_dataset(folder: Path) -> Path:
+    """Two sessions and an edit."""
+    for session in range(2):
+        with RecordingWriter(folder / "recording", files.IDENTITY, QUICK, sensor=SENSOR) as writer:
+            for k in range(2):
+                writer.append(_described_record(2 * session + k))
+    drop(folder / "recording", ["campbells/0"])
+    return folder / "recording"
+
+
+def _read_described_dataset(path: Path) -> None:
+    with suppress(ForetouchError), RecordingWriter(path, files.IDENTITY, QUICK, sensor=SENSOR) as writer:
+        writer.append(_described_record(0))
+    with suppress(ForetouchError):
+        undo(path)
+    _read_dataset(path)
+
+
+def _described_store(folder: Path) -> Path:
+    with StoreWriter(folder / "store", sensor=SENSOR) as writer:
+        for k in range(4):
+            writer.write(_described_record(k).sample)
+    return folder / "store"
+
+
+def _load_store(path: Path) -> None:
+    for sample in load_dataset(path).samples:
+        assert np.isfinite(sample.cloud.xyz).all()
+
+
+def _lerobot(folder: Path) -> Path:
+    export_samples(_described_dataset(folder), folder / "lerobot", "lerobot")
+    shutil.rmtree(folder / "recording")
+    return folder / "lerobot"
+
+
+def _import(path: Path) -> None:
+    out = path.parents[1] / "imported"
+    shutil.rmtree(out, ignore_errors=True)
+    try:
+        import_samples(path, out)
+    except ForetouchError:
+        assert not out.exists(), "half an import was left"
+        raise
+    verify_dataset(out)
+
+
+def _make_chunk(slots: range, write: Callable[[Any], None]) -> dict[str, int]:
+    for slot in slots:
+        write(_described_record(slot).sample)
+    return {"discarded": 0}
+
+
+def _chunks(folder: Path) -> Path:
+    chunks.CHUNK_SAMPLES = 2  # type: ignore[misc]
+    chunks.ray_results = lambda function, items, *_: ((item, *_call(function, item, __version__)) for item in items)
+    _read_chunks(folder / "out.chunks")
+    return folder / "out.chunks"
+
+
+def _read_chunks(path: Path) -> None:
+    stores = chunks.made_in_chunks(path, {"scene": "x"}, 4, _make_chunk, "", 1, sensor=SENSOR)
+    assert sum(len(list(store)) for store in stores) == 4
 
 
 def _run(folder: Path) -> Path:
@@ -392,6 +501,10 @@ KINDS = {
     "history": _kind(_history, _read_history),
     "experiment": _kind(_experiment, _read_experiment),
     "sensor": _kind(_in(_sensor), _read_sensor),
+    "dataset of a described sensor": _kind(_in(_described_dataset), _read_described_dataset),
+    "store of a described sensor": _kind(_in(_described_store), _load_store),
+    "lerobot": _kind(_in(_lerobot), _import),
+    "chunks": _kind(_in(_chunks), _read_chunks),
     "splits": _kind(_text("splits.json", json.dumps(SPLITS)), read_splits, 0.5),
     "answers": _kind(_text("answers.json", json.dumps(ANSWER)), _read_answers, 0.5),
     "mesh": _kind(_mesh, lambda path: read_mesh_file(str(path)), 0.02),

@@ -24,6 +24,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -125,7 +126,7 @@ def _serve(module: str, name: str, cases: int, seed: int, first: int, folder: Pa
                 outcome, detail = "memory", f"{resident / 1e6:.0f} MB"
             counts[outcome] += 1
             if detail:
-                shutil.copytree(folder / "case", folder / f"kept-{number}")
+                _keep(folder / "case", folder / f"kept-{number}")
                 print(json.dumps({"number": number, "outcome": outcome, "detail": detail}), file=answers, flush=True)
             if number % 1000 == 999:
                 gc.collect()
@@ -165,10 +166,16 @@ def run(module: str, name: str, cases: int, seed: int, keep: Path | None = None)
                 counts += Counter({outcome: 1, "read": number - first})  # those before it, without their outcomes
                 faults.append(f"{name} {seed} {number}: {outcome}: {ended}")
             for kept in folder.glob("kept-*") if keep else ():
-                shutil.copytree(kept, keep / f"{name.replace(' ', '-')}-{seed}-{kept.name[5:]}")
+                _keep(kept, keep / f"{name.replace(' ', '-')}-{seed}-{kept.name[5:]}")
         first = number + 1
     row = {"kind": name, "cases": cases, **{outcome: counts[outcome] for outcome in OUTCOMES}}
     return {**row, "slowest_ms": round(slowest * 1e3, 1), "peak_mb": round(peak / 1e6)}, faults
+
+
+def _keep(case: Path, kept: Path) -> None:
+    """Copy the files of a case; links stay links, and a FIFO is left out."""
+    with suppress(shutil.Error):
+        shutil.copytree(case, kept, symlinks=True, ignore_dangling_symlinks=True)
 
 
 def _child(words: Sequence[str], folder: Path) -> str:

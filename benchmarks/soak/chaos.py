@@ -151,9 +151,9 @@ class Soak:
         """End all processes."""
         self._sampling.set()
         for process in self.processes.values():
-            process.send_signal(signal.SIGINT)
+            process.terminate()
         ended = {name: end(process, 15.0) for name, process in self.processes.items()}
-        self.unexpected += [f"{name}: did not end within 15 s of SIGINT" for name, done in ended.items() if not done]
+        self.unexpected += [f"{name}: did not end within 15 s of SIGTERM" for name, done in ended.items() if not done]
 
     # Disturbances. Each returns when its cause is gone, with a note.
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples made in chunks: equal to those of one process, continued after a loss, refused by name."""
 
+import os
 import shutil
 from collections import Counter
 from functools import partial
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chunk_makers import make
+from every_case import every_case
 from recording_builders import write_dataset
 from sim_builders import scene
 
@@ -60,7 +62,7 @@ def test_missing_and_damaged_chunks_are_made_again_and_no_others(here, tmp_path,
     whole = [*made_in_chunks(folder, plan, 10, partial(make, trace, 0.0, -1), "", 1)]
     samples = [sample for store in whole for sample in store]
     assert [len(store) for store in whole] == [4, 4, 2]
-    assert whole[2].manifest["about"] == {"first": 8, "mean": 8.5}
+    assert whole[2].manifest["about"] == {"first": 8, "mean": 8.5, "chunk": 2}
     assert begun(trace) == {0: 1, 4: 1, 8: 1}
     shutil.rmtree(folder / "chunk-00000")
     shard = folder / "chunk-00001" / "shard-00000.arrow"
@@ -77,6 +79,41 @@ def test_missing_and_damaged_chunks_are_made_again_and_no_others(here, tmp_path,
     shutil.rmtree(folder / "chunk-00001")
     with pytest.raises(FileError, match="chunk-00001"):
         next(stores)
+
+
+def test_a_chunk_in_the_place_of_another_is_made_again_and_what_is_no_folder_is_refused(here, tmp_path, trace) -> None:
+    folder, first = tmp_path / "ds.chunks", tmp_path / "ds.chunks" / "chunk-00000"
+    maker = partial(make, trace, 0.0, -1)
+    wanted = [sample.id for store in made_in_chunks(folder, {}, 8, maker, "", 1) for sample in store]
+    first.rename(tmp_path / "x")
+    (folder / "chunk-00001").rename(first)
+    (tmp_path / "x").rename(folder / "chunk-00001")
+    assert [sample.id for store in made_in_chunks(folder, {}, 8, maker, "", 1) for sample in store] == wanted
+
+    def refused(put) -> None:
+        shutil.rmtree(first) if first.is_dir() and not first.is_symlink() else first.unlink()
+        put()
+        with pytest.raises(FileError, match="chunk-00000: is a link or no folder"):
+            next(made_in_chunks(folder, {}, 8, maker, "", 1))
+
+    ways = {
+        "fifo": lambda: os.mkfifo(first),
+        "file": lambda: first.write_text("x"),
+        "link": lambda: first.symlink_to("chunk-00001"),
+        "broken link": lambda: first.symlink_to("absent"),
+    }
+    every_case(ways, refused)
+
+
+def test_no_folder_of_the_user_is_removed_with_the_chunks_and_no_fifo_is_waited_for(here, tmp_path, capsys) -> None:
+    write_dataset(tmp_path / "a", 2, points=20)
+    (tmp_path / "one.chunks").mkdir()
+    (tmp_path / "one.chunks" / "notes.txt").write_text("precious")
+    assert main(["dataset", "build", str(tmp_path / "a"), "--json", "-o", str(tmp_path / "one")]) == 0
+    assert (tmp_path / "one.chunks" / "notes.txt").read_text() == "precious"
+    os.mkfifo(tmp_path / ".two.part")
+    assert main(["dataset", "build", str(tmp_path / "a"), "--json", "-o", str(tmp_path / "two")]) == 1
+    assert "two: cannot be written, by way of .two.part: File exists" in capsys.readouterr().err
 
 
 def test_a_chunk_that_cannot_be_made_is_named_and_the_others_are_kept(here, tmp_path, trace) -> None:

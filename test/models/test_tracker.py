@@ -393,7 +393,26 @@ def test_a_jump_of_the_temperature_and_a_missing_finger_are_left_out(rng) -> Non
     offsets, both = (np.array(played(thermal(), residuals, rows)[1]) for rows in (lone, tdc))
     assert_array_equal(offsets[:, 2:26], both[:, 2:26])
     assert_array_equal(offsets[:, 26:], np.array(played(drifting(), residuals, None)[1])[:, 26:])
-    gaps = np.where(
-        (np.arange(len(tdc)) % 3 == 0)[:, None], tdc, np.nan
-    )  # recordings with and without TDC in one history
-    assert np.isfinite(played(thermal(), residuals, gaps)[1]).all()
+
+
+def test_after_a_night_only_what_no_cold_hand_explains_is_a_jump(rng) -> None:
+    """The largest recorded change is 385 counts in a day; a hand that was switched off may be 10 K colder, 750 counts."""
+    residuals, tdc = readings_with_tdc(rng)
+    tracker, _ = played(thermal(), residuals, tdc)
+    last, night = START + (len(tdc) - 1) * S, 12 * 3600 * S
+    for change, jumps in ((385.0, 0), (-750.0, 0), (850.0, 2), (-900.0, 2)):
+        found = tracker.copy()
+        found.add_touch(last + night, REST + residuals[-1], REST, tdc=tdc[-1] + change)
+        assert found.tdc_jumps == jumps
+        moved = tracker.level(last + night, tdc=tdc[-1] + change).offset - tracker.level(last + night).offset
+        assert (np.abs(moved[2:]) < 1e-6 if jumps else np.abs(moved[2:]) > 50.0).all()
+
+
+def test_recordings_with_and_without_tdc_in_one_history_are_no_worse_than_without(rng) -> None:
+    residuals, tdc = readings_with_tdc(rng, 80)
+    count = np.arange(len(tdc))[:, None]
+    errors = {}
+    for name, seen in {"none": count < 0, "a third": count % 3 == 0, "first": count < 40, "last": count >= 40}.items():
+        _, offsets = played(thermal(), residuals, np.where(seen, tdc, np.nan))
+        errors[name] = np.sqrt(np.mean((residuals - offsets)[:, 2:] ** 2))
+    assert max(errors.values()) <= 1.02 * errors["none"], errors

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descriptions of sensors: those of the package, places of taxels by hand, the hash, and everything that is refused."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -207,6 +208,29 @@ def test_what_is_no_description_is_refused(tmp_path) -> None:
     path = write_sensor(tmp_path, {"array": None, "taxels": "absent.csv"})
     with pytest.raises(FileError, match=r"absent\.csv: No such file"):
         load_sensor(path)
+
+
+def test_a_description_in_a_manifest_is_checked_as_a_file_is() -> None:
+    one = load_sensor("shadow_mst").to_mapping()
+    points, normals, _ = one["taxels"]
+    image = {**one, "pixels": [2, 4]}
+    places = [[0, k % 4] for k in range(len(points))]
+    cases = (
+        ("taxels: are no positions", {**one, "taxels": [[[10**400, 0, 0], *points[1:]], normals, None]}),
+        ("taxels: are no positions", {**image, "taxels": [points, normals, [[10**400, 0], *places[1:]]]}),
+        ("taxels: are no positions", {**image, "taxels": [points, normals, places[1:]]}),
+        ("taxels: 0 are not 1 to", {**one, "taxels": [[], [], None]}),
+        ("taxels: 70000 are not 1 to", {**one, "taxels": [[[0, 0, 0]] * 70_000, [[0, 0, 1]] * 70_000, None]}),
+        ("taxels: are not finite, or the normals not", {**one, "taxels": [points, [[0, 0, 0], *normals[1:]], None]}),
+        ("taxels: are not finite", {**one, "taxels": [[[math.nan, 0, 0], *points[1:]], normals, None]}),
+        ("pad: taxel 0 at .* is outside", {**one, "taxels": [[[1e300, 0, 0], *points[1:]], normals, None]}),
+        ("pixels: a taxel is outside", {**image, "taxels": [points, normals, [[2, 0], *places[1:]]]}),
+        ("dead: FF has no taxel 99", {**one, "fingers": [{"name": "FF", "dead": [99]}, *one["fingers"][1:]]}),
+        ("fingers: there is one", {**one, "fingers": [{"name": "TH"}], "grasp": []}),
+    )
+    every_refusal(
+        ConfigError, [(f"where: {rule}", case) for rule, case in cases], lambda case: sensor_of(case, "where")
+    )
 
 
 def test_columns_of_fingers_are_where_the_modalities_are_and_dead_taxels_are_not_valid() -> None:

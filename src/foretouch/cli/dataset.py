@@ -4,7 +4,6 @@
 import argparse
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +14,7 @@ from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing
-from foretouch.dataset.chunks import ReadOnRay, chunks_folder
+from foretouch.dataset.chunks import ReadOnRay, chunks_folder, remove_chunks
 from foretouch.dataset.formats import FORMATS, readable_formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
@@ -326,10 +325,9 @@ def _warn_of_other_hands(paths: Sequence[str]) -> None:
 
 def _build(arguments: argparse.Namespace) -> int:
     _warn_of_other_hands(arguments.sources)
-    chunks = chunks_folder(arguments.out.absolute())
     read: ReadSamples = read_samples
     if arguments.address is not None:
-        read = ReadOnRay(chunks, arguments.address, len(os.sched_getaffinity(0)))
+        read = ReadOnRay(chunks_folder(arguments.out.absolute()), arguments.address, len(os.sched_getaffinity(0)))
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
@@ -338,7 +336,7 @@ def _build(arguments: argparse.Namespace) -> int:
             progress=advance,
             read=read,
         )
-    shutil.rmtree(chunks, ignore_errors=True)
+    remove_chunks(arguments.out)
     splits = json.loads(make_splits(result.samples, arguments.seed))
     record = {
         "out": str(arguments.out),

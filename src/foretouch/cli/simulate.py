@@ -3,7 +3,6 @@
 
 import argparse
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from foretouch import __version__
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
-from foretouch.dataset.chunks import chunks_folder
+from foretouch.dataset.chunks import chunks_folder, remove_chunks
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, FileError, SimulationError
 from foretouch.ray_cluster import ADDRESS_HELP
@@ -152,7 +151,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
             for f in simulation.failures
         ]
     seconds = time.perf_counter() - start
-    shutil.rmtree(chunks_folder(arguments.out), ignore_errors=True)
+    remove_chunks(arguments.out)
     if not arguments.no_sheet:
         from foretouch.report.touch_figure import save_contact_sheet
 

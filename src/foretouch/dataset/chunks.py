@@ -2,7 +2,7 @@
 """Samples that the nodes of a Ray cluster make in chunks, in a folder that all of them share.
 
     FOLDER/plan.json       what decides the samples
-    FOLDER/chunk-00000/    a training store each: complete, with the hashes of its files, or absent
+    FOLDER/chunk-00000/    a training store each, with its number: complete, with the hashes of its files, or absent
 
 What is in a chunk depends on the plan and its number alone. A node returns no samples, but writes them; so nothing is lost
 with a node but the chunks that it was making, and the same call later makes only those that are missing.
@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import read_json, write_text
+from foretouch.checked_files import read_json, require_schema, write_text
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.samples import SampleSet, open_samples
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import StoreWriter, usable_sample
-from foretouch.errors import DatasetError, FileError
+from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.ray_cluster import ray_results
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
@@ -41,6 +41,15 @@ MakeSamples = Callable[[range, Callable[[GraspSample], None]], Mapping[str, Any]
 def chunks_folder(out: Path) -> Path:
     """Where the chunks of a store are, beside it, until it is complete."""
     return out.with_name(f"{out.name}.chunks")
+
+
+def remove_chunks(out: Path) -> None:
+    """Remove the chunks of a store that is complete; whatever else is in a folder of their name is kept."""
+    folder = chunks_folder(out)
+    for plan in [*folder.glob(f"*/{PLAN}"), *folder.glob(PLAN)]:
+        shutil.rmtree(plan.parent, ignore_errors=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def made_in_chunks(
@@ -74,7 +83,7 @@ def made_in_chunks(
     slots = {
         k: range(k * CHUNK_SAMPLES, min((k + 1) * CHUNK_SAMPLES, count)) for k in range(-(-count // CHUNK_SAMPLES))
     }
-    missing = [k for k in slots if not _is_whole(_chunk(folder, k))]
+    missing = [k for k in slots if not _is_whole(folder, k)]
     for k in slots.keys() - missing:
         progress(len(slots[k]))
     errors = {}
@@ -110,16 +119,22 @@ def _require_plan(folder: Path, plan: Mapping[str, Any]) -> None:
         raise FileError(path, f"is of other samples ({', '.join(differs)}); remove {folder} to make these")
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether a chunk is there with the hashes of its manifest; a damaged one is removed."""
-    if not path.exists():
+def _is_whole(folder: Path, number: int) -> bool:
+    """Whether a chunk is there with the hashes of its manifest.
+
+    One that is damaged, or is that of another number, is removed, and what is no folder refused.
+    """
+    path = _chunk(folder, number)
+    if not os.path.lexists(path):
         return False
-    try:
-        Store(path)
-    except FileError:
+    if path.is_symlink() or not path.is_dir():
+        raise FileError(path, "is a link or no folder, and is in the way of a chunk")
+    with suppress(ForetouchError):
+        if Store(path).manifest.get("about", {}).get("chunk") == number:
+            return True
+    with disk_errors(path, "is damaged, and cannot be removed"):
         shutil.rmtree(path)
-        return False
-    return True
+    return False
 
 
 def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range], sensor: Sensor | None = None) -> str:
@@ -130,7 +145,7 @@ def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range], senso
         raise DatasetError(f"node {socket.gethostname()} does not see {folder}, which all nodes must share")
     own = path.with_name(f"{path.name}-{socket.gethostname()}-{os.getpid()}")
     with StoreWriter(own, sensor=sensor) as writer:
-        writer.about.update(make(slots, writer.write))
+        writer.about.update(make(slots, writer.write), chunk=number)
     with suppress(OSError):  # the other was earlier
         own.rename(path)
     shutil.rmtree(own, ignore_errors=True)
@@ -166,7 +181,8 @@ class ReadOnRay:
             sensor=samples.sensor,
         ):
             yield from store
-            yield from repeat(None, store.manifest["about"]["discarded"])
+            about = require_schema(store.path, store.manifest, {"about": {"discarded": int}})["about"]
+            yield from repeat(None, about["discarded"])
 
 
 def _read_chunk(path: Path, entries: range, write: Callable[[GraspSample], None]) -> dict[str, int]:

@@ -34,10 +34,12 @@ def new_folder(path: Path) -> Iterator[Path]:
     if path.exists():
         raise FileError(path, "exists already and is not overwritten")
     part = path.with_name(f".{path.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
+    if part.is_dir():  # `rmtree` would wait for the other end of a FIFO
+        shutil.rmtree(part, ignore_errors=True)
+    with disk_errors(path, f"cannot be written, by way of {part.name}"):
+        part.mkdir(parents=True)
     try:
         with disk_errors(path, "cannot be written"):
-            part.mkdir(parents=True)
             yield part / path.name
             (part / path.name).rename(path)
     finally:

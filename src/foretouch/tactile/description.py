@@ -22,7 +22,7 @@ from foretouch.channels import LARGEST, Channel, Channels
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.layout import ArrayConfig, Layout, read_layout, require_length
+from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, read_layout, require_length
 from foretouch.types import Bool, Index
 
 STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
@@ -290,14 +290,22 @@ def load_sensor(sensor: str | Path) -> Sensor:
         path = known[str(sensor)]
     config = SensorConfig.from_mapping(load_yaml(path), str(path))
     layout = config.array.layout() if config.array else read_layout(path.parent / config.taxels, config.pixels)
+    return _checked(config, layout, shown(path))
+
+
+def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
+    """The sensor; a `ConfigError` if a taxel is outside of the pad or the image, or a dead one does not exist."""
     outside = ((layout.positions < config.pad[:3]) | (layout.positions > config.pad[3:])).any(axis=1)
     if outside.any():
         index = int(outside.argmax())
         place = ", ".join(f"{value:g}" for value in layout.positions[index])
-        raise ConfigError(f"{shown(path)}: pad: taxel {index} at ({place}) m is outside; {outside.sum()} taxels are")
+        raise ConfigError(f"{where}: pad: taxel {index} at ({place}) m is outside; {outside.sum()} taxels are")
     for finger in config.fingers:
         if max(finger.dead, default=-1) >= len(layout.positions):
-            raise ConfigError(f"{shown(path)}: dead: {finger.name} has no taxel {max(finger.dead)}")
+            raise ConfigError(f"{where}: dead: {finger.name} has no taxel {max(finger.dead)}")
+    pixels = layout.pixels
+    if pixels is not None and config.pixels and ((pixels < 0) | (pixels >= config.pixels)).any():
+        raise ConfigError(f"{where}: pixels: a taxel is outside of the image of {list(config.pixels)} pixels")
     return Sensor(config, layout)
 
 
@@ -307,19 +315,29 @@ def sensor_of(mapping: Any, where: str) -> Sensor:
         raise ConfigError(f"{where}: is no description of a sensor")
     stated, layout = dict(mapping), None
     if isinstance(stated.get("taxels"), list):
-        try:
-            points, normals, pixels = stated["taxels"]
-            parts = np.asarray([points, normals], np.float64).reshape(2, -1, 3)
-            layout = Layout(parts[0], parts[1], None if pixels is None else np.asarray(pixels, np.int64).reshape(-1, 2))
-        except (TypeError, ValueError) as err:
-            raise ConfigError(f"{where}: taxels: are no positions, normals and pixels") from err
-        if not np.isfinite(parts).all():
-            raise ConfigError(f"{where}: taxels: are not finite")
+        layout = _layout_of(stated["taxels"], f"{where}: taxels")
         stated["taxels"] = "taxels.csv"
     config = SensorConfig.from_mapping(stated, where)
     if layout is None and config.array is None:
         raise ConfigError(f"{where}: taxels: are missing")
-    return Sensor(config, layout or config.array.layout())  # type: ignore[union-attr]
+    if len(config.chosen_fingers()) < 2:
+        raise ConfigError(f"{where}: fingers: there is one, and a grasp has two")
+    return _checked(config, layout or config.array.layout(), where)  # type: ignore[union-attr]
+
+
+def _layout_of(taxels: list[Any], where: str) -> Layout:
+    """The taxels in a description of `Sensor.to_mapping`."""
+    try:
+        points, normals, pixels = taxels
+        parts = np.asarray([points, normals], np.float64).reshape(2, -1, 3)
+        places = None if pixels is None else np.asarray(pixels, np.int64).reshape(len(parts[0]), 2)
+    except (TypeError, ValueError, OverflowError) as err:
+        raise ConfigError(f"{where}: are no positions, normals and pixels") from err
+    if not 0 < len(parts[0]) <= MOST_TAXELS:
+        raise ConfigError(f"{where}: {len(parts[0])} are not 1 to {MOST_TAXELS}")
+    if not np.allclose(np.linalg.norm(parts[1], axis=1), 1.0) or not np.isfinite(parts).all():
+        raise ConfigError(f"{where}: are not finite, or the normals not of unit length")
+    return Layout(parts[0], parts[1], places)
 
 
 def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:

@@ -17,7 +17,9 @@ from foretouch.types import Bool, Float64, Index, Int64
 COLUMNS: Final = ("index", "x", "y", "z", "nx", "ny", "nz")
 PIXEL_COLUMNS: Final = ("row", "col")
 
-_MOST: Final = 65_536  # taxels of a finger
+MOST_TAXELS: Final = 65_536
+"""Taxels of a finger."""
+
 _BYTES: Final = 20_000_000
 _AS_NEAR: Final = 1.001  # of the least distance: rounding must not decide between neighbours
 
@@ -61,8 +63,8 @@ class Layout:
 class ArrayConfig(Settings):
     """A flat array of equal taxels in the plane z = 0 with the normal z: rows follow each other along x, columns along y."""
 
-    rows: int = setting(1, "Number of rows", bounds=(1, _MOST))
-    cols: int = setting(1, "Number of columns", bounds=(1, _MOST))
+    rows: int = setting(1, "Number of rows", bounds=(1, MOST_TAXELS))
+    cols: int = setting(1, "Number of columns", bounds=(1, MOST_TAXELS))
     order: str = setting("row-major", "Order of the taxels in a message", choices=("row-major", "column-major"))
     size: tuple[float, ...] = setting((0.0, 0.0), "Size of a taxel along x and y", unit="m", bounds=(0.0, 1.0))
     spacing: tuple[float, ...] = setting(
@@ -75,8 +77,8 @@ class ArrayConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_length(self, 2, "size", *(["spacing"] if self.spacing else []), "offset")
-        if self.rows * self.cols > _MOST:
-            raise ConfigError(f"rows, cols: {self.rows} x {self.cols} taxels exceed {_MOST}")
+        if self.rows * self.cols > MOST_TAXELS:
+            raise ConfigError(f"rows, cols: {self.rows} x {self.cols} taxels exceed {MOST_TAXELS}")
         along_x, along_y = self.spacing or self.size
         if (self.rows > 1 and not along_x) or (self.cols > 1 and not along_y):
             raise ConfigError("size, spacing: 0 m from a taxel to the next")
@@ -125,8 +127,8 @@ def read_layout(path: Path, image: Sequence[int]) -> Layout:
     if next(iter(lines.values()), None) != ",".join(columns):
         raise FileError(path, f"does not begin with the line {','.join(columns)}")
     numbered = list(lines.items())[1:]
-    if not 0 < len(numbered) <= _MOST:
-        raise FileError(path, f"holds {len(numbered)} taxels, not 1 to {_MOST}")
+    if not 0 < len(numbered) <= MOST_TAXELS:
+        raise FileError(path, f"holds {len(numbered)} taxels, not 1 to {MOST_TAXELS}")
     table = np.array([_numbers(path, name, line, len(columns)) for name, line in numbered])
     index, normals, pixels = table[:, 0], table[:, 4:7], table[:, 7:]
     with np.errstate(over="ignore"):

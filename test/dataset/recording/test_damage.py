@@ -23,14 +23,15 @@ from foretouch.checked_files import FileBytes
 from foretouch.dataset.editing import drop
 from foretouch.dataset.files import sealed
 from foretouch.dataset.info import describe
+from foretouch.dataset.recording import repair as repair_module
 from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import write_listed
 from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.reader import RecordedDataset, _sample_messages
-from foretouch.dataset.recording.records import walk
+from foretouch.dataset.recording.records import RecordedMessage, walk
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
-from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
+from foretouch.dataset.recording.sample_codec import StoredSample, decode_sample, encode_sample
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
@@ -187,6 +188,23 @@ def test_no_length_of_a_record_takes_memory(tmp_path: Path) -> None:
         assert peak < len(good) + 4_000_000  # definitions of messages, and copies of a sample or two
 
     every_case([(length, place) for length in (0, 1, 2**31, 2**63 - 1, 2**64 - 1) for place in places[::3]], check)
+
+
+def test_beginnings_of_samples_without_end_cost_no_more_than_their_bytes(file: Path, monkeypatch) -> None:
+    start, _ = spans(file)[0]
+    good = file.read_bytes()
+    beginning = b"\x05" + struct.pack("<Q", 2**30) + good[start - 22 : start + 500]
+    file.write_bytes(good + beginning * 12_000)
+    tried, one_by_one = [], repair_module.readable
+
+    def readable(data: FileBytes, message: RecordedMessage) -> StoredSample | None:
+        tried.append(message.end - message.start)
+        return one_by_one(data, message)
+
+    monkeypatch.setattr(repair_module, "readable", readable)
+    repair(file)
+    assert numbers(file) == [*range(COUNT)]
+    assert sum(tried) < 30_000_000 + 8 * 6_500_000
 
 
 def test_no_length_in_a_sample_takes_memory_though_its_digest_is_right() -> None:

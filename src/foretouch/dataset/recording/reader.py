@@ -5,10 +5,9 @@ The offsets of the samples are found without decoding other messages: the index 
 chunks without samples are skipped. A recording that was cut off is read as far as it is intact.
 """
 
-import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata
@@ -32,13 +31,13 @@ from foretouch.dataset.recording.records import (
     walk,
 )
 from foretouch.dataset.recording.repair import readable, salvaged
-from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPES, StoredSample, decode_sample
+from foretouch.dataset.recording.sample_codec import ABOUT, HEAD_SIZE, SAMPLE_TYPES, StoredSample, decode_sample, id_in
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 
 _T = TypeVar("_T")
-_HEAD_SIZE: Final = 65536  # bytes of a serialised sample that hold its frame and its id
 
 
 class _Sample(NamedTuple):
@@ -59,6 +58,7 @@ class RecordedDataset:
         self.files = recorded_files(self.path)  # MCAP files
         if self.path.is_dir():
             require_chain(self.path)
+        self._sensor = recorded_sensor(self.path) if self.path.is_dir() else None
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
@@ -87,9 +87,14 @@ class RecordedDataset:
         """One sample before any edit (raises as indexing)."""
         file, data, message, type_name = self._samples[index]
         try:
-            return decode_sample(data[message.start : message.end], type_name)
+            return decode_sample(data[message.start : message.end], type_name, self._sensor)
         except DatasetError as err:
             raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
+
+    @property
+    def sensor(self) -> Sensor:
+        """That was read: by the manifest of a dataset, or the first sample of a single recording."""
+        return self._sensor or (self[0].sensor if len(self) else BIOTAC_SP)
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
         """The message counts by topic, summed over the last ones of each recording; a `FileError` for damage."""
@@ -187,18 +192,9 @@ def recorded_ids(path: Path) -> set[str]:
 
 
 def _id_of(path: Path, data: FileBytes, sample: RecordedMessage) -> str:
-    """The id in a serialised sample, which follows the header (stamp, frame) and the schema version."""
     try:
-        head = data[sample.start + 4 : min(sample.end, sample.start + _HEAD_SIZE)]  # CDR aligns from its fifth byte
-        (frame,) = struct.unpack_from("<I", head, 8)
-        offset = 12 + frame
-        offset += -offset % 2 + 2  # the schema version
-        offset += -offset % 4
-        (length,) = struct.unpack_from("<I", head, offset)
-        if offset + 4 + length > len(head):
-            raise ValueError("an id longer than its message")
-        return head[offset + 4 : offset + 4 + length].rstrip(b"\0").decode()
-    except (struct.error, ValueError) as err:
+        return id_in(data[sample.start : min(sample.end, sample.start + HEAD_SIZE)])
+    except ValueError as err:
         rule = f"damaged: the id of a sample cannot be read: {err}"
         raise FileError(path, rule, field=f"byte {sample.start}") from err
 
@@ -219,7 +215,7 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
         unfinished=cut,
         message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
-        sensor=recorded_sensor(path) if path.is_dir() else first.sensor if first else BIOTAC_SP,
+        sensor=dataset.sensor,
     )
 
 

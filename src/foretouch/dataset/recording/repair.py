@@ -42,6 +42,7 @@ from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TYPES,
     StoredSample,
     decode_sample,
+    id_in,
     sample_type,
     sample_types,
 )
@@ -51,7 +52,9 @@ from foretouch.errors import DatasetError, FileError, VersionError
 _CHUNK_BYTES: Final = 4_000_000
 _HEAD: Final = 31  # bytes of a message record before its CDR
 _LARGEST: Final = 256_000_000  # bytes of a sample; an image of 1280 x 720 points has 15 million
-_MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
+_TRIED: Final = 8  # times the bytes of a damaged part that are hashed in search of samples
+_MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4}.{22}\x00\x01\x00\x00)", re.DOTALL)  # up to the CDR's header
+_BEGINNING: Final = 4096  # bytes of a sample that hold its frame and its id
 
 
 @dataclass(eq=False)
@@ -239,23 +242,35 @@ def salvaged(data: FileBytes, start: int = len(MAGIC)) -> Iterator[RecordedMessa
 
 def _samples_in(data: FileBytes, start: int, end: int) -> Iterator[RecordedMessage]:
     """The intact samples between two offsets, verified by their own checksums, as messages of channel 0."""
-    at = start
+    at, left = start, _TRIED * (end - start) + _CHUNK_BYTES
     for head, stop in _message_heads(data, start, end):
-        if head < at:
+        if head < at or not _begins_sample(data, head + _HEAD):
             continue
         for last in sorted({stop, end}):
             one = RecordedMessage(0, 0, 0, 0, head + _HEAD, last)
-            if last <= end and last - head <= _LARGEST and (stored := readable(data, one)) is not None:
+            if not head < last <= min(end, head + _LARGEST, head + left):
+                continue
+            left -= last - head
+            if (stored := readable(data, one)) is not None:
                 stamp_ns = stored.record.sample.stamp_ns
                 yield one._replace(log_time_ns=stamp_ns, publish_time_ns=stamp_ns)
                 at = last
                 break
 
 
+def _begins_sample(data: FileBytes, start: int) -> bool:
+    """Whether the bytes from an offset on may be a sample, by its id."""
+    try:
+        object_name, _, number = id_in(data[start : start + _BEGINNING]).partition("/")
+    except ValueError:
+        return False
+    return bool(object_name and number)
+
+
 def _message_heads(data: FileBytes, start: int, end: int) -> list[tuple[int, int]]:
     """Possible start and end offsets of messages: from the records before the damage, and from byte patterns."""
     heads: dict[int, int] = {}
-    for at in data.find_all(_MESSAGE_START, 16, start, end):
+    for at in data.find_all(_MESSAGE_START, 40, start, end):
         heads[at] = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
     for record in walk(data, start, end, IN_CHUNK):
         heads[record.offset] = end if isinstance(record, Damage) else record.end

@@ -18,6 +18,7 @@ import hashlib
 import json
 import os
 import re
+import struct
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -49,6 +50,8 @@ SAMPLE_TOPIC: Final = "/foretouch/samples"
 ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
 SCHEMA_VERSION: Final = 1
+HEAD_SIZE: Final = 65536
+"""Bytes at the beginning of a serialised sample that hold its frame and its id."""
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
@@ -132,15 +135,16 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
     return body + hashlib.sha256(body).digest()
 
 
-def decode_sample(data: bytes | memoryview, type_name: str = "") -> StoredSample:
+def decode_sample(data: bytes | memoryview, type_name: str = "", sensor: Sensor | None = None) -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
     Args:
         data: The message.
         type_name: One of `SAMPLE_TYPES`; "" for that which it is found to be.
+        sensor: That it must be of, if any.
 
     Raises:
-        DatasetError: If the bytes are damaged, of another schema version, or break a rule.
+        DatasetError: If the bytes are damaged, of another schema version or sensor, or break a rule.
     """
     body, digest = data[:-_DIGEST_SIZE], bytes(data[-_DIGEST_SIZE:])
     if not body or hashlib.sha256(body).digest() != digest:
@@ -149,13 +153,33 @@ def decode_sample(data: bytes | memoryview, type_name: str = "") -> StoredSample
         message: Any = sample_types().store.deserialize_cdr(data, type_name or _found_type(data))
         require_version(message.schema_version, SCHEMA_VERSION)
         check_id(message.id, message.object)
-        return _stored(message)
+        stored = _stored(message)
     except VersionError:
         raise
     except ForetouchError as err:
         raise DatasetError(str(err)) from err
     except Exception as err:  # the digest does not prove that foretouch wrote it: the parser may fail anywhere
         raise DatasetError(f"damaged: {described(err)}") from err
+    if sensor is not None and stored.sensor.sha256 != sensor.sha256:
+        names = [f"{one.config.name} ({one.sha256[:8]})" for one in (stored.sensor, sensor)]
+        raise DatasetError(f"is of {names[0]}, and the dataset of {names[1]}")
+    return stored
+
+
+def id_in(head: bytes) -> str:
+    """The id in the first `HEAD_SIZE` bytes of a serialised sample; a `ValueError` if it is none."""
+    try:
+        cdr = head[4:]  # it aligns from its fifth byte
+        (frame,) = struct.unpack_from("<I", cdr, 8)  # after the stamp
+        offset = 12 + frame
+        offset += -offset % 2 + 2  # the schema version
+        offset += -offset % 4
+        (length,) = struct.unpack_from("<I", cdr, offset)
+    except struct.error as err:
+        raise ValueError(str(err)) from err
+    if offset + 4 + length > len(cdr):
+        raise ValueError("an id longer than its message")
+    return cdr[offset + 4 : offset + 4 + length].rstrip(b"\0").decode()
 
 
 def _found_type(data: bytes | memoryview) -> str:

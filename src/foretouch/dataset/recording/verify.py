@@ -17,7 +17,7 @@ from mcap.records import ChunkIndex, Header, Statistics
 from foretouch.checked_files import FileBytes
 from foretouch.dataset.recording.chain import chain_faults
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import recorded_files
+from foretouch.dataset.recording.folder import recorded_files, recorded_sensor
 from foretouch.dataset.recording.records import (
     IN_CHUNK,
     IN_SUMMARY,
@@ -34,6 +34,7 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
 from foretouch.errors import DatasetError
+from foretouch.tactile.description import Sensor
 
 
 @dataclass(eq=False)
@@ -67,13 +68,15 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     """Verify the manifest, the log of edits and every recording of a dataset, or a single recording: one report a file.
 
     An id that two samples share is a fault of the later file, and a file that is missing or not the one that the manifest
-    lists has a fault. A `FileError` if there is no recorded dataset, or its manifest or log is damaged.
+    lists has a fault, as has a sample of another sensor. A `FileError` if there is no recorded dataset, or its manifest or
+    log is damaged; a `ConfigError` if the sensor's description in the manifest is.
     """
     path = Path(path)
     files = recorded_files(path)
+    sensor = recorded_sensor(path) if path.is_dir() else None
     if path.is_dir():
         read_edits(path)
-    reports = [verify_file(file) for file in files]
+    reports = [verify_file(file, sensor) for file in files]
     owners: dict[str, Path] = {}
     for report in reports:
         for sample_id in report.ids:
@@ -88,10 +91,10 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     return reports
 
 
-def verify_file(path: Path) -> FileReport:
-    """Verify one recording; a `FileError` if it cannot be read."""
+def verify_file(path: Path, sensor: Sensor | None = None) -> FileReport:
+    """Verify one recording, by a sensor if its samples must be of it; a `FileError` if it cannot be read."""
     report = FileReport(path)
-    for fault in _Verification(report, FileBytes(path)).faults():
+    for fault in _Verification(report, FileBytes(path), sensor).faults():
         report.faults.append(fault)  # one at a time: some checks are made only where there are none so far
     del report.faults[100:]  # so many are reported for one file
     return report
@@ -100,9 +103,10 @@ def verify_file(path: Path) -> FileReport:
 class _Verification:
     """One pass over one file."""
 
-    def __init__(self, report: FileReport, data: FileBytes) -> None:
+    def __init__(self, report: FileReport, data: FileBytes, sensor: Sensor | None) -> None:
         self.report = report
         self.data = data
+        self.sensor = sensor
         self.declared = report.declared
         self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
@@ -166,7 +170,8 @@ class _Verification:
         if type_name not in SAMPLE_TYPES:
             return
         try:
-            self.report.ids.append(decode_sample(self.data[message.start : message.end], type_name).record.sample.id)
+            stored = decode_sample(self.data[message.start : message.end], type_name, self.sensor)
+            self.report.ids.append(stored.record.sample.id)
         except DatasetError as err:
             yield Damage(message.start, f"sample: {err}")
 
