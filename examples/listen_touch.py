@@ -68,11 +68,11 @@ class TouchListener(Node):
         if not message.predictions:
             print(f"{start}: no prediction: {message.reason}", flush=True)
         for prediction in message.predictions:
-            print(f"{start}: grasp {prediction.grasp.id}: {describe(prediction)}", flush=True)
+            print(f"{start}: grasp {prediction.grasp.id}:\n  {describe(prediction)}", flush=True)
 
 
 def describe(prediction: object) -> str:
-    """One line [counts]: pressures with half widths, mean and range of the electrodes, and the inputs used."""
+    """Lines for a finger each [counts]: pressure with half width, mean and range of the electrodes; then the inputs used."""
     if prediction.reason:
         return prediction.reason
     words = []
@@ -87,7 +87,8 @@ def describe(prediction: object) -> str:
         words.append(
             f"{finger} PDC {pressure.value:.0f}{interval}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})"
         )
-    return "; ".join([*words, f"based on {REFERENCES[prediction.reference]}", *prediction.flags])
+    used = "; ".join([f"based on {REFERENCES[prediction.reference]}", *prediction.flags])
+    return "\n  ".join([*words, used])
 
 
 def main() -> int:

@@ -105,8 +105,8 @@ def run(page: Path, folder: Path) -> list[tuple[Step, str]]:
     environment = prepare(folder, files)
     begin = [] if any("git clone" in step.commands for step in steps) else ["git clone foretouch && cd foretouch"]
     script = "\n".join(["set -e", *begin, *(f"{step.commands}\necho '{END}'" for step in steps)])
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "timeout": 580}
-    done = subprocess.run(["bash", "-c", script], cwd=folder, env=environment, check=False, **pipes)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "stdin": subprocess.DEVNULL, "text": True}
+    done = subprocess.run(["bash", "-c", script], cwd=folder, env=environment, check=False, timeout=580, **pipes)
     outputs = done.stdout.split(f"{END}\n")
     assert done.returncode == 0, f"{steps[min(len(outputs), len(steps)) - 1].commands}\n{outputs[-1]}"
     return list(zip(steps, outputs, strict=False))

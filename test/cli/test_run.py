@@ -78,6 +78,14 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     every_case(cases, check)
 
 
+def test_a_node_that_does_not_start_is_named_with_the_cause(tmp_path, environment) -> None:
+    with started(environment, "-o", tmp_path / "out", "--sensor", "xela_uskin_4x44", command="record") as process:
+        _, err = process.communicate(timeout=100)
+    assert process.returncode == 1
+    assert err.splitlines()[-1].startswith("foretouch: a node did not start: recorder: xela_uskin_4x44: is no file")
+    assert "did you mean xela_uskin_4x4?" in err.splitlines()[-1]
+
+
 @pytest.mark.slow
 def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -> None:
     words = ("--source", write_scenes(tmp_path / "bag", 5), "--wait-for", "touch", "--wait-limit", 60)
@@ -89,7 +97,7 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -
     answers = [json.loads(line) for line in out.splitlines()[:5]]
     stamps = [one["stamp_ns"] for one in answers]
     assert not any("late" in prediction["flags"] for one in answers for prediction in one["predictions"])
-    heard = [line.split()[0].split(".") for line in listener.stdout.splitlines()]
+    heard = [line.split()[0].split(".") for line in listener.stdout.splitlines() if line[0] != " "]
     assert list(dict.fromkeys(int(sec) * 10**9 + int(ns) for sec, ns in heard)) == stamps
 
 

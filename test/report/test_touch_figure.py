@@ -82,9 +82,9 @@ def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_press
     shifted = value.copy()
     shifted[[0, 10, 11, 12]] += (-100.0, 50.0, 70.0, -80.0)
     one = DrawnGrasp(target=target, prediction=prediction, read=biotac_touch(shifted))
-    assert _agreement(one, BIOTAC_SP) == "mean difference of a taxel: E 4 counts"
+    assert _agreement(one, BIOTAC_SP) == "mean difference: E 4 counts"
     bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
-    text = "mean difference of a taxel: E 4 counts; within their 90 % intervals: 46 of 48 E, 1 of 2 PDC"
+    text = "mean difference: E 4 counts; within their 90 % intervals: 46 of 48 E, 1 of 2 PDC"
     assert _agreement(bounded, BIOTAC_SP) == text
     assert _agreement(replace(one, read=None), BIOTAC_SP) == ""
     plain, marked = (picture(tmp_path / "a.png", target, one, rest=tare) for one in (prediction, bounded.prediction))

@@ -22,7 +22,9 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--topic": {"help": "point cloud topic of a recording (default: its only one)"},
     "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
     "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "change one setting of the pipeline"},
-    "--model": {"help": "name of a model, or path of its card, weights or model folder (default: contact-v2)"},
+    "--model": {
+        "help": "name of a model, or path of its card, weights or model folder (default: contact-v2; of `run` with a scene: simulated)"
+    },
     "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
     "--sensor": {
         "metavar": "NAME|YAML",

@@ -43,7 +43,7 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
         parts.append(_predictions(view.last.predictions, view.sensor))
     for name, node in view.nodes.items():
         found = ", ".join(f"{count} {why}" for why, count in _dropped(node.values).items())
-        parts += [Text(f"{_short(name)} dropped {found}")] * bool(found)
+        parts += [Text(f"{_short(name)} dropped {found} in all")] * bool(found)
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
     return FittedPanel(parts, title)
 

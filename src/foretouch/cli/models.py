@@ -93,7 +93,7 @@ def _show(records: list[dict[str, Any]], *, in_full: bool) -> None:
     """Print a table of models, and below it what is wrong with damaged ones, and in full the limits of the others."""
     rows = [[record["name"], record.get("kind", record["status"]), *_cells(record)] for record in records]
     print_table(
-        "Touch models: skill on held-out samples by split (0: the mean of the labels, 1: perfect), coverage of 90 % intervals",
+        "Touch models: skill on held-out samples by split (0: the mean of the training readings, 1: perfect), coverage of 90 % intervals",
         ["model", "kind", "files", "kB", *_SPLITS, "coverage"],
         rows,
     )

@@ -19,7 +19,9 @@ _GROUPS: Final = {
 }
 """Destinations of options by the heading under which a command with many options lists them."""
 
-STATUSES: Final = "0 done; 1 a known failure, in one line that names what and why; 2 wrong usage"
+STATUSES: Final = (
+    "0 done; 1 a known failure, in one line that names what and why; 2 wrong usage; 128 + n ended by signal n"
+)
 _MORE_STATUSES: Final = {
     "run": "; 1 also if a cloud was not answered; 3 if the camera never sent a cloud",
     "doctor": "; 1 also if something must be fixed",

@@ -21,7 +21,6 @@ from foretouch.cli.live import executed_table
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
-from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, stamp_ns
@@ -202,9 +201,8 @@ def run(arguments: argparse.Namespace) -> int:
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     announce("starting the recorder")
     with graph:
+        graph.require_active()
         node = cast("RecorderNode", graph.nodes["recorder"])
-        if node.state_name != "active":
-            raise ForetouchError("the recorder did not start; see its log")
         if arguments.check:
             from foretouch.cli.check import run_check
 
@@ -239,7 +237,7 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
         **_identity("hand", arguments.hand),
         **_identity("camera", arguments.camera),
     }
-    return {name: value for name, value in given.items() if value is not None}
+    return {"autostart": True} | {name: value for name, value in given.items() if value is not None}
 
 
 def _identity(what: str, given: str | None) -> dict[str, str | None]:

@@ -2,11 +2,14 @@
 """`foretouch replay`: play a recording or a folder into a graph that runs elsewhere, in place of a camera."""
 
 import argparse
+from typing import TYPE_CHECKING, cast
 
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.run import add_replay_arguments, replay_fault, report_conflicts, source_parameters
-from foretouch.errors import ForetouchError
 from foretouch.ros.graph import Graph
+
+if TYPE_CHECKING:
+    from foretouch.ros.nodes.replay import ReplayNode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,9 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.no_wait:
         parameters["subscribers"] = 0
     with Graph({"replay": parameters}, namespace=arguments.namespace) as graph:
-        replay = graph.replay
-        if replay is None or not graph.started:
-            raise ForetouchError(f"{arguments.path}: the replay did not start; see its log")
+        graph.require_active()
+        replay = cast("ReplayNode", graph.nodes["replay"])
         try:
             replay.ended.wait()
         except KeyboardInterrupt:

@@ -99,7 +99,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> 
         help="wait until this topic has a subscriber besides the nodes of the graph, such as a planner of `touch`"
         " (repeatable)",
     )
-    limit = "longest wait for subscribers to be matched (default: 10)"
+    limit = "longest wait for --wait-for, and until subscribers that are seen are matched (default: 10)"
     parser.add_argument("--wait-limit", type=partial(positive_value, or_zero=True), metavar="S", help=limit)
 
 
@@ -131,10 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
     announce("starting the nodes")
     with graph:
-        if not graph.started:
-            states = [(name, node.state_name) for name, node in graph.nodes.items()]
-            listed = "; ".join(f"{name}: {state}" for name, state in states if state != "active")
-            raise ForetouchError(f"a node did not start; see its log ({listed})")
+        graph.require_active()
         if graph.replay is not None:
             graph.default("touch_predictor", late_after_s=0.0)  # the stamps are those of the recording
         if arguments.serve is not None:

@@ -107,7 +107,7 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     columns = {channel: sensor.taxel_columns[..., k].ravel() for k, channel in enumerate(sensor.taxel_channels)}
     apart = np.abs(value.values - read.values)
     means = [f"{name.name} {name.text(apart[part].mean())} {name.unit}" for name, part in columns.items()]
-    text = f"mean difference of a taxel: {', '.join(means)}"
+    text = f"mean difference: {', '.join(means)}"
     if one.prediction.lower is None or one.prediction.upper is None:
         return text
     columns |= {channel: sensor.scalar_columns[:, k] for k, channel in enumerate(sensor.scalar_channels)}

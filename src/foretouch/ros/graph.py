@@ -76,10 +76,14 @@ class Graph:
         with uninterrupted():
             self._close()
 
-    @property
-    def started(self) -> bool:
-        """Whether all nodes with `autostart` are active."""
-        return all(node.state_name == "active" for node in self.nodes.values() if node.config.autostart)
+    def require_active(self) -> None:
+        """A `ForetouchError` that gives the cause, if a node with `autostart` is not active."""
+        idle = {name: node for name, node in self.nodes.items() if node.state_name != "active"}
+        causes = [
+            f"{name}: {node.last_failure or node.state_name}" for name, node in idle.items() if node.config.autostart
+        ]
+        if causes:
+            raise ForetouchError(f"a node did not start: {'; '.join(causes)}")
 
     @property
     def replay(self) -> "ReplayNode | None":

@@ -75,6 +75,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._began_s = time.monotonic()
         self.state_name = "unconfigured"
         self.has_failed = False  # whether the process ends with exit status 1
+        self.last_failure = ""  # why the latest step that failed did
         self.is_direct = self.config.direct and SUPPORTED  # whether messages are handed over within the process
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
@@ -310,9 +311,11 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         try:
             hook()
         except ForetouchError as err:
-            self.get_logger().error(str(err))
+            self.last_failure = str(err)
+            self.get_logger().error(self.last_failure)
             return False
         except Exception as err:  # noqa: BLE001  rclpy would not report it
+            self.last_failure = f"{type(err).__name__}: {err}"
             self.internal_errors.report(hook.__name__.strip("_"), err)
             return False
         return True
