@@ -354,7 +354,14 @@ def described() -> Reader:
     fingers = [{"name": name, "field": f"sensors[place={name}]"} for name in ("TH", "FF")]
     source = {"type": "lab_msgs/Pads", "stamp": "sensors[0].time"}
     array = {"rows": 2, "cols": 2, "size": [0.004, 0.004]}
-    mapping = {"name": "lab", "fingers": fingers, "array": array, "values": [force], "scalars": [warmth], "source": source}
+    mapping = {
+        "name": "lab",
+        "fingers": fingers,
+        "array": array,
+        "values": [force],
+        "scalars": [warmth],
+        "source": source,
+    }
     config: Any = SimpleNamespace(described=sensor_of(mapping, "lab"), fingers=("TH", "FF"))
     reader = make_described_reader(config)
 
