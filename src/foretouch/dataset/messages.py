@@ -71,18 +71,8 @@ def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
 def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
     """The fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
     layout, data = encode(cloud)
-    fields = [SimpleNamespace(name=f.name, offset=f.offset, datatype=f.datatype, count=f.count) for f in layout.fields]
-    return SimpleNamespace(
-        header=header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name),
-        height=layout.height,
-        width=layout.width,
-        fields=fields,
-        is_bigendian=layout.is_bigendian,
-        point_step=layout.point_step,
-        row_step=layout.row_step,
-        data=np.frombuffer(data, np.uint8),
-        is_dense=layout.is_dense,
-    )
+    header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
+    return SimpleNamespace(header=header, data=np.frombuffer(data, np.uint8), **vars(layout))
 
 
 def grasp_fields(grasp: Grasp) -> SimpleNamespace:

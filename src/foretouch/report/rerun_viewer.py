@@ -15,7 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from foretouch.errors import FileError, ForetouchError, MissingDependencyError
+from foretouch.checked_files import system_errors
+from foretouch.errors import ForetouchError, MissingDependencyError
 
 _SCREENSHOT_S: Final = 120.0
 _POLL_S: Final = 0.1
@@ -42,10 +43,8 @@ def save_screenshot(recording: Path, path: Path) -> None:
             viewer.wait()
         if not drawn.is_file():
             raise _not_drawn(printed.read_text(encoding="utf-8", errors="replace"))
-        try:
+        with system_errors(path):
             path.write_bytes(drawn.read_bytes())
-        except OSError as err:
-            raise FileError(path, err.strerror or str(err)) from err
 
 
 def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:

@@ -15,7 +15,7 @@ from foretouch.tactile.channels import (
     electrode_normals,
     electrode_positions,
 )
-from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, offsets, restore, tdc_of, to_kohm, touch_faults
+from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, offsets, tdc_of, to_kohm, touch_faults
 
 __all__ = [
     "BIOTAC",
@@ -34,7 +34,6 @@ __all__ = [
     "is_tdc",
     "make_tare",
     "offsets",
-    "restore",
     "tdc_of",
     "to_kohm",
     "touch_faults",

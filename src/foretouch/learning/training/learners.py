@@ -79,9 +79,7 @@ class Learner(ABC):
         """(T, D) predictions of training samples by the model of the last `fit`; NaN for absent modalities [counts]."""
 
     @abstractmethod
-    def save(
-        self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
-    ) -> Path:
+    def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """Write weights, card and calibration of the last `fit`, all files or none; returns the path of the card."""
 
     @property
@@ -122,9 +120,7 @@ class ContactLearner(Learner):
         """As `Learner.predict`."""
         return self._estimator.predict_rows(self._predictor.rows[index])[0]
 
-    def save(
-        self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
-    ) -> Path:
+    def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """As `Learner.save`."""
         gains = zip(self.sensor.channels.modalities, self._estimator.generalisation_gain, strict=True)
         shares = ", ".join(f"{modality} {value:.2f}" for modality, value in gains)
@@ -200,9 +196,7 @@ class NetworkLearner(Learner):
         )
         return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
 
-    def save(
-        self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
-    ) -> Path:
+    def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """As `Learner.save`."""
         learned = np.concatenate([self.split.train, self.split.unlabelled])
         best = self._best.epoch if self._best.weights else None
