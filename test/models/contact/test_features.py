@@ -117,7 +117,7 @@ def test_an_axis_that_turns_with_the_noise_moves_nothing(rng) -> None:
     grasp = Grasp(here(0.04, 0.01, 0.0), here(-0.04, 0.01, 0.0), HAND)
     halves = describe(disc[::2], grasp), describe(disc[1::2], grasp)
     names = [name for name in SEEN if not name.startswith(("g1", "g2", "extent"))]
-    assert_allclose(*(named(half[0], *names) for half in halves), atol=0.06)
+    assert_allclose(*(named(half[0], *names) for half in halves), atol=0.1)
 
 
 def test_slopes_of_planes_are_those_of_their_normals() -> None:

@@ -29,6 +29,7 @@ from typing import Any, Final
 from foretouch import __version__
 from foretouch.checked_files import TEXT_LIMIT, read_bytes, read_json, require_schema, write_text
 from foretouch.config import Settings, flattened
+from foretouch.dataset.files import disk_errors
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
@@ -77,19 +78,21 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable:
         FileError: If the folder exists and `resume` is off, or contains something else.
         ConfigError: If its sweep has other settings or data; names the difference.
     """
-    file = out / MANIFEST_FILE
+    file, cells = out / MANIFEST_FILE, out / _CELLS
+    if cells.is_symlink():
+        raise FileError(cells, "is a link, and nothing is written through links")
     if not file.exists():
         if out.exists() and any(out.iterdir()) and not (resume and [p.name for p in out.iterdir()] == [_CELLS]):
             raise FileError(out, "already exists" + (f" and contains no {MANIFEST_FILE}" if resume else ""))
-        (out / _CELLS).mkdir(parents=True, exist_ok=True)
+        with disk_errors(cells):
+            cells.mkdir(parents=True, exist_ok=True)
         return {**fixed, "sessions": []}
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_manifest(file)
     _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
-    if (out / _CELLS).is_symlink():
-        raise FileError(out / _CELLS, "is a link, and nothing is written through links")
-    (out / _CELLS).mkdir(exist_ok=True)
+    with disk_errors(cells):
+        cells.mkdir(exist_ok=True)
     return {**manifest, **fixed}
 
 

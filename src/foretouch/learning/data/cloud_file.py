@@ -28,7 +28,7 @@ class CloudFile(Sequence[Float32]):
     def __init__(self) -> None:
         with disk_errors(Path("TMPDIR"), "names no folder that can be written"):
             self._folder = Path(tempfile.gettempdir())
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115  open as long as this object
+            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  open as long as this object
         weakref.finalize(self, self._file.close)
         self._ends = [0]  # in values
         self._columns = 0
@@ -36,8 +36,9 @@ class CloudFile(Sequence[Float32]):
     def append(self, cloud: Float32) -> None:
         """Write one more cloud, of the same C."""
         with disk_errors(self._folder, "cannot hold the prepared clouds; set TMPDIR to a folder with more space"):
-            self._file.write(np.ascontiguousarray(cloud).data)
-            self._file.flush()
+            rest = np.ascontiguousarray(cloud).data.cast("B")
+            while rest:
+                rest = rest[self._file.write(rest) :]
         self._ends.append(self._ends[-1] + cloud.size)
         self._columns = cloud.shape[1]
 
