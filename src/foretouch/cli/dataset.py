@@ -364,10 +364,10 @@ def _import(arguments: argparse.Namespace) -> int:
             sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
         ),
     )
+    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
+    identity = Identity(hand=hand, camera=camera) if hand or camera else None
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
-        result = import_samples(
-            arguments.source, arguments.out, identity=_identity(arguments), topics=topics, progress=advance
-        )
+        result = import_samples(arguments.source, arguments.out, identity=identity, topics=topics, progress=advance)
     record = {
         "out": str(arguments.out),
         "samples": result.samples,
@@ -375,11 +375,6 @@ def _import(arguments: argparse.Namespace) -> int:
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
     return _print_result("imported", record, as_json=arguments.json)
-
-
-def _identity(arguments: argparse.Namespace) -> Identity | None:
-    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
-    return Identity(hand=hand, camera=camera) if hand or camera else None
 
 
 def _name_and_value(text: str) -> tuple[str, str]:

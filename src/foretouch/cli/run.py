@@ -124,8 +124,8 @@ def run(arguments: argparse.Namespace) -> int:
         "sensor": sensor,
         "with_clouds": arguments.picture is not None,
         "with_hand": "hand" in nodes,
+        "count": arguments.count,
     }
-    monitor["count"] = arguments.count
     if arguments.json:
         monitor["on_touch"] = arguments.printer = _Printer(sensor)
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)

@@ -23,7 +23,7 @@ _POLL_S: Final = 0.1
 _NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  # what Rerun prints without a driver
 
 
-def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 1000)) -> None:
+def save_screenshot(recording: Path, path: Path) -> None:
     """Draw the first step of a Rerun recording to a PNG, without a window.
 
     A `ForetouchError` if the file cannot be written, Rerun draws nothing, or it or a graphics driver (Vulkan) is absent.
@@ -33,7 +33,7 @@ def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = int(free.getsockname()[1])
-        command = [*_viewer(port), "--headless", "--window-size", f"{size[0]}x{size[1]}", recording]
+        command = [*_viewer(port), "--headless", "--window-size", "1600x1000", recording]
         with printed.open("wb") as output:
             viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
         try:
