@@ -18,6 +18,9 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
+# Tests find memory filled with a pattern where it was not initialised, so that what depends on it fails everywhere.
+test test-ros test-portable check coverage: export MALLOC_PERTURB_ ?= 170
+
 .PHONY: setup runtime demo simulated test test-portable test-ros check coverage bench docs reference format clean
 
 # What a robot needs, for the demo; and what the tests need besides.

@@ -166,6 +166,7 @@ def test_shared_memory_of_processes_that_ended_is_freed_and_that_of_others_kept(
         (tmp_path / name).write_bytes(bytes(1000))
         (tmp_path / f"{name}_el").touch()
     (tmp_path / "fastdds_link_el").symlink_to(tmp_path / "fastdds_dead")
+    os.mkfifo(tmp_path / "fastdds_fifo_el")
     with (tmp_path / "fastdds_alive_el").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         assert stale_bytes(tmp_path) == 2000

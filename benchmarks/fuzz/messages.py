@@ -59,6 +59,8 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile import biotac_touch
+from foretouch.tactile.description import sensor_of
+from foretouch.tactile.messages.described import make_reader as make_described_reader
 from foretouch.tactile.messages.table import TactileConfig, make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
 from foretouch_msgs.action import SampleGrasps
@@ -345,6 +347,34 @@ def tactile_state() -> Reader:
     return _tactile("tactile_msgs/TactileState", SimpleNamespace(header=header, sensors=sensors))
 
 
+def described() -> Reader:
+    """Messages of a described sensor whose numbers have no range; a list of taxels is an array of objects."""
+    force = {"name": "F", "field": "taxels[].f", "unit": "N", "dtype": "float64", "rest": "zero", "noise": 0.01}
+    warmth = {"name": "T", "field": "warmth", "unit": "K", "dtype": "float64", "contact": "none", "rest": "none"}
+    fingers = [{"name": name, "field": f"sensors[place={name}]"} for name in ("TH", "FF")]
+    source = {"type": "lab_msgs/Pads", "stamp": "sensors[0].time"}
+    array = {"rows": 2, "cols": 2, "size": [0.004, 0.004]}
+    mapping = {
+        "name": "lab",
+        "fingers": fingers,
+        "array": array,
+        "values": [force],
+        "scalars": [warmth],
+        "source": source,
+    }
+    config: Any = SimpleNamespace(described=sensor_of(mapping, "lab"), fingers=("TH", "FF"))
+    reader = make_described_reader(config)
+
+    def read(message: Any) -> None:
+        found = reader.read(message)
+        if np.isinf(found.counts).any() or not np.isfinite(found.others).all() or abs(found.stamp_ns or 0) >= 2**63:
+            raise ArithmeticError("a reading is not finite")
+
+    taxels = [SimpleNamespace(f=0.5 + k) for k in range(4)]
+    sensors = [SimpleNamespace(place=one["name"], time=1.7e9, warmth=300.0, taxels=taxels) for one in fingers]
+    return [SimpleNamespace(sensors=sensors)], read
+
+
 def executed() -> Reader:
     """Reports of executed grasps, for the predictor and the recorder, between readings, clouds and plans."""
     hand, numbers = _Hand(), count()
@@ -507,6 +537,7 @@ KINDS = {
     "BiotacAll": _kind(lambda: _tactile("foretouch_msgs/BiotacAll", tactile_message())),
     "std_msgs String": _kind(biotac_csv),
     "TactileState": _kind(tactile_state),
+    "described sensor": _kind(described),
     "ExecutedGrasp": _kind(executed),
     "TouchPredictionArray": _kind(touches),
     "predict_touch": _kind(predicted, 0.1),

@@ -102,12 +102,17 @@ class Channels:
         """Columns of the values of each finger, in order."""
         return {name: np.flatnonzero(self.finger_of_value == k) for k, name in enumerate(self.fingers)}
 
+    @cached_property
+    def modality_columns(self) -> dict[str, _Index]:
+        """Columns of the values of each modality, in order."""
+        return {name: np.flatnonzero(self.modality_of_value == k) for k, name in enumerate(self.modalities)}
+
     def columns(self, modalities: Sequence[str]) -> _Index:
         """(M,) columns of some modalities, in this order; a `TactileError` names an unknown one."""
-        unknown = [name for name in modalities if name not in self._columns]
+        unknown = [name for name in modalities if name not in self.modality_columns]
         if unknown:
             raise TactileError(f"modality: {none_of(unknown[0], self.modalities)}")
-        return np.concatenate([np.empty(0, np.intp), *(self._columns[name] for name in modalities)])
+        return np.concatenate([np.empty(0, np.intp), *(self.modality_columns[name] for name in modalities)])
 
     def by_modality(self, values: npt.ArrayLike) -> Any:
         """(D, ...) numbers of the values, from (M, ...) of the modalities."""
@@ -148,11 +153,7 @@ class Channels:
     @cached_property
     def modality_means(self) -> _Floats:
         """(M, D) float64 matrix that takes the mean of the values of each modality; read-only."""
-        return _mean_rows(self._columns, self.size)
-
-    @cached_property
-    def _columns(self) -> dict[str, _Index]:
-        return {name: np.flatnonzero(self.modality_of_value == k) for k, name in enumerate(self.modalities)}
+        return _mean_rows(self.modality_columns, self.size)
 
     def _of_values(self, name: str) -> _Floats:
         values = [getattr(channel, name) for channel in self.channel_of.values()]

@@ -36,16 +36,24 @@ _AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
 _BLOCK: Final = 1 << 20
 _SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
 
-Version: TypeAlias = tuple[int, int, int, int, int]
+Version: TypeAlias = tuple[int, ...]
+
+
+@contextmanager
+def system_errors(path: str | Path, rule: str = "") -> Iterator[None]:
+    """Turn an `OSError` within the block into a `FileError` with its description, after `rule` if there is one."""
+    try:
+        yield
+    except OSError as err:
+        raise FileError(path, f"{rule}: " * bool(rule) + (err.strerror or str(err))) from err
 
 
 @contextmanager
 def _named(path: str | Path) -> Iterator[None]:
-    """Errors of the system within the block as a `FileError`."""
+    """As `system_errors`, also where no file can have this name."""
     try:
-        yield
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
+        with system_errors(path):
+            yield
     except ValueError as err:
         raise FileError(path, f"is no name of a file: {err}") from err
 
@@ -232,14 +240,11 @@ def require_writable(path: str | Path, *suffixes: str) -> None:
     if Path(path).suffix.lower() not in suffixes:
         raise FileError(path, f"the extension is none of {', '.join(suffixes)}")
     existed = Path(path).exists()
-    try:
+    with system_errors(path, "cannot be written"):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        with Path(path).open("ab"):
-            pass
+        Path(path).open("ab").close()
         if not existed:
             Path(path).unlink()
-    except OSError as err:
-        raise FileError(path, f"cannot be written: {err.strerror or err}") from err
 
 
 def read_bytes(path: str | Path, limit: int | None = None) -> bytes:

@@ -394,18 +394,14 @@ def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
         return tuple(value) if isinstance(value, list) else value
     if value is None and optional:
         return None
-    if not is_list:
-        return _group(item, value, source, name)
-    if not isinstance(value, list):
+    if is_list and isinstance(value, list):
+        return tuple(_field_value(item, one, source, f"{name}[{i}]") for i, one in enumerate(value))
+    if is_list:
         raise ConfigError(f"{source}{name}: {quoted(value)} is not a list")
-    return tuple(_group(item, one, source, f"{name}[{i}]") for i, one in enumerate(value))
-
-
-def _group(cls: type[_S], value: Any, source: str, name: str) -> _S:
     if not isinstance(value, Mapping):
         shown_value = "null" if value is None else quoted(value)
         raise ConfigError(f"{source}{name}: {shown_value} is not a group of settings; {{}} is one with its defaults")
-    return _build(cls, value, source, f"{name}.")
+    return _build(item, value, source, f"{name}.")
 
 
 def _plain(value: Any) -> Any:

@@ -88,5 +88,9 @@ def test_a_path_of_no_format_is_refused_and_every_module_supports_what_its_line_
         functions = importlib.import_module(entry.module).DATASET_FORMAT
         missing = DatasetFormat()
         assert isinstance(functions, DatasetFormat)
-        assert entry.readable == (functions.open is not missing.open) == (functions.recognise is not missing.recognise)
+        assert (
+            bool(entry.folders)
+            == (functions.open is not missing.open)
+            == (functions.recognise is not missing.recognise)
+        )
         assert entry.exported == (functions.export is not missing.export)

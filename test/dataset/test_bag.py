@@ -296,6 +296,7 @@ def test_what_the_files_of_a_folder_would_do_to_a_reader_is_refused_before_it_is
     cases = [
         ("view", sql("DROP TABLE schema", f"CREATE VIEW schema AS {endless}"), "schema is a view or computed"),
         ("computed", sql(computed), "messages is a view or computed"),
+        ("large", sql("UPDATE messages SET data = zeroblob(70000001)"), "string or blob too big"),
         ("fifo", fifo, "is a FIFO, not a regular file"),
         ("name?x", lambda _: None, "needs a path without"),
     ]

@@ -83,6 +83,16 @@ def test_taxels_that_fail_are_counted_by_reason(tmp_path) -> None:
     assert reading.stamp_ns is None
 
 
+def test_numbers_without_a_range_are_valid_as_far_as_float32_holds_them(tmp_path, recwarn) -> None:
+    values = [{"name": "p", "field": "pressures", "dtype": "float64", "noise": 1.0}]
+    reader = SensorReader(load_sensor(write_sensor(tmp_path, {"values": values})))
+    odd = [np.inf, -np.inf, 1e39, np.nan, 3e38, 0.0]
+    reading = reader.read(Message(pads=[Message(pressures=odd), Message(pressures=[1.0] * 6)]))
+    assert reading.valid.tolist() == [[False] * 4 + [True] * 2, [True] * 6]
+    assert reading.invalid == {"out_of_range": 4}
+    assert not recwarn.list
+
+
 def test_stamps_of_every_kind(tmp_path) -> None:
     def stamp(value: object, unit: str = "s") -> int | None:
         source = {"type": "a/B", "stamp": "time", "stamp_unit": unit}

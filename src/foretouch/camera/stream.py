@@ -153,16 +153,12 @@ class FilterChain:
         rs, option = realsense(), realsense().option
         spatial, temporal = config.spatial, config.temporal
         smoothing = spatial.enabled or temporal.enabled
+        magnitude = ((option.filter_magnitude, "magnitude"),)
         amounts = ((option.filter_smooth_alpha, "smooth_alpha"), (option.filter_smooth_delta, "smooth_delta"))
         steps = (
-            (
-                config.decimation,
-                config.decimation.enabled,
-                rs.decimation_filter,
-                ((option.filter_magnitude, "magnitude"),),
-            ),
+            (config.decimation, config.decimation.enabled, rs.decimation_filter, magnitude),
             (config, smoothing, lambda: rs.disparity_transform(True), ()),
-            (spatial, spatial.enabled, rs.spatial_filter, ((option.filter_magnitude, "magnitude"), *amounts)),
+            (spatial, spatial.enabled, rs.spatial_filter, (*magnitude, *amounts)),
             (temporal, temporal.enabled, rs.temporal_filter, amounts),
             (config, smoothing, lambda: rs.disparity_transform(False), ()),
             (config.hole_filling, config.hole_filling.enabled, rs.hole_filling_filter, ((option.holes_fill, "mode"),)),

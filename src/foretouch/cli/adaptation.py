@@ -33,34 +33,6 @@ _UNKNOWN = "unknown"  # the recorder's label of an object without a name
 _TEMPERATURE = "TDC"  # of the finger
 
 
-def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
-    """--tare and --touched."""
-    parser.add_argument(
-        "--tare",
-        action="append",
-        default=[],
-        metavar="F|sample",
-        help="reading without contact, taken shortly before: JSON with the modalities in lower case (pdc_th, pdc_mf, e_th [24], e_mf [24] and optionally tdc_th, "
-        "tdc_mf of the BioTac SP), a list of such, or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
-    )
-    parser.add_argument(
-        "--touched",
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="executed grasps of the same object with their readings (a dataset, a training store, vision2tactile folders): "
-        "adapt the predictions to all labelled ones, except the sample that is predicted",
-    )
-    parser.add_argument(
-        "--history",
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="executed grasps of any objects with their readings, earlier ones of the same hand (as --touched), or the file of a hand that "
-        "the touch_predictor keeps: adapt the predictions to the state of its sensors",
-    )
-
-
 @dataclass(eq=False)
 class Adaptation:
     """Readings from the command line, and the predictions adapted to them."""
@@ -78,10 +50,6 @@ class Adaptation:
         if self.touched or self.history or self.hand is not None:
             self.model.new_tracker()
 
-    def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
-        """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
-        return _others(self.touched, sample)
-
     def predict(
         self,
         pipeline: Pipeline,
@@ -98,7 +66,7 @@ class Adaptation:
         if sample is not None and label and sample.object not in (label, _UNKNOWN):
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {label}")
         tare = _own_tare(sample) if self.own else self.tare
-        touched = self.touches_for(sample)
+        touched = others(self.touched, sample)
         if not (touched or self.history or self.hand is not None):
             return pipeline.predict(target, grasps, tare=None if tare is None else tare[0], model=model)
         return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample), model=model)
@@ -112,7 +80,7 @@ class Adaptation:
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = self.hand.copy() if self.hand is not None else HandHistory(self.model)
         last = None
-        for one in sorted(_others(self.history, sample), key=lambda one: one.stamp_ns):
+        for one in sorted(others(self.history, sample), key=lambda one: one.stamp_ns):
             if one.stamp_ns <= now_ns:
                 self._add(hand, one, one.stamp_ns, new_object=one.object != last)
                 last = one.object
@@ -212,8 +180,11 @@ def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     return Touch(np.hstack([entry[name] for name in sizes]), channels), tdc
 
 
-def _others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
-    """Labelled samples without one of them, even from another file; ids alone may recur in another dataset."""
+def others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
+    """Labelled samples that a prediction for one of them may use: without itself, whose reading would leak its label.
+
+    It may come from another file, and ids alone may recur in another dataset.
+    """
     if sample is None or sample.touch is None:
         return samples
     own = sample.touch.values

@@ -15,7 +15,7 @@ from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing
 from foretouch.dataset.chunks import ReadOnRay, chunks_folder, remove_chunks
-from foretouch.dataset.formats import export_formats, readable_formats
+from foretouch.dataset.formats import FORMATS, readable_formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
@@ -75,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export = _action(actions, "export", _export, "Write samples in another format")
     export.add_argument("source", metavar="DS", help=dataset)
     _add_out(export, "DIR", "folder to create; must not exist")
-    export.add_argument("--format", required=True, choices=export_formats(), help="format to write")
+    exported = [entry.name for entry in FORMATS if entry.exported]
+    export.add_argument("--format", required=True, choices=exported, help="format to write")
 
     show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
     show.add_argument("source", metavar="DS", help=dataset)
@@ -363,10 +364,10 @@ def _import(arguments: argparse.Namespace) -> int:
             sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
         ),
     )
+    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
+    identity = Identity(hand=hand, camera=camera) if hand or camera else None
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
-        result = import_samples(
-            arguments.source, arguments.out, identity=_identity(arguments), topics=topics, progress=advance
-        )
+        result = import_samples(arguments.source, arguments.out, identity=identity, topics=topics, progress=advance)
     record = {
         "out": str(arguments.out),
         "samples": result.samples,
@@ -374,11 +375,6 @@ def _import(arguments: argparse.Namespace) -> int:
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
     return _print_result("imported", record, as_json=arguments.json)
-
-
-def _identity(arguments: argparse.Namespace) -> Identity | None:
-    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
-    return Identity(hand=hand, camera=camera) if hand or camera else None
 
 
 def _name_and_value(text: str) -> tuple[str, str]:

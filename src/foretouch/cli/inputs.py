@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain
-from typing import Any
+from typing import Any, Final
 
 from foretouch.cli.output import print_json, warn
 from foretouch.config import load_yaml, parse_overrides
@@ -16,61 +16,6 @@ from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
 Record = dict[str, Any]
-
-
-_OPTIONS: dict[str, dict[str, Any]] = {
-    "--topic": {"help": "point cloud topic of a recording (default: its only one)"},
-    "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
-    "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "change one setting of the pipeline"},
-    "--model": {
-        "help": "name of a model, or path of its card, weights or model folder (default: contact-v2; of `run` with a scene: simulated)"
-    },
-    "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
-    "--sensor": {
-        "metavar": "NAME|YAML",
-        "help": "description of the tactile sensor, with the type of its messages (default: BioTac SP; `sensor list` names"
-        " those of the package)",
-    },
-    "--thumb": {
-        "metavar": "NAME",
-        "help": "name of the thumb in the tactile messages (default: TH or 0, by their type, or that of the sensor)",
-    },
-    "--middle": {"metavar": "NAME", "help": "name of the middle finger, or the other one (default: MF or 1)"},
-    "--namespace": {"metavar": "NAME", "help": "namespace of the graph (default: /foretouch)"},
-}
-
-
-def add_options(parser: argparse._ActionsContainer, *names: str) -> None:
-    """Options that several commands share, such as `--topic`."""
-    for name in names:
-        parser.add_argument(name, **_OPTIONS[name])
-
-
-def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """IN…, --topic, --config and --set."""
-    parser.add_argument(
-        "inputs",
-        metavar="IN",
-        nargs="+",
-        help="cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
-    )
-    add_options(parser, "--topic", "--config", "--set")
-
-
-def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
-    """--plane, --scene and --target: the table, and which objects to use."""
-    parser.add_argument(
-        "--plane",
-        type=numbers,
-        metavar="a,b,c,d",
-        help="table ax+by+cz+d=0 [m]; the cloud then contains only the object (default: found in the cloud)",
-    )
-    parser.add_argument("--scene", action="store_true", help="find table and objects in unorganised clouds too")
-    parser.add_argument(
-        "--target",
-        choices=["nearest", "largest", "all"],
-        help="objects of a cloud to use (default: nearest; all for predict)",
-    )
 
 
 def numbers(text: str, count: int = 4) -> list[float]:
@@ -110,6 +55,74 @@ def positive_value(text: str, *, or_zero: bool = False) -> float:
     if value < 0.0 or (value == 0.0 and not or_zero):
         raise argparse.ArgumentTypeError(f"{text} is not {'0 or more' if or_zero else 'above 0'}")
     return value
+
+
+_REPEATED: dict[str, Any] = {"action": "append", "default": []}
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "inputs": {
+        "metavar": "IN",
+        "nargs": "+",
+        "help": "cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
+    },
+    "--topic": {"help": "point cloud topic of a recording (default: its only one)"},
+    "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
+    "--set": {"metavar": "KEY=VALUE", **_REPEATED, "help": "change one setting of the pipeline"},
+    "--plane": {
+        "type": numbers,
+        "metavar": "a,b,c,d",
+        "help": "table ax+by+cz+d=0 [m]; the cloud then contains only the object (default: found in the cloud)",
+    },
+    "--scene": {"action": "store_true", "help": "find table and objects in unorganised clouds too"},
+    "--target": {
+        "choices": ["nearest", "largest", "all"],
+        "help": "objects of a cloud to use (default: nearest; all for predict)",
+    },
+    "--tare": {
+        "metavar": "F|sample",
+        **_REPEATED,
+        "help": "reading without contact, taken shortly before: JSON with the modalities in lower case (pdc_th, pdc_mf, e_th [24], e_mf [24] and optionally tdc_th, "
+        "tdc_mf of the BioTac SP), a list of such, or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
+    },
+    "--touched": {
+        "metavar": "PATH",
+        **_REPEATED,
+        "help": "executed grasps of the same object with their readings (a dataset, a training store, vision2tactile folders): "
+        "adapt the predictions to all labelled ones, except the sample that is predicted",
+    },
+    "--history": {
+        "metavar": "PATH",
+        **_REPEATED,
+        "help": "executed grasps of any objects with their readings, earlier ones of the same hand (as --touched), or the file of a hand that "
+        "the touch_predictor keeps: adapt the predictions to the state of its sensors",
+    },
+    "--model": {
+        "help": "name of a model, or path of its card, weights or model folder (default: contact-v2; of `run` with a scene: simulated)"
+    },
+    "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
+    "--sensor": {
+        "metavar": "NAME|YAML",
+        "help": "description of the tactile sensor, with the type of its messages (default: BioTac SP; `sensor list` names"
+        " those of the package)",
+    },
+    "--thumb": {
+        "metavar": "NAME",
+        "help": "name of the thumb in the tactile messages (default: TH or 0, by their type, or that of the sensor)",
+    },
+    "--middle": {"metavar": "NAME", "help": "name of the middle finger, or the other one (default: MF or 1)"},
+    "--namespace": {"metavar": "NAME", "help": "namespace of the graph (default: /foretouch)"},
+}
+"""Arguments that several commands share, by name."""
+
+READ: Final = ("inputs", "--topic", "--config", "--set")
+PLANNED: Final = ("--plane", "--scene", "--target")
+ADAPTED: Final = ("--tare", "--touched", "--history")
+
+
+def add_options(parser: argparse._ActionsContainer, *names: str) -> None:
+    """Add arguments that several commands share, such as `--topic`."""
+    for name in names:
+        parser.add_argument(name, **_OPTIONS[name])
 
 
 def pipeline_config(

@@ -17,7 +17,7 @@ import numpy as np
 
 from foretouch.channels import Channels
 from foretouch.cli import inputs
-from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation, read_samples
+from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.dataset.source import SourceItem
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
-    inputs.add_input_arguments(parser)
-    inputs.add_plan_arguments(parser)
+    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED)
     parser.add_argument(
         "--grasp",
         type=partial(inputs.numbers, count=6),
@@ -44,8 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="x1,y1,z1,x2,y2,z2",
         help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
     )
-    inputs.add_options(parser, "--model")
-    add_adaptation_arguments(parser)
+    inputs.add_options(parser, "--model", *inputs.ADAPTED)
     parser.add_argument(
         "--budget-ms",
         type=inputs.positive_value,
@@ -66,7 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
-    budget = None if arguments.budget_ms is None else _make_budget(arguments.budget_ms, pipeline)
+    budget = None
+    if arguments.budget_ms is not None:
+        from foretouch.models.budget import LatencyBudget, load_warm
+
+        budget = LatencyBudget(arguments.budget_ms / 1e3, *load_warm(pipeline.model, warn))
     answer = partial(_answer, arguments, pipeline, adaptation, budget)
     return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
 
@@ -104,22 +106,10 @@ def _answer(
             "predictions": [prediction_record(one, pipeline.model.sensor.channels) for one in predictions],
             "model": _named(pipeline.model),
             **level,
-            "touched": len(adaptation.touches_for(item.sample)),
+            "touched": len(others(adaptation.touched, item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
             "failed": not predictions or bool(refused),
         }
-
-
-def _make_budget(budget_ms: float, pipeline: Pipeline) -> "LatencyBudget":
-    """A budget for this machine, which is measured where there is no profile of it, and warmed up."""
-    from foretouch.models.budget import LatencyBudget, levels_of, load_profile, profile_scene
-
-    levels = levels_of(pipeline.model)
-    budget = LatencyBudget(budget_ms / 1e3, levels, load_profile(levels, say=warn))
-    cloud, grasps = profile_scene(1)
-    for level in levels:
-        level.model.predict(cloud, grasps)
-    return budget
 
 
 def _predict(
@@ -203,18 +193,14 @@ def _named(model: TouchModel) -> inputs.Record:
 
 
 def _show(record: dict[str, Any], *, channels: Channels) -> None:
-    rows = [
-        [
+    rows = []
+    for one in record["predictions"]:
+        counts = {"touches": f" {record['touched']}", "history": f" {one['evidence']['readings']}"}
+        reference = f"{one['reference']}{counts.get(one['reference'], '')}"
+        rows.append([
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
             *(modality_text(**one[name], text=channel.text) for name, channel in channels.channel_of.items()),
-            "\n".join([_reference_text(one, record["touched"]), *(flag.replace("_", " ") for flag in one["flags"])]),
-        ]
-        for one in record["predictions"]
-    ]
+            "\n".join([reference, *(flag.replace("_", " ") for flag in one["flags"])]),
+        ])  # fmt: skip
     title = inputs.heading(record, f" by {record['model']['name']}")
     print_table(title, ["g1, g2 [m]", *channels.modalities, "adapted to"], rows)
-
-
-def _reference_text(prediction: inputs.Record, touched: int) -> str:
-    counts = {"touches": f" {touched}", "history": f" {prediction['evidence']['readings']}"}
-    return f"{prediction['reference']}{counts.get(prediction['reference'], '')}"

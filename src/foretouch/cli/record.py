@@ -251,8 +251,15 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
 
     end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
     samples = math.inf if arguments.samples is None else arguments.samples
-    keys, ended = RecordingKeys(node.act), partial(_ended, node, samples, end)
-    report = partial(_print_status, node, arguments)
+    keys = RecordingKeys(node.act)
+
+    def ended() -> bool:
+        return not node.recording or time.monotonic() >= end or node.session_status().samples >= samples
+
+    def report() -> None:
+        if arguments.json:
+            print_json(_status_record(node.status(), node.session_status()))
+
     has_keys = has_keyboard() and not terminal().is_dumb_terminal and not arguments.json
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         if not has_keys:
@@ -271,10 +278,6 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
         watch(lambda: keys.quitted or ended(), partial(_panel, node, keys), report, every_s=1.0, wait=wait)
 
 
-def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
-    return not node.recording or time.monotonic() >= end_s or node.session_status().samples >= samples
-
-
 def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:
     session = node.session_status()
     lines = [] if keys is None else keys.lines(next(reversed(session.operator.replies), None))
@@ -285,11 +288,6 @@ def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:
 def _described(node: RecorderNode) -> Sensor | None:
     """The sensor by its description; None for a BioTac SP by the type of its messages."""
     return node.reader.sensor if node.config.tactile.sensor else None
-
-
-def _print_status(node: RecorderNode, arguments: argparse.Namespace) -> None:
-    if arguments.json:
-        print_json(_status_record(node.status(), node.session_status()))
 
 
 def _status_record(status: RecorderStatus, session: SessionStatus) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from foretouch.checked_files import require_writable
-from foretouch.cli.inputs import add_input_arguments, pipeline_config, process_inputs
+from foretouch.cli.inputs import READ, add_options, pipeline_config, process_inputs
 from foretouch.cli.output import print_table
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.dataset.source import SourceItem
@@ -18,7 +18,7 @@ from foretouch.errors import ConfigError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and --labels-out."""
-    add_input_arguments(parser)
+    add_options(parser, *READ)
     parser.add_argument(
         "--labels-out",
         metavar="F.npy",

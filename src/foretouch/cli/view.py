@@ -10,7 +10,7 @@ from typing import Any
 
 from foretouch.checked_files import require_existing, require_writable
 from foretouch.cli import inputs
-from foretouch.cli.adaptation import Adaptation, add_adaptation_arguments, read_adaptation
+from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
 from foretouch.cloud.io.files import CLOUD_SUFFIXES
@@ -44,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="show the first N clouds, samples or answers (default: all)",
     )
-    inputs.add_options(parser, "--topic", "--config", "--set", "--model")
-    inputs.add_plan_arguments(parser)
-    add_adaptation_arguments(parser)
+    inputs.add_options(parser, "--topic", "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -19,6 +19,8 @@ from foretouch.errors import ConfigError, FileError, shown
 
 _METADATA_BYTES: Final = 2_000_000  # of metadata.yaml; that of a robot with 250 topics has 163 kB
 _UNPACKED: Final = 256_000_000  # bytes of one chunk or message; clouds of 1280 x 720 points have 30 MB
+_SORTED: Final = 70_000_000  # bytes of one message of a database; clouds of 1920 x 1080 points have 66 MB
+_LENGTH_LIMIT: Final = 0  # SQLITE_LIMIT_LENGTH
 _FILE_RATIO: Final = 200  # of a whole file that is compressed
 _AT_ONCE: Final = 2 * _UNPACKED  # bytes of the chunks of one time
 _TABLES: Final = ("messages", "topics", "schema", "metadata", "message_definitions")
@@ -113,9 +115,14 @@ def _limited(make: Callable[[], Any]) -> Callable[..., bytes]:
 
 
 def check_chunks(path: Path, reader: Any) -> None:
-    """Refuse chunks of one time that unpack to more than a limit: messages are read in order of time, so all at once."""
+    """Refuse chunks of one time that unpack to more than a limit: messages are read in order of time, so all at once.
+
+    From a database, which holds messages many times while it sorts, larger messages than a limit are not read.
+    """
     found = [getattr(one, "storage", None) for one in reader.readers]
     storages = [storage for one in found for storage in getattr(one, "storages", [one])]
+    for database in filter(None, (getattr(storage, "dbconn", None) for storage in storages)):
+        database.limit(_LENGTH_LIMIT, _SORTED)
     edges = []
     for chunk in (chunk for storage in storages for chunk in getattr(storage, "chunks", [])):
         start, end = sorted((chunk.message_start_time, chunk.message_end_time))

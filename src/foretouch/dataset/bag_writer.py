@@ -16,6 +16,7 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
+from foretouch.checked_files import system_errors
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, Definitions, encode_sample, sample_type, sample_types
@@ -40,11 +41,10 @@ class BagWriter:
         try:
             self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
+            with system_errors(self.path):
+                self._writer.open()
         except WriterError as err:
             raise FileError(self.path, "exists already and is not overwritten") from err
-        except OSError as err:
-            raise FileError(self.path, err.strerror or str(err)) from err
 
     def __enter__(self) -> Self:
         return self

@@ -17,13 +17,8 @@ class FormatEntry:
     title: str  # in help texts; a noun phrase
     module: str  # python module that holds its `DATASET_FORMAT`
     files: tuple[str, ...] = ()  # suffixes of single files that may be of this format
-    folders: tuple[str, ...] = ()  # glob patterns; a folder with a match may be of this format
+    folders: tuple[str, ...] = ()  # glob patterns; a folder with a match may be of this format; none for export alone
     exported: bool = False  # whether samples can be written in this format
-
-    @property
-    def readable(self) -> bool:
-        """Whether samples can be read from this format."""
-        return bool(self.files or self.folders)
 
     def may_hold(self, path: Path) -> bool:
         """Whether the name of a file, or those in a folder, allow this format; its module decides."""
@@ -44,10 +39,5 @@ FORMATS: tuple[FormatEntry, ...] = (  # the first that recognises a path reads i
 
 def readable_formats() -> str:
     """The formats that can be read, for help texts and error messages."""
-    *others, last = [entry.title for entry in FORMATS if entry.readable]
-    return f"{', '.join(others)} or {last}" if others else last
-
-
-def export_formats() -> list[str]:
-    """Names of the formats that samples can be exported to."""
-    return [entry.name for entry in FORMATS if entry.exported]
+    *others, last = [entry.title for entry in FORMATS if entry.folders]
+    return f"{', '.join(others)} or {last}"

@@ -113,7 +113,7 @@ def export_samples(
     Args:
         source: A dataset (see `open_samples`).
         out: Folder to create; must not exist.
-        kind: Name of a format of `formats.export_formats`.
+        kind: Name of a format in `formats.FORMATS` that is exported.
         progress: Called once a sample.
 
     Raises:

@@ -24,16 +24,16 @@ from foretouch.types import Cloud, GraspSample
 STAMP_STEP_NS = 100_000_000
 
 
+@dataclass(eq=False)
 class SourceItem:
-    """One entry of a source, read on request; `name` is its file or folder, or recording and number of the message."""
+    """One entry of a source, read on request."""
 
-    def __init__(self, name: str, load: Callable[[], Cloud | GraspSample]) -> None:
-        self.name = name
-        self._load = load
+    name: str  # its file or folder, or recording and number of the message
+    load: Callable[[], Cloud | GraspSample]
 
     @cached_property
     def _value(self) -> Cloud | GraspSample:
-        return self._load()
+        return self.load()
 
     @property
     def cloud(self) -> Cloud:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import header_fields, with_stamp
 from foretouch.dataset.record import SampleRecord, TouchSeries, readings
@@ -72,17 +73,13 @@ def _channels(series: TouchSeries, finger: str, sensor: Sensor) -> dict[str, Flo
 def _template(frame_id: str, names: list[str], points: AnyArray) -> tuple[bytes, bytes]:
     """What stands before and after the data of a message: all messages of a finger differ in stamp and data alone."""
     count, channels = points.shape
-    message = SimpleNamespace(
-        header=header_fields(0, frame_id, "stamp"),
-        height=1,
-        width=count,
-        fields=[SimpleNamespace(name=name, offset=4 * k, datatype=_FLOAT32, count=1) for k, name in enumerate(names)],
-        is_bigendian=False,
-        point_step=4 * channels,
-        row_step=points.nbytes,
-        data=np.zeros(points.nbytes, np.uint8),
-        is_dense=True,
+    fields = tuple(PointField(name, 4 * k, _FLOAT32) for k, name in enumerate(names))
+    step = 4 * channels
+    layout = PointCloud2Layout(
+        height=1, width=count, fields=fields, point_step=step, row_step=points.nbytes, is_dense=True
     )
+    header, zeros = header_fields(0, frame_id, "stamp"), np.zeros(points.nbytes, np.uint8)
+    message = SimpleNamespace(header=header, data=zeros, **vars(layout))
     data = bytes(sample_types().store.serialize_cdr(message, POINT_CLOUD_TYPE))
     end = len(data) - 1  # the last byte is `is_dense`
     return data[: end - points.nbytes], data[end:]

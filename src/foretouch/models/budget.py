@@ -110,6 +110,16 @@ def _interpolated(times: Mapping[int, float], count: int) -> float:
     return values[-1] + max(0.0, (values[-1] - values[-2]) / (at[-1] - at[-2])) * (count - at[-1])
 
 
+def load_warm(model: TouchModel, say: Callable[[str], object]) -> tuple[list[Level], Profile]:
+    """The levels of a model with their profile (see `load_profile`); each has predicted once, so that the first cloud is not late."""
+    levels = levels_of(model)
+    profile = load_profile(levels, say=say)
+    cloud, grasps = profile_scene(1)
+    for level in levels:
+        level.model.predict(cloud, grasps)
+    return levels, profile
+
+
 def load_profile(
     levels: Sequence[Level],
     *,

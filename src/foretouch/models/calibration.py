@@ -104,7 +104,7 @@ class Calibration:
                     (new.between, known.between),
                     (new.within, known.within),
                     (new.difference_shrinkage, known.difference_shrinkage),
-                    np.array([ratio[self.channels.columns([name])].mean() for name in self.channels.modalities]),
+                    np.array([ratio[own].mean() for own in self.channels.modality_columns.values()]),
                 )
             sensors = found.object.min(axis=0)
             found = replace(found, slow=sensors, object=found.object - sensors)

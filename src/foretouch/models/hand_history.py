@@ -23,10 +23,10 @@ from safetensors import SafetensorError
 from safetensors.numpy import load
 
 from foretouch.channels import Channels
-from foretouch.checked_files import free_name, open_own, read_bytes, replace_files
+from foretouch.checked_files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
-from foretouch.models.files import packed
+from foretouch.models.files import packed, under
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, touch_faults
@@ -202,8 +202,7 @@ class HandHistory:
             array = tensors.get(name)
             if array is None or array.shape != shape or array.dtype != dtype:
                 raise ModelError(f"{name}: is missing, or of another shape or type")
-        part = {name.removeprefix(_TRACKER): array for name, array in tensors.items() if name.startswith(_TRACKER)}
-        history.tracker = SensorTracker.from_tensors(history.tracker.parameters, part)
+        history.tracker = SensorTracker.from_tensors(history.tracker.parameters, under(_TRACKER, tensors))
         if history.touches:
             history.signature = ObjectSignature(_read_text(tensors, "frame"), tensors["signature"])
         history._tare_ns = int(tensors["tare_ns"][0])
@@ -241,10 +240,8 @@ class HistoryFile:
         self.path = path
         self._hand = hand
         lock = path.with_name(path.name + ".lock")
-        try:
+        with system_errors(path, "cannot be written"):
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as err:
-            raise FileError(path, f"cannot be written: {err.strerror or err}") from err
         self._lock = open_own(lock, os.O_RDWR)
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -291,10 +288,8 @@ class HistoryFile:
             FileError: If it cannot be renamed.
         """
         kept = free_name(self.path, "unused")
-        try:
+        with system_errors(self.path, "cannot be renamed"):
             self.path.rename(kept)
-        except OSError as err:
-            raise FileError(self.path, f"cannot be renamed: {err.strerror or err}") from err
         return kept
 
 

@@ -110,22 +110,23 @@ class TrackerParameters(TensorRecord):
             factor: (M,) as of the record.
         """
         scale, size = np.sqrt(within[NEW]), channels.size
-        values, vectors = _decomposed(between[NEW] / np.outer(scale, scale), channels)
-        inverse = (vectors / scale[:, None]).T
-        if size > _MANY:
-            known_object = ((inverse @ between[KNOWN]) * inverse).sum(axis=1)
-        else:
-            known_object = np.einsum("ki,ij,kj->k", inverse, between[KNOWN], inverse)
-        known_noise = (inverse**2) @ within[KNOWN]
+        basis, objects, noise = np.zeros((size, size)), np.empty((2, size)), np.ones((2, size))
+        for own in [np.arange(size)] if size <= _MANY else channels.modality_columns.values():
+            block = np.ix_(own, own)
+            objects[NEW, own], vectors = np.linalg.eigh(between[NEW][block] / np.outer(scale[own], scale[own]))
+            basis[block] = scale[own, None] * vectors
+            inverse = (vectors / scale[own, None]).T
+            objects[KNOWN, own] = np.einsum("ki,ij,kj->k", inverse, between[KNOWN][block], inverse)
+            noise[KNOWN, own] = (inverse**2) @ within[KNOWN][own]
         return cls(
             channels=channels,
-            basis=scale[:, None] * vectors,
+            basis=basis,
             slow=np.zeros(size),
             slow_time_s=np.full(size, SLOW_TIME_S),
             fast=np.zeros(size),
             fast_time_s=np.full(size, FAST_TIME_S),
-            object=np.clip([values, known_object], *_RULES["object"][1:]),
-            noise=np.clip([np.ones(size), known_noise], *_RULES["noise"][1:]),
+            object=np.clip(objects, *_RULES["object"][1:]),
+            noise=np.clip(noise, *_RULES["noise"][1:]),
             tare_noise=np.full(size, TARE_NOISE),
             difference_shrinkage=np.array(difference_shrinkage),
             factor=factor,
@@ -186,17 +187,6 @@ class TrackerParameters(TensorRecord):
                     if not (largest := float(np.abs(gain).sum(axis=1).max())) <= limit:
                         rule = f"{count} touches turn residuals of at most 1 into {largest:.3g}, {limit:g} is allowed"
                         raise ModelError(f"basis, object: {rule}")
-
-
-def _decomposed(matrix: Float64, channels: Channels) -> tuple[Float64, Float64]:
-    """Eigenvalues and eigenvectors; of many values by modality, which few grasps cannot relate to each other anyway."""
-    if channels.size <= _MANY:
-        return np.linalg.eigh(matrix)
-    values, vectors = np.empty(len(matrix)), np.zeros_like(matrix)
-    for name in channels.modalities:
-        own = channels.columns([name])
-        values[own], vectors[np.ix_(own, own)] = np.linalg.eigh(matrix[np.ix_(own, own)])
-    return values, vectors
 
 
 class StateFilter:

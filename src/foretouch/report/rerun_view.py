@@ -250,26 +250,23 @@ class _Writer:
             dead = ~view.sensor.valid[k]
             known = [one[~dead] for column in levels.values() for one in column if one is not None]
             low, high = np.percentile(known, [1, 99])
+            span = max(high - low, view.channel.resolution)
             for what, column in levels.items():
                 path, place = f"/taxels/{name}/{what}", aside * (what == "read")
                 heading = rr.Points2D([above + place], radii=0.01, labels=[what], colors=_CANDIDATE)
                 self._to.log(f"{path}_title", heading, static=True)
-                span = max(high - low, view.channel.resolution)
-                shades = [
-                    None if one is None else colours(np.clip((one - low) / span, 0.0, 1.0), bytes=True)
-                    for one in column
-                ]
-                for shade in shades:
-                    if shade is not None:
-                        shade[dead] = _DEAD
-                labels = [None if one is None else [view.channel.text(x) for x in one] for one in column]
-                rows = [
-                    None if shade is None else {"positions": flat + place, "colors": shade, "labels": texts}
-                    for shade, texts in zip(shades, labels, strict=True)
-                ]
+                rows: list[dict[str, Any] | None] = []
+                for one in column:
+                    if one is None:
+                        rows.append(None)
+                        continue
+                    shade = colours(np.clip((one - low) / span, 0.0, 1.0), bytes=True)
+                    shade[dead] = _DEAD
+                    labels = [view.channel.text(x) for x in one]
+                    rows.append({"positions": flat + place, "colors": shade, "labels": labels})
                 self._column(path, rr.Points2D, rows, radii=radius, show_labels=False)
                 if what == "predicted":
-                    spheres = [one if one is None else {"positions": on_finger, "colors": one} for one in shades]
+                    spheres = [one and {"positions": on_finger, "colors": one["colors"]} for one in rows]
                     self._column(f"{_path(finger)}/taxels", rr.Points3D, spheres, radii=0.0012 * radius)
 
     def _curves(self, finger: int) -> int:

@@ -15,14 +15,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from foretouch.errors import FileError, ForetouchError, MissingDependencyError
+from foretouch.checked_files import system_errors
+from foretouch.errors import ForetouchError, MissingDependencyError
 
 _SCREENSHOT_S: Final = 120.0
 _POLL_S: Final = 0.1
 _NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  # what Rerun prints without a driver
 
 
-def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 1000)) -> None:
+def save_screenshot(recording: Path, path: Path) -> None:
     """Draw the first step of a Rerun recording to a PNG, without a window.
 
     A `ForetouchError` if the file cannot be written, Rerun draws nothing, or it or a graphics driver (Vulkan) is absent.
@@ -32,7 +33,7 @@ def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = int(free.getsockname()[1])
-        command = [*_viewer(port), "--headless", "--window-size", f"{size[0]}x{size[1]}", recording]
+        command = [*_viewer(port), "--headless", "--window-size", "1600x1000", recording]
         with printed.open("wb") as output:
             viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
         try:
@@ -42,10 +43,8 @@ def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 
             viewer.wait()
         if not drawn.is_file():
             raise _not_drawn(printed.read_text(encoding="utf-8", errors="replace"))
-        try:
+        with system_errors(path):
             path.write_bytes(drawn.read_bytes())
-        except OSError as err:
-            raise FileError(path, err.strerror or str(err)) from err
 
 
 def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:

@@ -91,11 +91,6 @@ def offsets(touch: Touch, tare: Touch) -> Float64:
     return touch.values - tare.values
 
 
-def restore(offset: Float64, tare: Touch) -> Touch:
-    """The inverse of `offsets`."""
-    return Touch(offset + tare.values, tare.channels)
-
-
 def to_kohm(electrode: npt.ArrayLike) -> Float64:
     """Impedance of electrodes [kOhm], float64, by the product manual: Z = (4095 / E - 1) * 10.
 

@@ -26,7 +26,7 @@ def cloud(data: bytes, x: float | None = None) -> SerializedCloud:
     return SerializedCloud(data, lambda: cloud_fields(Cloud(xyz, frame_id="lens")))
 
 
-def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number() -> None:
+def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number(monkeypatch) -> None:
     buffer, stamps = TouchBuffer(), [T0 + k * PERIOD for k in range(200)]
     feed(buffer, *(stamps[k ^ 3] for k in range(200)))
     assert kept(buffer) == stamps
@@ -39,7 +39,8 @@ def test_order_is_that_of_the_stamps_and_memory_is_bounded_in_time_and_in_number
     buffer = TouchBuffer(kept_s=5.0)
     feed(buffer, *(T0 + k * PERIOD for k in range(2000)))
     assert 500 <= len(buffer) <= 600
-    crowded = TouchBuffer(kept_s=1e6, max_readings=300)
+    monkeypatch.setattr("foretouch.dataset.pairing.buffers._MAX_READINGS", 300)
+    crowded = TouchBuffer(kept_s=1e6)
     feed(crowded, *(T0 + k for k in range(2000)))
     assert len(crowded) == 300
     assert kept(crowded)[-1] == T0 + 1999

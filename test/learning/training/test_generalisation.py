@@ -28,11 +28,13 @@ def test_what_generalises_has_a_gain_each_object_weighs_the_same_and_a_single_on
     ridge, gain = choose_ridge(rows, labels, ["only"] * len(rows), BIOTAC)
     assert ridge == max(_RIDGES)
     assert_array_equal(gain, np.zeros(4))
-    rows, labels, objects = made(rng, 1.0)
-    far = labels.copy()
-    far[np.array(objects) == "o0"] *= 30.0
-    assert_allclose(choose_ridge(rows, labels, objects, BIOTAC)[1], 1.0, atol=0.3)
-    assert (choose_ridge(rows, far, objects, BIOTAC)[1] < 1.0).any()
+    gains = []
+    for _ in range(10):
+        rows, labels, objects = made(rng, 1.0)
+        assert_allclose(choose_ridge(rows, labels, objects, BIOTAC)[1], 1.0, atol=0.3)
+        labels[np.array(objects) == "o0"] *= 30.0
+        gains.append(choose_ridge(rows, labels, objects, BIOTAC)[1])
+    assert np.mean(gains) < 0.9  # of one set, one draw in thirty leaves all at 1
 
 
 def test_slope_and_jackknife_by_hand() -> None:

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.checked_files import read_bytes
+from foretouch.checked_files import read_bytes, system_errors
 from foretouch.cloud.io.pcd import read_pcd, write_pcd
 from foretouch.cloud.io.ply import read_ply, write_ply
 from foretouch.cloud.io.records import SIZE_LIMIT, check_unpacked
@@ -52,9 +52,8 @@ def read_cloud(path: str | Path) -> Cloud:
     if reader is None:
         raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
     try:
-        return reader(path)
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
+        with system_errors(path):
+            return reader(path)
     except CloudError as err:
         raise FileError(path, str(err)) from err
 
@@ -73,10 +72,8 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
-    try:
+    with system_errors(path):
         writer(path, cloud)
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
 
 
 def read_arrays(path: Path, required: Collection[str], optional: Collection[str]) -> dict[str, AnyArray]:

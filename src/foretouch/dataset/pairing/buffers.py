@@ -19,12 +19,12 @@ from foretouch.channels import Channels
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile import BIOTAC
-from foretouch.types import Float32, Int64
+from foretouch.types import SECOND_NS, Float32, Int64
 
-_SECOND_NS = 1_000_000_000
 _MB = 1_000_000
-_LEAP_NS = _SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
+_LEAP_NS = SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time
+_MAX_READINGS = 100_000
 _SAME_M = 1e-5  # difference of points that were rounded on their way to another frame and back
 
 
@@ -58,18 +58,17 @@ class TouchWindow:
 
 
 class TouchBuffer:
-    """Readings of a sensor by stamp, kept for `kept_s` [s] by their stamps, and at most `max_readings`. Not thread-safe.
+    """Readings of a sensor by stamp, kept for `kept_s` [s] by their stamps, and at most 100,000. Not thread-safe.
 
     Anomalies are counted as `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap forward that
     stayed) and `wrong_stamp` (a leap that did not; such readings are left out).
     """
 
-    def __init__(self, kept_s: float = 60.0, max_readings: int = 100_000, channels: Channels = BIOTAC) -> None:
+    def __init__(self, kept_s: float = 60.0, channels: Channels = BIOTAC) -> None:
         self.channels = channels
         self.anomalies: Counter[str] = Counter()
         self.newest_ns: int | None = None  # latest stamp [ns], None before the first
-        self._kept_ns = round(kept_s * _SECOND_NS)
-        self._max_readings = max_readings
+        self._kept_ns = round(kept_s * SECOND_NS)
         self._suspect: TouchReading | None = None
         self._stamps: list[int] = []
         self._readings: list[TouchReading] = []
@@ -112,7 +111,7 @@ class TouchBuffer:
             self.anomalies["duplicate_stamp" if duplicate else "out_of_order"] += 1
             self._stamps.insert(index, stamp)
             self._readings.insert(index, reading)
-        if len(self._stamps) % _TRIM_EVERY == 0 or len(self._stamps) > self._max_readings:
+        if len(self._stamps) % _TRIM_EVERY == 0 or len(self._stamps) > _MAX_READINGS:
             self._trim()
 
     def _add_leap(self, reading: TouchReading) -> tuple[TouchReading, ...]:
@@ -136,7 +135,7 @@ class TouchBuffer:
 
     def _trim(self) -> None:
         old = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
-        first = max(old, len(self._stamps) - self._max_readings)  # at least 0
+        first = max(old, len(self._stamps) - _MAX_READINGS)  # at least 0
         del self._stamps[:first], self._readings[:first]
 
 

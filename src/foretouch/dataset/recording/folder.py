@@ -68,11 +68,10 @@ def new_session_path(path: Path) -> Path:
 
 def _read_identity(path: Path) -> tuple[Identity, str]:
     """Hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
-    file = path / _MANIFEST
-    content = read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL)
+    content = _manifest(path)
     for name in ("hand", "camera"):
-        properties = require_schema(file, content, {name: dict})[name]
-        require_schema(file, properties, dict.fromkeys(properties, str), name)
+        properties = require_schema(path / _MANIFEST, content, {name: dict})[name]
+        require_schema(path / _MANIFEST, properties, dict.fromkeys(properties, str), name)
     return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
 
 
@@ -96,8 +95,7 @@ def lock(path: Path) -> Iterator[None]:
 
 def recorded_sensor(path: Path) -> Sensor:
     """The sensor of a dataset (raises as `read_manifest`, and a `ConfigError` for a faulty description)."""
-    file = path / _MANIFEST
-    return sensor_in(read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL), file)
+    return sensor_in(_manifest(path), path / _MANIFEST)
 
 
 @contextmanager
@@ -120,14 +118,17 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
 
 def read_listed(path: Path, name: str, schema: Any) -> Any:
     """What the manifest lists under a name, checked by a schema; None where it lists none (raises as `read_manifest`)."""
-    file = path / _MANIFEST
-    content = read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL)
-    return None if name not in content else require_schema(file, content[name], schema, name)
+    content = _manifest(path)
+    return None if name not in content else require_schema(path / _MANIFEST, content[name], schema, name)
 
 
 def write_listed(path: Path, name: str, value: Any) -> None:
     """Replace what the manifest lists under a name; the caller holds the lock."""
-    _write_manifest(path, {**read_manifest(path / _MANIFEST, _FORMAT, SCHEMA_VERSION, _SEAL), name: value})
+    _write_manifest(path, {**_manifest(path), name: value})
+
+
+def _manifest(path: Path) -> dict[str, Any]:
+    return read_manifest(path / _MANIFEST, _FORMAT, SCHEMA_VERSION, _SEAL)
 
 
 def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:

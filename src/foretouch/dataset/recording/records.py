@@ -270,12 +270,7 @@ class MessageCounts:
     def to_record(self) -> dict[str, dict[str, Any]]:
         """By topic, in plain types."""
         return {
-            name: {
-                "received": counts.received,
-                "written": counts.written,
-                "dropped": dict(sorted(counts.dropped.items())),
-                "lost": counts.lost,
-            }
+            name: {**vars(counts), "dropped": dict(sorted(counts.dropped.items()))}
             for name, counts in sorted(self.topics.items())
         }
 

@@ -18,6 +18,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
 from foretouch.types import Float64, GraspSample, Index
@@ -25,7 +26,7 @@ from foretouch.types import Float64, GraspSample, Index
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""
 
-_FOLDS: Final = 5
+FOLDS: Final = 5
 _MOST_OBJECT_FOLDS: Final = 10
 
 Indices: TypeAlias = Index
@@ -72,7 +73,7 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fold]:
+def make_folds(samples: Sequence[GraspSample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
     """The folds of one of `SPLITS`; the seed is that of the random split.
 
     Raises:
@@ -80,9 +81,9 @@ def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fo
     """
     objects = [sample.object for sample in samples]
     if split == "random":
-        return random_folds(len(samples), _FOLDS, np.random.default_rng(seed))
+        return random_folds(len(samples), FOLDS, np.random.default_rng(seed))
     if split == "time":
-        return time_folds(objects, [sample.stamp_ns for sample in samples], _FOLDS)
+        return time_folds(objects, [sample.stamp_ns for sample in samples], FOLDS)
     if split == "object":
         return group_folds(objects)
     raise DatasetError(f"split: {none_of(split, SPLITS)}")

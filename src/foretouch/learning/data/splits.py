@@ -21,10 +21,9 @@ import numpy as np
 from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes, require_schema
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError, shown
-from foretouch.learning.data.folds import Indices, group_folds, random_folds, time_folds
+from foretouch.learning.data.folds import FOLDS, Indices, group_folds, make_folds
 
 SPLITS_FILE: Final = "splits.json"
-FOLDS: Final = 5
 RATIOS: Final = (10, 30, 50, 70, 90)
 _KINDS: Final = ("random", "object", "time", "labels")  # in this order, which seeds them
 _TEST_PER_OBJECT: Final = 200  # of P2's 1000
@@ -141,12 +140,8 @@ def _parts(kind: str, samples: Sequence[SampleFacts], rng: np.random.Generator) 
         for name, (train, without) in parts.items():
             yield SplitPart(name, _ids(labelled, train), _ids(labelled, test), _ids(labelled, without) + never)
         return
-    if kind == "random":
-        folds = random_folds(len(labelled), FOLDS, rng)
-    elif kind == "time":
-        folds = time_folds(groups, [sample.stamp_ns for sample in labelled], FOLDS)
-    else:
-        folds = group_folds(groups) if len(set(groups)) < FOLDS else group_folds(groups, FOLDS, rng)
+    by_fives = kind == "object" and len(set(groups)) >= FOLDS
+    folds = group_folds(groups, FOLDS, rng) if by_fives else make_folds(labelled, kind, rng)
     for fold in folds:
         yield SplitPart(fold.name, _ids(labelled, fold.train), _ids(labelled, fold.test))
 

@@ -241,7 +241,7 @@ def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
 
 def _by_modality(values: Float64, channels: Channels) -> dict[str, Float64]:
     """Means over the values of each modality, by name, of (..., D)."""
-    return {name: values[..., channels.columns([name])].mean(axis=-1) for name in channels.modalities}
+    return {name: values[..., own].mean(axis=-1) for name, own in channels.modality_columns.items()}
 
 
 def _weights(size: int, config: BootstrapConfig) -> Float64:

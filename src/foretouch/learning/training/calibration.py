@@ -226,8 +226,7 @@ def _slopes(predicted: Float64, actual: Float64, channels: Channels) -> Float64:
     """
     unit = np.maximum(actual.std(axis=0), 1e-6 * channels.resolution)
     slopes = np.empty(channels.size)
-    for modality in channels.modalities:
-        column = channels.columns([modality])
+    for column in channels.modality_columns.values():
         x, y = predicted[:, column] / unit[column], actual[:, column] / unit[column]
         power = float((x * x).sum())
         slopes[column] = np.clip((x * y).sum() / power, 0.0, 1.0) if power > 1e-12 else 1.0
@@ -268,8 +267,7 @@ def _half_widths(held_out: HeldOutPredictions) -> Float64:
     scores = np.abs(held_out.labels - held_out.predicted) / deviation
     level = conformal_level(len(np.unique(names)))
     half = np.empty(channels.size)
-    for modality in channels.modalities:
-        column = channels.columns([modality])
+    for column in channels.modality_columns.values():
         half[column] = deviation[column] * _quantile_by_object(scores[:, column], names, level)
     return np.maximum(
         half, _LEAST_DEVIATION * channels.resolution
@@ -333,7 +331,7 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
         mine = held_out.take(held_out.objects == name)
         inside = np.abs(mine.labels - mine.predicted) <= _half_widths(held_out.take(held_out.objects != name))
         for modality, shares in found.items():
-            shares[str(name)] = round(float(inside[:, held_out.channels.columns([modality])].mean()), 3)
+            shares[str(name)] = round(float(inside[:, held_out.channels.modality_columns[modality]].mean()), 3)
     return {
         modality: {"mean": round(float(np.mean(list(shares.values()))), 3), **shares}
         for modality, shares in found.items()

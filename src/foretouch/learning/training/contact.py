@@ -145,7 +145,7 @@ def fit_forests(
     if thinned is not None:
         grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
     forest_config = config.replace(leaf=leaf)
-    forests = {TOGETHER: np.arange(channels.size), **{name: channels.columns([name]) for name in channels.modalities}}
+    forests = {TOGETHER: np.arange(channels.size), **channels.modality_columns}
     return {name: _forest(grown, targets[:, column], forest_config) for name, column in forests.items()}
 
 

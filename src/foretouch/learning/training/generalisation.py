@@ -76,8 +76,8 @@ def _held_out(
             predicted = cross @ (turned / (values + ridge)[:, None])
             for g in np.flatnonzero(np.isin(groups, objects[fold.test])):
                 mine = objects[fold.test] == groups[g]
-                for m, modality in enumerate(channels.modalities):
-                    x, y = (part[mine][:, channels.columns([modality])] for part in (predicted, actual))
+                for m, own in enumerate(channels.modality_columns.values()):
+                    x, y = (part[mine][:, own] for part in (predicted, actual))
                     size = max(float((y * y).sum()), 1e-12)
                     products[r, m, g], powers[r, m, g] = (x * y).sum() / size, (x * x).sum() / size
     return products, powers

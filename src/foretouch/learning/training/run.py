@@ -90,7 +90,7 @@ def train_run(
         except DatasetError as err:  # of too few objects or grasps
             facts["limits"] = [f"No calibration: {_missing_grasps(learner) or err}."]
     if calibration is not None and skill:
-        facts |= _release_facts(learner, data, skill, calibration[1])
+        facts |= _release_facts(facts, learner, data, skill, calibration[1])
     card = learner.save(out, config.name, facts, calibration)
     result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": learner.epochs, "data_sha256": data.sha256}
     result |= {"calibrated": calibration is not None, "limits": facts["limits"]}
@@ -172,9 +172,13 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
 
 
 def _release_facts(
-    learner: Learner, data: Dataset, results: Mapping[str, Scores], calibration: Mapping[str, Any]
+    facts: Mapping[str, Any],
+    learner: Learner,
+    data: Dataset,
+    results: Mapping[str, Scores],
+    calibration: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """What a release adds to the card: skills and baselines by split, the origin of the data, and the limits."""
+    """What a release changes of the facts for a card: skills and baselines by split, the origin of the data, the limits."""
     rounded = {
         split: {
             name: {key: {"rmse": round(s["rmse"], 2), "nrmse": round(s["nrmse"], 4), "skill": round(s["skill"], 4)}
@@ -186,15 +190,14 @@ def _release_facts(
     skill = {split: scores.pop(MODEL) for split, scores in rounded.items()}
     baselines = {name: {split: rounded[split][name] for split in rounded} for name in rounded[SPLITS[0]]}
     objects = [sample.object for sample in learner.samples]
-    base = _facts(learner, data)
     return {
         "summary": f"{', '.join(learner.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
         "data": {
-            **base["data"],
+            **facts["data"],
             "sha256": data.aliases[0] if data.aliases else data.sha256,
             "objects": {name: objects.count(name) for name in sorted(set(objects))},
         },
-        "split": {**base["split"], **_SPLIT_WORDS, "shipped": "trained on all samples"},
+        "split": {**facts["split"], **_SPLIT_WORDS, "shipped": "trained on all samples"},
         "skill": skill,
         "baselines": baselines,
         "limits": _limits(skill, baselines, data, calibration),

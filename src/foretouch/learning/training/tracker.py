@@ -207,7 +207,7 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
     )  # every object weighs the same
     factor = [
         np.quantile(scores[:, own], 1.0 - MISS_RATE, weights=weights[:, own], method="inverted_cdf")
-        for own in (parameters.channels.columns([name]) for name in parameters.channels.modalities)
+        for own in parameters.channels.modality_columns.values()
     ]
     alarm = np.maximum(np.quantile(statistics, _ALARM_QUANTILE, axis=0), _LEAST_ALARM)
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)

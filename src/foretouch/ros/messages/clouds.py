@@ -29,16 +29,9 @@ from foretouch_msgs.msg import Object
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     """Convert a cloud to a message of 12 bytes per point, 16 with colour, and further columns (see `encode`)."""
     layout, data = encode(cloud, **columns)
-    message = PointCloud2(
-        header=header_to_msg(cloud.frame_id, cloud.stamp_ns),
-        height=layout.height,
-        width=layout.width,
-        fields=[PointField(name=f.name, offset=f.offset, datatype=f.datatype, count=f.count) for f in layout.fields],
-        is_bigendian=layout.is_bigendian,
-        point_step=layout.point_step,
-        row_step=layout.row_step,
-        is_dense=layout.is_dense,
-    )
+    fields = [PointField(**vars(field)) for field in layout.fields]
+    header = header_to_msg(cloud.frame_id, cloud.stamp_ns)
+    message = PointCloud2(header=header, **{**vars(layout), "fields": fields})
     message.data = data
     return message
 

@@ -59,18 +59,14 @@ class Predictor:
 
     def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], object]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine where there is no profile."""
-        from foretouch.models.budget import LatencyBudget, levels_of, load_profile, profile_scene
+        from foretouch.models.budget import LatencyBudget, load_warm, profile_scene
 
         if self.model is None:
             return
         self._switch_s = sys.getswitchinterval()
         # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
         sys.setswitchinterval(min(self._switch_s, 5e-4))
-        levels = levels_of(self.model)
-        profile = load_profile(levels, say=say)
-        cloud, grasps = profile_scene(1)
-        for level in levels:  # each is warm before the first cloud
-            level.model.predict(cloud, grasps)
+        levels, profile = load_warm(self.model, say)
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, profile, around)
         for count in around:

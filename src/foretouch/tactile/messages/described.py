@@ -20,6 +20,7 @@ from foretouch.tactile.layout import nearest_valid
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
 from foretouch.types import Bool, Float32, Float64, Index
 
+_FLOAT32 = float(np.finfo(np.float32).max)
 _KEPT = 64  # sets of valid taxels whose neighbours are kept
 
 
@@ -49,7 +50,7 @@ class SensorReader:
         config = sensor.config
         self.sensor = sensor
         self._fingers = [(one, FieldPath(one.field)) for one in config.chosen_fingers(fingers)]
-        self._values = [(FieldPath(one.field), *one.limits) for one in config.values]
+        self._values = [(FieldPath(one.field), *np.clip(one.limits, -_FLOAT32, _FLOAT32)) for one in config.values]
         self._scalars = [(FieldPath(one.field), *one.limits) for one in config.scalars]
         self._marks = [one.name in config.source.invalid for one in config.scalars]
         self._stamp = FieldPath(config.source.stamp)
@@ -66,9 +67,9 @@ class SensorReader:
             except TactileError as err:
                 raise TactileError(f"{self.sensor.config.name}: {finger.name}: {err}") from err
         counts = {reason: count for reason, count in invalid.items() if count}
-        return SensorReading(
-            self._stamp_ns(message), values.astype(np.float32), scalars.astype(np.float32), valid, counts
-        )
+        with np.errstate(over="ignore"):  # what exceeds float32 is not valid
+            sent = values.astype(np.float32), scalars.astype(np.float32)
+        return SensorReading(self._stamp_ns(message), *sent, valid, counts)
 
     def _read_finger(
         self, finger: FingerConfig, content: Any, values: Float64, scalars: Float64, valid: Bool, invalid: Counter[str]
