@@ -178,7 +178,7 @@ def _own_parts() -> Iterator[_Finding]:
         return
     from foretouch.models import DEFAULT_MODEL, available_models
 
-    for name in (DEFAULT_MODEL, *(other for other in available_models() if other != DEFAULT_MODEL)):
+    for name in available_models():  # the default first
         what = "default model" if name == DEFAULT_MODEL else f"model {name}"
         yield _checked(what, "broken", "pip install --force-reinstall foretouch", partial(_load_model, name))
     yield _checked("RealSense", "optional", "", _list_cameras)

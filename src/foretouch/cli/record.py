@@ -251,7 +251,10 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
 
     end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
     samples = math.inf if arguments.samples is None else arguments.samples
-    keys, ended = RecordingKeys(node.act), partial(_ended, node, samples, end)
+    keys = RecordingKeys(node.act)
+
+    def ended() -> bool:
+        return not node.recording or time.monotonic() >= end or node.session_status().samples >= samples
 
     def report() -> None:
         if arguments.json:
@@ -273,10 +276,6 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
             return typed is not None
 
         watch(lambda: keys.quitted or ended(), partial(_panel, node, keys), report, every_s=1.0, wait=wait)
-
-
-def _ended(node: RecorderNode, samples: float, end_s: float) -> bool:
-    return not node.recording or time.monotonic() >= end_s or node.session_status().samples >= samples
 
 
 def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:

@@ -21,7 +21,7 @@ from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Index, Touch, TouchPrediction
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 _FINGER_COLOURS = ("#d1495b", "#00798c")  # at g1, at g2
 _SHEET_COLUMNS = 2  # samples side by side
@@ -77,8 +77,9 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
             _draw_front(views[1], one.target.cloud, one.prediction.grasp, view.fingers)
         for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
+        inside = _inside(one)
         for panel, (finger, what, touch) in zip(fingers, row, strict=True):
-            outside = _outside(one, view.columns(finger)) if what == "read" else None
+            outside = None if inside is None or what == "predicted" else ~inside[view.columns(finger)]
             scale.draw(panel, touch, one.rest, finger, size=100, outside=outside)
             scalars = view.scalars(finger, touch, one.prediction if what == "predicted" else None)
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
@@ -88,13 +89,12 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
     return save(figure, Path(path), dpi=100)
 
 
-def _outside(one: DrawnGrasp, columns: Index) -> Bool | None:
-    """(N,) which values were read outside of their intervals; None without both."""
+def _inside(one: DrawnGrasp) -> Bool | None:
+    """(D,) which values were read within their intervals; None without both."""
     lower, upper = one.prediction.lower, one.prediction.upper
     if one.read is None or lower is None or upper is None:
         return None
-    read, low, high = (touch.values[columns] for touch in (one.read, lower, upper))
-    return (read < low) | (read > high)
+    return (one.read.values >= lower.values) & (one.read.values <= upper.values)
 
 
 def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
@@ -108,10 +108,9 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     apart = np.abs(value.values - read.values)
     means = [f"{name.name} {name.text(apart[part].mean())} {name.unit}" for name, part in columns.items()]
     text = f"mean difference: {', '.join(means)}"
-    if one.prediction.lower is None or one.prediction.upper is None:
+    if (inside := _inside(one)) is None:
         return text
     columns |= {channel: sensor.scalar_columns[:, k] for k, channel in enumerate(sensor.scalar_channels)}
-    inside = (read.values >= one.prediction.lower.values) & (read.values <= one.prediction.upper.values)
     shares = [f"{inside[part].sum()} of {part.size} {name.name}" for name, part in columns.items()]
     return fill(f"{text}; within their 90 % intervals: {', '.join(shares)}", _LINE)
 
