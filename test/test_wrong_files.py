@@ -62,11 +62,11 @@ def test_figures_and_cells_are_not_written_through_links(tmp_path: Path) -> None
     assert victim.read_text() == "precious"
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
     sweep, fixed = tmp_path / "sweep", {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}
-    write_manifest(sweep, open_folder(sweep, fixed, resume=False))
+    write_manifest(sweep, open_folder(sweep, fixed))
     (sweep / "cells").rmdir()
     (sweep / "cells").symlink_to(folder)
     with pytest.raises(FileError, match="cells: is a link"):
-        open_folder(sweep, fixed, resume=True)
+        open_folder(sweep, fixed)
 
 
 def test_names_of_models_are_names_of_files() -> None:
