@@ -42,14 +42,14 @@ from foretouch.simulation.campaign import object_index
 from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.schedule import ScheduleConfig
-from foretouch.tactile import columns
+from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import stamp_ns
 
 SCENE: Final = Path(__file__).parents[1] / "config" / "scenes" / "campaign_day.yaml"
 HAND: Final = "day"
 SPEED: Final = 160.0  # time of the day over that of the clock: eight hours in three minutes
 ELECTRODE: Final = 10  # of the middle finger, from 1
-VALUE: Final = columns(["E_MF"])[ELECTRODE - 1]
+VALUE: Final = BIOTAC.columns(["E_MF"])[ELECTRODE - 1]
 DEVIATIONS: Final = 1.645  # of 90 %
 POLL_S: Final = 0.1
 SLOW: Final = {"camera.fps": 3, "camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}

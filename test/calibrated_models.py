@@ -15,7 +15,7 @@ from foretouch.models.contact.features import CONDITIONS, FEATURES
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
-from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES, columns
+from foretouch.tactile import BIOTAC, P2_RANGES
 
 FACTS = {
     "level": 0.9,
@@ -72,7 +72,7 @@ def save_calibrated_contact(folder: Path) -> str:
     rng = np.random.default_rng(0)
     described, labels = rng.normal(size=(40, len(FEATURES))), rng.normal(size=(40, 50))
     rows = described[:, len(CONDITIONS) :]
-    outputs = {"together": np.arange(50)} | {name: columns([name]) for name in MODALITIES}
+    outputs = {"together": np.arange(50)} | BIOTAC.modality_columns
     forests = {}
     for name, index in outputs.items():
         target = labels[:, index] if len(index) > 1 else labels[:, index[0]]

@@ -406,7 +406,7 @@ def _read_chunks(path: Path) -> None:
 
 def _run(folder: Path) -> Path:
     run = RunFolder(folder / "run")
-    run.open(SETTINGS, resume=False)
+    run.open(SETTINGS)
     write_state(folder / "run" / "state.safetensors", {"x": torch.zeros(3)}, {"epoch": 1, "best": {}})
     run.log({"epoch": 0})
     return folder / "run"
@@ -438,14 +438,14 @@ def _read_history(path: Path) -> None:
 
 
 def _experiment(folder: Path) -> Path:
-    manifest = open_folder(folder / "sweep", {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}, resume=False)
+    manifest = open_folder(folder / "sweep", {"experiment": "x", "settings": {}, "data": {"sha256": "0"}})
     (folder / "sweep" / "manifest.json").write_text(json.dumps(manifest))
     (folder / "sweep" / "results.csv").write_text("a,b\n1,x\n")
     return folder / "sweep"
 
 
 def _read_experiment(path: Path) -> None:
-    open_folder(path, {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}, resume=True)
+    open_folder(path, {"experiment": "x", "settings": {}, "data": {"sha256": "0"}})
     read_results(path / "results.csv")
 
 

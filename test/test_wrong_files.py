@@ -62,11 +62,11 @@ def test_figures_and_cells_are_not_written_through_links(tmp_path: Path) -> None
     assert victim.read_text() == "precious"
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
     sweep, fixed = tmp_path / "sweep", {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}
-    write_manifest(sweep, open_folder(sweep, fixed, resume=False))
+    write_manifest(sweep, open_folder(sweep, fixed))
     (sweep / "cells").rmdir()
     (sweep / "cells").symlink_to(folder)
     with pytest.raises(FileError, match="cells: is a link"):
-        open_folder(sweep, fixed, resume=True)
+        open_folder(sweep, fixed)
 
 
 def test_names_of_models_are_names_of_files() -> None:
@@ -166,6 +166,7 @@ def test_shared_memory_of_processes_that_ended_is_freed_and_that_of_others_kept(
         (tmp_path / name).write_bytes(bytes(1000))
         (tmp_path / f"{name}_el").touch()
     (tmp_path / "fastdds_link_el").symlink_to(tmp_path / "fastdds_dead")
+    os.mkfifo(tmp_path / "fastdds_fifo_el")
     with (tmp_path / "fastdds_alive_el").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         assert stale_bytes(tmp_path) == 2000

@@ -2,7 +2,7 @@
 """How well does the model `simulated` predict what the simulated hand reads? See README.md."""
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,14 @@ from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.simulation.simulate import Simulation
-from foretouch.tactile import biotac_touch
+from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Float64, GraspSample, TouchPrediction
 
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
 TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted
 OTHERS = 60  # objects that the model was not trained on
 REPEATS = 10
+SIZES = {name: channel.size for name, channel in BIOTAC.channel_of.items()}
 
 
 def main() -> None:
@@ -121,8 +122,9 @@ def shares(model: TouchModel) -> list[dict[str, Any]]:
         counts = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
         squared = (model.estimator.mean - made.touches.mean(axis=0)) ** 2
         reference = squared + (1.0 - 1.0 / len(made.touches)) * made.touches.var(axis=0, ddof=1)  # of the training mean
+        predicted = {"without vision": model.estimator.mean, "simulated": counts}
         for found, readings in ((plain, made.touches), (tared, made.touches - made.tares + model.calibration.rest)):
-            found.extend(_cells(sample, readings, counts, reference))
+            found.extend(_cells(sample, readings, predicted, reference))
     rows = []
     for name, found in (("", plain), (", with a tare", tared)):
         chosen = [row for row in ceiling_rows(found, 2000) if "change" not in row["name"]]
@@ -130,13 +132,16 @@ def shares(model: TouchModel) -> list[dict[str, Any]]:
     return rows
 
 
-def _cells(sample: GraspSample, readings: Float64, counts: Float64, reference: Float64) -> Iterator[dict[str, Any]]:
+def _cells(
+    sample: GraspSample, readings: Float64, predicted: Mapping[str, Float64], reference: Float64
+) -> Iterator[dict[str, Any]]:
     """A grasp with its (n, 50) repeats, as the cells of the experiment `noise_ceiling` give it."""
     variance = readings.var(axis=0, ddof=1)
     tables = {"mean": readings.mean(axis=0), "rest": (1.0 - 1.0 / len(readings)) * variance, "within": variance,
-              "within_change": variance, "reference": reference}  # fmt: skip
+              "within_change": variance, "reference": reference, "modalities": SIZES}  # fmt: skip
     yield {"what": "repeats", "name": NEW_OBJECT, "id": sample.id, **tables}
-    yield {"what": "predictor", "name": "simulated", "id": sample.id, "predicted": counts}
+    for name, counts in predicted.items():
+        yield {"what": "predictor", "name": name, "id": sample.id, "predicted": counts}
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.models.tracker import SensorTracker
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation
-from foretouch.tactile import BIOTAC, MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import GraspSample
 
 _NOTHING, _CONTACT, _OBJECT, _REPEAT = "nothing", "contact", "object", "a repeat"
@@ -169,7 +169,7 @@ def _scores(recording: Recording, played: Mapping[str, Replayed], every: int, co
         for key in MODALITIES:
             value, low, high = estimates[key].value, estimates[key].low, estimates[key].high
             width = None if low is None or high is None else (high - low) / 2.0
-            covered = None if inside is None else float(inside[:, columns([key])].mean())
+            covered = None if inside is None else float(inside[:, BIOTAC.columns([key])].mean())
             place = {"regime": regime, "known": name, "modality": key}
             yield place | {"value": value, "half_width": width, "coverage": covered}
 

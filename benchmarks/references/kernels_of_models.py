@@ -34,7 +34,7 @@ from foretouch.models.network.batch_norm import batch_affine
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.object_shape import object_sizes
-from foretouch.tactile import BIOTAC, MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Grasp
 
 _COLUMN = {name: k for k, name in enumerate(FEATURES)}
@@ -124,7 +124,7 @@ def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     unit = sqrt((y**2).sum(axis=0) / 12)
     slope = exact(np.empty(50))
     for name in MODALITIES:
-        column = columns([name])
+        column = BIOTAC.columns([name])
         a, b = x[:, column] / unit[column], y[:, column] / unit[column]
         slope[column] = min((a * b).sum() / (a * a).sum(), mpmath.mpf(1))
     within = ((y - slope * x) ** 2).sum(axis=0) / 9

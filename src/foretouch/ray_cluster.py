@@ -20,6 +20,7 @@ DIED: Final = "its process died (killed, or out of memory)"
 
 _RETRIES: Final = 3
 _AHEAD: Final = 2  # tasks a core that are handed to the cluster
+_LOOK_S: Final = 10.0  # without a result until the head is asked for; after a minute without one Ray ends this process
 
 _Item = TypeVar("_Item")
 
@@ -53,7 +54,9 @@ def ray_results(
         ray.init(address=address, log_to_driver=False, **own)
     except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
         raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
+    has_head = True
     try:
+        head = "" if address.startswith("ray://") else ray.get_runtime_context().gcs_address  # a client notices itself
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": ONE_THREAD})(_call)
         waiting = list(reversed(items))
         running: dict[Any, _Item] = {}
@@ -63,17 +66,23 @@ def ray_results(
                 item = waiting.pop()
                 running[task.remote(function, item, __version__)] = item
             with redirect_stdout(sys.stderr):  # Ray, in a thread of its own, reports nodes that are lost
-                (done, *_), _ = ray.wait(list(running), num_returns=1)
-            item = running.pop(done)
-            try:
-                yield item, *ray.get(done)
-            except ray.exceptions.RayError as err:
-                yield item, None, f"{DIED}: {type(err).__name__}, {_RETRIES + 1} times"
+                finished, _ = ray.wait(list(running), num_returns=1, timeout=_LOOK_S)
+            if not finished:
+                has_head = False
+                _require_server(head)
+                has_head = True
+            for done in finished:
+                item = running.pop(done)
+                try:
+                    yield item, *ray.get(done)
+                except ray.exceptions.RayError as err:
+                    yield item, None, f"{DIED}: {type(err).__name__}, {_RETRIES + 1} times"
     except (ray.exceptions.RayError, ConnectionError) as err:
         raise ConfigError(f"--address: {address}: the cluster was lost: {' '.join(str(err).split())[:200]}") from err
     finally:
-        with redirect_stdout(sys.stderr):
-            ray.shutdown()
+        if has_head:  # without one, Ray would wait for it, and end this process before the error is reported
+            with redirect_stdout(sys.stderr):
+                ray.shutdown()
 
 
 def _call(function: Callable[[Any], Any], item: Any, version: str) -> tuple[Any, str]:
@@ -94,7 +103,7 @@ def _require_server(address: str) -> None:
     if not colon:
         return
     try:
-        with socket.create_connection((host, int(port)), timeout=10.0):
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=10.0):
             return
     except (OSError, ValueError, OverflowError) as err:
         raise ConfigError(f"--address: {address}: no cluster answers: {err}") from err

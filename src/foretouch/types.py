@@ -28,6 +28,9 @@ Integer = npt.NDArray[np.integer]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches", "history"]
 
+SECOND_NS = 1_000_000_000
+"""Nanoseconds in a second."""
+
 SQUARABLE = (1e-145, 1e150)
 """Numbers between these have squares of full precision.
 

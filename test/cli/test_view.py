@@ -26,7 +26,7 @@ from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store_writer import build_store
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
-from foretouch.tactile import electrode_normals, electrode_positions
+from foretouch.tactile import BIOTAC_SP
 from foretouch.types import Touch, TouchPrediction
 
 LAYER_M = 0.0014
@@ -136,7 +136,7 @@ def test_cloud_hand_and_fingertips_are_where_they_are(view, dataset) -> None:
         origin, rotation = pose(f"/scene/{finger}")
         drawn = np.array(written.rows(f"/scene/{finger}/taxels", "Points3D:positions")[0])
         (axes,) = written.rows(f"/scene/{finger}/skin", "Ellipsoids3D:half_sizes")[0]
-        np.testing.assert_allclose(drawn, electrode_positions() + LAYER_M * electrode_normals(), atol=1e-6)
+        np.testing.assert_allclose(drawn, BIOTAC_SP.layout.positions + LAYER_M * BIOTAC_SP.layout.normals, atol=1e-6)
         assert ((drawn / axes) ** 2).sum(axis=1) == pytest.approx(1.0, abs=0.12)  # 21 to 24 sit on a flat
         np.testing.assert_allclose(origin + rotation @ [0.0, 0.0, -axes[2]], contact, atol=1e-6)
         assert (rotation @ [0.0, 0.0, -1.0]) @ (other - contact) > 0.0, "the pad faces the other contact"

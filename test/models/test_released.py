@@ -14,7 +14,7 @@ from benchmarks.demo.bench import demo_rows, demo_run
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
 from foretouch.simulation.scene import load_scene
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Grasp
 
 
@@ -102,7 +102,7 @@ def test_it_predicts_its_training_data(real_data: Path) -> None:
     actual = np.array([sample.touch.values for sample in samples])
     skill = 1.0 - ((predicted - actual) ** 2).mean(axis=0) / actual.var(axis=0)
     for modality in MODALITIES:
-        assert skill[columns([modality])].mean() > 0.1, modality
+        assert skill[BIOTAC.columns([modality])].mean() > 0.1, modality
     other = model.predict(samples[0].cloud, [samples[1].grasp])[0]
     assert not np.array_equal(other.value.values, predicted[0])  # it looks at the grasp
 

@@ -13,7 +13,7 @@ from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import World
-from foretouch.tactile import P2_RANGES, biotac_touch, electrode_positions, to_kohm, touch_faults
+from foretouch.tactile import BIOTAC_SP, P2_RANGES, biotac_touch, to_kohm, touch_faults
 
 PAD = PadConfig()
 THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))
@@ -112,7 +112,7 @@ def weights_at(pitch, roll, pad=PAD, **options):
 
 def test_weights_are_of_the_nearest_electrodes_and_depend_on_neither_grid_nor_window():
     totals = weights_at(0.0, 0.0).sum(axis=1)
-    below = np.linalg.norm(electrode_positions()[:, :2], axis=1)  # distance from the middle of the pad, in plan
+    below = np.linalg.norm(BIOTAC_SP.layout.positions[:, :2], axis=1)  # distance from the middle of the pad, in plan
     assert np.argmax(totals) in np.argsort(below)[:4]
     assert totals[[0, 9, 10, 19]].max() < 0.05  # tip and end, 10 mm away
     left, right = weights_at(0.2, -0.4).sum(axis=1), weights_at(0.2, 0.4).sum(axis=1)

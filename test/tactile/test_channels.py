@@ -7,16 +7,16 @@ from every_case import every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, TactileRanges, columns
-from foretouch.tactile.channels import electrode_normals, electrode_positions
+from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES, P2_RANGES, TactileRanges
+from foretouch.tactile.channels import BIOTAC_SP
 
 
 def test_modalities_fill_the_vector_of_fifty_once() -> None:
-    assert sorted(columns(MODALITIES)) == list(range(50))
-    assert [len(columns([name])) for name in MODALITIES] == [1, 1, 24, 24]
-    assert columns(["E_MF", "PDC_MF"]).tolist() == [*range(26, 50), 1]
+    assert sorted(BIOTAC.columns(MODALITIES)) == list(range(50))
+    assert [len(BIOTAC.columns([name])) for name in MODALITIES] == [1, 1, 24, 24]
+    assert BIOTAC.columns(["E_MF", "PDC_MF"]).tolist() == [*range(26, 50), 1]
     with pytest.raises(TactileError, match=r"'PAC_TH' is none of PDC_TH, PDC_MF"):
-        columns(["PAC_TH"])
+        BIOTAC.columns(["PAC_TH"])
 
 
 def test_scaling_and_counts_outside_by_hand() -> None:
@@ -46,7 +46,7 @@ def test_settings_may_be_given_in_part_and_bad_ones_are_named() -> None:
 
 
 def test_electrodes_are_mirrored_metres_with_radial_normals_towards_the_pad() -> None:
-    positions, normals = electrode_positions(), electrode_normals()
+    positions, normals = BIOTAC_SP.layout.positions, BIOTAC_SP.layout.normals
     assert positions.shape == (24, 3)
     assert_allclose(positions[0], [0.00982, -0.00398, -0.00277], atol=1e-12)
     assert_allclose(positions[10:20], positions[:10] * [1, -1, 1])

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sensor_builders import SMALL, TAXELS, write_sensor
 
 from foretouch.errors import ConfigError, FileError
-from foretouch.tactile import ELECTRODES, FULL_SCALE, MODALITIES, electrode_normals, electrode_positions
+from foretouch.tactile import BIOTAC_SP, ELECTRODES, FULL_SCALE, MODALITIES
 from foretouch.tactile.description import SensorConfig, load_sensor, sensor_files, sensor_of
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, FINGERS, OTHERS
 
@@ -59,8 +59,8 @@ def test_electrodes_are_those_in_common_use_to_the_bit() -> None:
     middle = np.array([(6.57, 0.0, -6.41), (4.32, -1.85, -6.97), (4.32, 1.85, -6.97), (1.91, 0.0, -7.57)])
     expected = np.concatenate([left, left * (1.0, -1.0, 1.0), middle]) / 1000.0
     radial = expected * (0.0, 1.0, 1.0)
-    assert electrode_positions().tobytes() == expected.tobytes()
-    assert electrode_normals().tobytes() == (radial / np.linalg.norm(radial, axis=1, keepdims=True)).tobytes()
+    assert BIOTAC_SP.layout.positions.tobytes() == expected.tobytes()
+    assert BIOTAC_SP.layout.normals.tobytes() == (radial / np.linalg.norm(radial, axis=1, keepdims=True)).tobytes()
 
 
 def test_arrays_as_urdf_tactile_places_them(tmp_path) -> None:

@@ -10,7 +10,7 @@ from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
-from foretouch.tactile import BIOTAC, biotac_touch, columns, make_tare, offsets, tdc_of, to_kohm, touch_faults
+from foretouch.tactile import BIOTAC, biotac_touch, make_tare, offsets, tdc_of, to_kohm, touch_faults
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Touch
 
@@ -21,7 +21,7 @@ def changed(**modalities: Any) -> Touch:
     """The reading with some modalities replaced."""
     values = REST.values.copy()
     for name, new in modalities.items():
-        values[columns([name.upper()])] = new
+        values[BIOTAC.columns([name.upper()])] = new
     return biotac_touch(values)
 
 

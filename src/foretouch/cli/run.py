@@ -26,11 +26,11 @@ from foretouch.tactile.description import Sensor, sensor_in
 
 if TYPE_CHECKING:
     from foretouch.report.touch_figure import DrawnGrasp
+    from foretouch.ros.messages.conversions import AnyAnswer
     from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
-    from foretouch_msgs.msg import TactilePredictionArray, TouchPredictionArray
 
 
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
@@ -345,7 +345,7 @@ class _Printer:
     def __init__(self, sensor: Sensor) -> None:
         self._sensor = sensor
 
-    def __call__(self, message: TouchPredictionArray | TactilePredictionArray) -> None:
+    def __call__(self, message: AnyAnswer) -> None:
         try:
             print_json(answer_record(message, self._sensor))
         except OSError as err:

@@ -27,7 +27,7 @@ from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, op
 from foretouch.dataset.taxels import channel_key, finger_key
 from foretouch.errors import FileError
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Cloud, Float32
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
 _POINTS: Final = 1024  # of each cloud
@@ -40,13 +40,12 @@ _OWN: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index
 _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "xyz"] + [
     f"rotation_{row}{column}" for row in range(3) for column in range(3)
 ]
-_NS: Final = 1_000_000_000
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     out.mkdir(parents=True)
     others, period_ns = _survey(samples)
-    tables = _Tables(out, samples.sensor, others, max(1, round(_NS / period_ns)) if period_ns else 1)
+    tables = _Tables(out, samples.sensor, others, max(1, round(SECOND_NS / period_ns)) if period_ns else 1)
     config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
         for record in samples.records(discarded=True):

@@ -21,11 +21,10 @@ from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointFi
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import AnyArray, Cloud, Float64, Grasp, Index, Int64
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Float64, Grasp, Index, Int64
 
 _START: Final = 4  # of the fields in CDR
-_NS: Final = 1_000_000_000
-_STAMP_END_NS: Final = 2**31 * _NS  # builtin_interfaces/Time counts seconds in an int32
+_STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32
 _MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
@@ -39,7 +38,7 @@ def read_header(data: bytes) -> tuple[int, str]:
         frame = data[_START + 12 : _START + 12 + length]
         if len(frame) != length:
             raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
-        return seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode()
+        return seconds * SECOND_NS + nanoseconds, frame.rstrip(b"\0").decode()
     except (struct.error, UnicodeDecodeError) as err:
         raise DatasetError(f"header: {err}") from err
 
@@ -48,7 +47,7 @@ def with_stamp(data: bytes, stamp_ns: int) -> bytes:
     """Replace the stamp [ns] in the header of a serialised message; all other bytes are kept."""
     changed = bytearray(data)
     try:
-        struct.pack_into(f"{_byte_order(data)}iI", changed, _START, *divmod(stamp_ns, _NS))
+        struct.pack_into(f"{_byte_order(data)}iI", changed, _START, *divmod(stamp_ns, SECOND_NS))
     except struct.error as err:
         raise DatasetError(f"header: stamp {stamp_ns} ns: {err}") from err
     return bytes(changed)
@@ -64,7 +63,7 @@ def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
     """The fields of a `std_msgs/Header`; a `DatasetError` names the stamp [ns] if ROS cannot represent it."""
     if not 0 <= stamp_ns < _STAMP_END_NS:
         raise DatasetError(f"{name}: {stamp_ns} is before 1970 or after 2038, where the stamps of ROS end")
-    seconds, nanoseconds = divmod(int(stamp_ns), _NS)
+    seconds, nanoseconds = divmod(int(stamp_ns), SECOND_NS)
     return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
 
 

@@ -27,7 +27,7 @@ from foretouch.errors import CloudError, FileError, GraspError, shown
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
 from foretouch.tactile.description import require_same
-from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, GraspSample, Touch
+from foretouch.types import ASSUMED_TABLE, SECOND_NS, Cloud, Float64, Grasp, GraspSample, Touch
 
 CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"
@@ -40,7 +40,6 @@ _IDENTITY: Final = Identity(
 _EXTRA: Final = ("PAC0", "PAC1", "TAC", "TDC")
 _FINGER_SIZE: Final = ELECTRODES + 5
 _PDC: Final = ELECTRODES + 2
-_NS_PER_S: Final = 1_000_000_000
 _STAMP_END_NS: Final = 2**63  # where stamps of 64 bits end
 
 
@@ -81,7 +80,7 @@ def _read_sample(folder: Path) -> GraspSample:
 
 def _stamp_ns(name: str) -> int:
     """The unix time that a folder is named by [ns]; 0 if it is none."""
-    stamp_ns = int(name) * _NS_PER_S if name.isascii() and name.isdecimal() and len(name) < 20 else 0
+    stamp_ns = int(name) * SECOND_NS if name.isascii() and name.isdecimal() and len(name) < 20 else 0
     return stamp_ns if stamp_ns < _STAMP_END_NS else 0
 
 
@@ -159,7 +158,7 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
         if sample.touch is None:
             result.left_out["unlabelled"] += 1
             continue
-        seconds = count(sample.stamp_ns // _NS_PER_S)  # or the next free one: the format supports no other names
+        seconds = count(sample.stamp_ns // SECOND_NS)  # or the next free one: the format supports no other names
         folder = next(path for k in seconds if not (path := out / sample.object / str(k)).exists())
         folder.mkdir(parents=True)
         write_cloud(folder / CLOUD_FILE, sample.cloud)

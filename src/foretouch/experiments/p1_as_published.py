@@ -33,7 +33,7 @@ from foretouch.learning.data import Dataset
 from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.data.training_set import TrainingSet
 from foretouch.report.panels import Axes, Rows
-from foretouch.tactile import MODALITIES, P1_RANGES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
 from foretouch.types import Float64, GraspSample
 
 if TYPE_CHECKING:
@@ -139,11 +139,11 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     inputs = TrainingSet.build([samples[k] for k in used], recipe.model)
     train, test = np.arange(len(fold.train)), np.arange(len(fold.train), len(used))
     net = train_network(inputs, train, how)
-    mean = inputs.labels[np.ix_(train, columns([modality]))].mean(axis=0)
+    mean = inputs.labels[np.ix_(train, BIOTAC.columns([modality]))].mean(axis=0)
     rows = []
     for way in _WAYS:
         errors = [
-            predicted - inputs.labels[np.ix_(batch, columns([modality]))]
+            predicted - inputs.labels[np.ix_(batch, BIOTAC.columns([modality]))]
             for batch, predicted in _tested(net, inputs, test, how.batch_size, way, mean)
         ]
         every, score = np.concatenate(errors), np.mean([_rmse(one, modality, how.root_epsilon) for one in errors])

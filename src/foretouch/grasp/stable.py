@@ -26,6 +26,7 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.grasp.hold import HeldGrasp
 from foretouch.grasp.pose import cross
+from foretouch.grasp.ranking import ALIGNMENT_WEIGHT, FIRST_WEIGHT, FREE_COSINE, MIN_RANK, OVERLAP_FRACTION, lengths
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64, Floating, Plane
 
@@ -42,7 +43,6 @@ _ISOLATED = 20.0  # medians of the distance to the neighbours beyond which a poi
 _FADE = 0.25  # standard deviations on either side of the outlier limit, over which points fade out
 _UPRIGHT = (0.45, 0.65)  # |axis · table normal| over which the sides turn from across the table to across the view
 _EXTREME_M = 0.001  # depth over which points count as extreme [m]
-_OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 _TEMPERATURE = 0.25  # of the score, in which the weight of a pair falls by a factor of e
 _INSIDE_M = 0.0005  # depth over which a contact inside its initial point loses its weight [m]
 _BESIDE_M = 0.002  # from the line through both contacts, over which points count for a contact [m]
@@ -55,11 +55,6 @@ _PREFERRED = np.array([0.95, 0.3, 0.08])  # mostly the image's x; of length 1 wi
 _AXIS_BIAS = 0.01  # of the major eigenvalue, added along it
 _AXIS_NOISE = 0.05  # of the major eigenvalue: what the noise of a depth camera 1.25 m away changes it by
 _SIGN_BIAS = 0.01  # of the normalised third moment; 0.1 mm of noise on a recorded cloud changes it by 0.002
-# Of the original's score.
-_FREE_COSINE = 0.2  # between grasp and object axis, without penalty
-_ALIGNMENT_WEIGHT = 10.0
-_FIRST_WEIGHT = 1.5
-_MIN_RANK = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +203,7 @@ def stable_side(
     points: WeightedPoints, initial: Float64, frame: ObjectFrame, width_m: float, config: GeoGraspConfig
 ) -> StableSide:
     """Candidates around one initial point, on a grid anchored at it."""
-    radius = min(SEARCH_VOXELS * config.voxel_m, _OVERLAP_FRACTION * width_m)
+    radius = min(SEARCH_VOXELS * config.voxel_m, OVERLAP_FRACTION * width_m)
     basis = np.stack([frame.axis, frame.across, cross(frame.axis, frame.across)])
     mass, sums, n_points = _node_sums(points, initial, basis, radius, config.voxel_m)
     held = mass > 1e-6
@@ -277,14 +272,14 @@ class StableRanking:
     def pairs(self) -> _StablePairs:
         """Scores of all pairs of candidates, and the mean of the pairs."""
         a, b = self._sides
-        width = _norm(b.xyz[0] - a.xyz[0])
+        width = lengths(b.xyz[0] - a.xyz[0])
         r1, r2 = self._rank(a.xyz, b.xyz, (a.normal, b.normal), (a.curvature, b.curvature))
-        score = _FIRST_WEIGHT * r1 + r2
+        score = FIRST_WEIGHT * r1 + r2
         # No contact is deeper in the object than its initial point, nor closer to the opposite one.
         inside = []
         for side, other in ((a, b.xyz[0]), (b, a.xyz[0])):
-            to_centroid = _norm(side.xyz - self._frame.centroid)
-            inside.append(side.mass * _keep(to_centroid[0] - to_centroid) * _keep(width - _norm(side.xyz - other)))
+            to_centroid = lengths(side.xyz - self._frame.centroid)
+            inside.append(side.mass * _keep(to_centroid[0] - to_centroid) * _keep(width - lengths(side.xyz - other)))
         support = inside[0][:, None] * inside[1][None] * _keep(width - _distances(a.xyz, b.xyz))
         support[0, :] *= _INITIAL_WEIGHT
         support[:, 0] *= _INITIAL_WEIGHT
@@ -292,9 +287,9 @@ class StableRanking:
         weight = support * np.exp(np.clip((score - score[0, 0]) / _TEMPERATURE, -200.0, 200.0))
         weight /= weight.sum()
         first, second = weight.sum(axis=1) @ a.xyz, weight.sum(axis=0) @ b.xyz
-        outwards = _OUTSIDE_M * (second - first) / max(float(_norm(second - first)), _EPSILON)
+        outwards = _OUTSIDE_M * (second - first) / max(float(lengths(second - first)), _EPSILON)
         contacts = [_onto_surface(self._points, one) for one in (first - outwards, second + outwards)]
-        return _StablePairs(score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK), np.stack(contacts))
+        return _StablePairs(score, (r1 >= MIN_RANK) & (r2 >= MIN_RANK), np.stack(contacts))
 
     def score(self, contacts: Float64, axis: Float64 | None = None) -> tuple[float, bool]:
         """Score of any two contacts, and whether both rankings reach their minimum.
@@ -306,7 +301,7 @@ class StableRanking:
         normals, curvature = _local_planes(self._points, contacts, self._normal_radius_m)
         first, second = contacts[:1], contacts[1:]
         r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]), axis)
-        return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK)
+        return float(FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(r1[0, 0] >= MIN_RANK and r2[0, 0] >= MIN_RANK)
 
     def score_held(self, held: HeldGrasp) -> tuple[float, bool]:
         """`score` of a grasp of an earlier cloud, for its own axis if that is as good a one up to noise."""
@@ -335,7 +330,7 @@ class StableRanking:
         aligned = np.abs((b @ axis)[None] - (a @ axis)[:, None]) * per_m
         c_a = np.abs(normals[0] @ b.T - _dot(normals[0], a)[:, None]) * per_m
         c_b = np.abs(_dot(normals[1], b)[None] - a @ normals[1].T) * per_m
-        r1 = (2.0 + _ALIGNMENT_WEIGHT * _FREE_COSINE - pd_a)[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * aligned
+        r1 = (2.0 + ALIGNMENT_WEIGHT * FREE_COSINE - pd_a)[:, None] - pd_b[None] - ALIGNMENT_WEIGHT * aligned
         return r1, (2.0 - k_a)[:, None] - k_b[None] + 2.0 * np.minimum(c_a, c_b)
 
     def _plane_distance(self, xyz: Float64, axis: Float64) -> Float64:
@@ -351,10 +346,6 @@ def _soft_max(mass: Float64, values: Float64) -> float:
 def _keep(depth: Float64) -> Float64:
     """1 outside, falling to 0 with the depth inside [m]."""
     return np.asarray(1.0 / (1.0 + np.exp(np.clip(depth / _INSIDE_M, -40.0, 40.0))), np.float64)
-
-
-def _norm(vectors: Float64) -> Float64:
-    return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)
 
 
 def _dot(a: Float64, b: Float64) -> Float64:

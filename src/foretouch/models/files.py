@@ -102,12 +102,17 @@ class TensorRecord:
 
 
 Record = TypeVar("Record", bound=TensorRecord)
+Value = TypeVar("Value")
+
+
+def under(prefix: str, tensors: Mapping[str, Value]) -> dict[str, Value]:
+    """Those whose names begin with a prefix, by the rest of their names."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def read_part(record: type[Record], tensors: Mapping[str, AnyArray], prefix: str, **stated: Channels) -> Record:
     """The record whose arrays are stored under names that begin with a prefix, which errors name too; see `from_tensors`."""
-    part = {name.removeprefix(prefix): array for name, array in tensors.items() if name.startswith(prefix)}
     try:
-        return record.from_tensors(part, **stated)
+        return record.from_tensors(under(prefix, tensors), **stated)
     except ModelError as err:
         raise ModelError(f"{prefix}{err}") from err

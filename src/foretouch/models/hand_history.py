@@ -26,7 +26,7 @@ from foretouch.channels import Channels
 from foretouch.checked_files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
-from foretouch.models.files import packed
+from foretouch.models.files import packed, under
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, touch_faults
@@ -202,8 +202,7 @@ class HandHistory:
             array = tensors.get(name)
             if array is None or array.shape != shape or array.dtype != dtype:
                 raise ModelError(f"{name}: is missing, or of another shape or type")
-        part = {name.removeprefix(_TRACKER): array for name, array in tensors.items() if name.startswith(_TRACKER)}
-        history.tracker = SensorTracker.from_tensors(history.tracker.parameters, part)
+        history.tracker = SensorTracker.from_tensors(history.tracker.parameters, under(_TRACKER, tensors))
         if history.touches:
             history.signature = ObjectSignature(_read_text(tensors, "frame"), tensors["signature"])
         history._tare_ns = int(tensors["tare_ns"][0])

@@ -35,7 +35,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
 from foretouch.simulation.contact.problem import ContactSolution
-from foretouch.tactile import ELECTRODES, FULL_SCALE, electrode_normals, electrode_positions, to_kohm
+from foretouch.tactile import BIOTAC_SP, ELECTRODES, FULL_SCALE, to_kohm
 from foretouch.types import Float64, Int64
 
 # The liquid.
@@ -126,7 +126,7 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
 
 def read_press(finger: Finger) -> Float64:
     """(25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
-    approach = 0.5 * THINNING_M * np.maximum(-electrode_normals()[:, 2], 0.0)
+    approach = 0.5 * THINNING_M * np.maximum(-BIOTAC_SP.layout.normals[:, 2], 0.0)
     electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
     return np.append(finger.pdc_rest + 0.5 * finger.pdc_span, electrodes)
 
@@ -150,8 +150,8 @@ def _electrode_weights(
     `skin_points` (N, N, 3) are the cells on the skin in the frame of the fingertip [m]; not finite beside the pad.
     """
     points = skin_points.reshape(-1, 3)
-    normals = electrode_normals()
-    places = electrode_positions() + pad.layer_m * normals
+    normals = BIOTAC_SP.layout.normals
+    places = BIOTAC_SP.layout.positions + pad.layer_m * normals
     on_skin = np.isfinite(points.sum(axis=1))
     points = np.where(on_skin[:, None], points, 0.0)
     # |p - e|² = |p|² - 2 p·e + |e|², so that the bulk of the work is one product of matrices

@@ -3,6 +3,7 @@
 
 from foretouch.tactile.channels import (
     BIOTAC,
+    BIOTAC_SP,
     ELECTRODES,
     MODALITIES,
     P1_RANGES,
@@ -11,14 +12,12 @@ from foretouch.tactile.channels import (
     Ranges,
     TactileRanges,
     biotac_touch,
-    columns,
-    electrode_normals,
-    electrode_positions,
 )
 from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, offsets, tdc_of, to_kohm, touch_faults
 
 __all__ = [
     "BIOTAC",
+    "BIOTAC_SP",
     "ELECTRODES",
     "FULL_SCALE",
     "MODALITIES",
@@ -28,9 +27,6 @@ __all__ = [
     "Ranges",
     "TactileRanges",
     "biotac_touch",
-    "columns",
-    "electrode_normals",
-    "electrode_positions",
     "is_tdc",
     "make_tare",
     "offsets",

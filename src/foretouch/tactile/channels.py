@@ -5,7 +5,7 @@ P2 predicts four modalities: PDC_TH, PDC_MF (one value each), E_TH and E_MF (24 
 settings, not constants: the amount of liquid in a finger shifts its counts, so a range belongs to one pair of fingers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Self
@@ -17,7 +17,7 @@ from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import Bool, Float64, Index, Touch
+from foretouch.types import Bool, Float64, Touch
 
 BIOTAC_SP: Final = packaged_sensor("biotac_sp")
 
@@ -38,11 +38,6 @@ ELECTRODES: Final = BIOTAC_SP.size
 TOUCH_SIZE: Final = BIOTAC.size
 _NARROWEST: Final = 1e-6  # [counts]
 _WIDEST: Final = 1e12  # [counts]
-
-
-def columns(modalities: Sequence[str]) -> Index:
-    """(M,) columns of some modalities of the BioTac SP, as `Channels.columns`."""
-    return BIOTAC.columns(modalities)
 
 
 def biotac_touch(values: npt.ArrayLike) -> Touch:
@@ -149,13 +144,3 @@ P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (s
 
 #: P1's public code divides the labels by these numbers.
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
-
-
-def electrode_positions() -> Float64:
-    """(24, 3) float64 [m], fingertip frame; row k is electrode k + 1; read-only."""
-    return BIOTAC_SP.layout.positions
-
-
-def electrode_normals() -> Float64:
-    """(24, 3) float64, outward unit normals, radial from the axis of the core (x); read-only."""
-    return BIOTAC_SP.layout.normals

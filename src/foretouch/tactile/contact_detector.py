@@ -29,11 +29,10 @@ import numpy.typing as npt
 from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.tactile.channels import BIOTAC
-from foretouch.types import Float64, Int64
+from foretouch.types import SECOND_NS, Float64, Int64
 
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
-_SECOND_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,12 +116,12 @@ class FingerContact:
     def _update_reference(self, stamp_ns: int, reading: Float64) -> None:
         """Compute the reference from the recent readings without contact."""
         self._recent.append((stamp_ns, reading))
-        newest = stamp_ns - round(self.config.lag_s * _SECOND_NS)
-        oldest = newest - round(self.config.window_s * _SECOND_NS)
+        newest = stamp_ns - round(self.config.lag_s * SECOND_NS)
+        oldest = newest - round(self.config.window_s * SECOND_NS)
         while self._recent and self._recent[0][0] < oldest:
             self._recent.popleft()
         self._since_update += 1
-        spans = stamp_ns - self._recent[0][0] >= round((self.config.lag_s + self.config.window_s) * 0.9 * _SECOND_NS)
+        spans = stamp_ns - self._recent[0][0] >= round((self.config.lag_s + self.config.window_s) * 0.9 * SECOND_NS)
         if not spans or (self._reference is not None and self._since_update < _REFERENCE_INTERVAL):
             return
         window = np.array([counts for stamp, counts in self._recent if stamp <= newest])
@@ -217,7 +216,7 @@ class _Hysteresis:
         self._since_ns = 0
 
     def update(self, stamp_ns: int, score: float) -> tuple[Literal["onset", "release"], int] | None:
-        drift = self.touching and stamp_ns - self._since_ns > self._config.longest_s * _SECOND_NS
+        drift = self.touching and stamp_ns - self._since_ns > self._config.longest_s * SECOND_NS
         against = score < self._config.release_level if self.touching else score > 1.0
         if not against and not drift:
             self._consecutive = 0

@@ -20,7 +20,7 @@ from foretouch.learning.evaluation.metrics import (
     score,
     skills,
 )
-from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 
 
 def errors(own, reference=None, counts=None) -> ObjectErrors:
@@ -50,7 +50,7 @@ def test_pools_as_the_metrics_do_and_those_agree_with_scikit_learn(rng) -> None:
     assert ours[MEAN].value == pytest.approx(mean_skill(theirs))
     assert ObjectErrors.total(parts, BIOTAC).rmse()["E_TH"] == pytest.approx(theirs["E_TH"].rmse)
     for name in MODALITIES:
-        column = columns([name])
+        column = BIOTAC.columns([name])
         assert theirs[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
         pooled = root_mean_squared_error(actual[:, column].ravel(), predicted[:, column].ravel())
         assert theirs[name].rmse == pytest.approx(pooled)

@@ -15,7 +15,7 @@ from foretouch.learning.training.calibration import (
     make_calibration,
 )
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile import BIOTAC, MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES
 
 SIZE = 50
 W = np.linspace(100.0, 900.0, SIZE)
@@ -69,7 +69,7 @@ def test_few_objects_are_cut_higher_and_intervals_of_forty_hold_nine_in_ten_valu
         new = population(rng, B, 60, 5)
         inside = np.abs(new.labels - new.predicted) <= half
         for modality in MODALITIES:
-            covered[modality].append(float(inside[:, columns([modality])].mean()))
+            covered[modality].append(float(inside[:, BIOTAC.columns([modality])].mean()))
     for modality, shares in covered.items():
         assert 0.87 <= np.mean(shares) <= 0.95, modality
 
@@ -100,15 +100,15 @@ def test_every_object_weighs_the_same_and_each_modality_has_its_own_cut() -> Non
     assert_allclose(few.half_width, 10.0)
     rng = np.random.default_rng(0)
     labels = rng.normal(size=(400, SIZE)) * 10.0
-    column = columns(["E_TH"])
+    column = BIOTAC.columns(["E_TH"])
     labels[:, column] = rng.standard_t(3, (400, 24)) * 10.0  # heavy tails
     names = np.array([f"{k % 40:02}" for k in range(400)])
     regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names, BIOTAC))
     factor = regime.half_width / np.sqrt(regime.spread)
     for modality in MODALITIES:
-        scores = np.abs(labels[:, columns([modality])]) / np.sqrt(regime.spread[columns([modality])])
+        scores = np.abs(labels[:, BIOTAC.columns([modality])]) / np.sqrt(regime.spread[BIOTAC.columns([modality])])
         cut = np.sort(scores.reshape(-1))[int(0.9225 * scores.size) - 1]
-        assert_allclose(factor[columns([modality])], cut, rtol=0.02)
+        assert_allclose(factor[BIOTAC.columns([modality])], cut, rtol=0.02)
 
 
 @pytest.mark.parametrize(("kept", "found"), [(0.0, 0.0), (0.4, 0.4), (1.0, 1.0), (1.7, 1.0), (-0.5, 0.0)])
@@ -118,7 +118,7 @@ def test_the_share_of_differences_that_holds_is_found(kept: float, found: float)
     # 580 differences of deviation 30 in noise of up to 30: a standard error of 0.04 for a single value.
     assert_allclose(regime.difference_shrinkage, found, atol=0.1)
     for modality in MODALITIES:
-        assert len(np.unique(regime.difference_shrinkage[columns([modality])])) == 1
+        assert len(np.unique(regime.difference_shrinkage[BIOTAC.columns([modality])])) == 1
 
 
 def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
@@ -189,7 +189,9 @@ def test_coverage_is_told_by_intervals_of_the_other_objects_and_one_alone_has_no
         half = fit_group(held.take(~mine)).half_width
         inside = np.abs(held.labels[mine] - held.predicted[mine]) <= half
         for modality in MODALITIES:
-            assert found[modality][f"object{k}"] == pytest.approx(inside[:, columns([modality])].mean(), abs=5e-4)
+            assert found[modality][f"object{k}"] == pytest.approx(
+                inside[:, BIOTAC.columns([modality])].mean(), abs=5e-4
+            )
     for shares in found.values():
         assert shares["mean"] == pytest.approx(np.mean([shares[f"object{k}"] for k in range(6)]), abs=1e-3)
     one = population(rng, lasting(rng), 1, 20)
@@ -224,9 +226,9 @@ def test_heavy_objects_do_not_set_how_much_a_pressure_lasts(rng) -> None:
     residuals[:40] += 400.0
     held_out = HeldOutPredictions(np.zeros_like(residuals), residuals, objects, objects, BIOTAC)
     capped, free = fit_group(held_out, new=True), fit_group(held_out)
-    pressure = columns(["PDC_TH", "PDC_MF"])
+    pressure = BIOTAC.columns(["PDC_TH", "PDC_MF"])
     assert (np.diag(free.between)[pressure] > 10.0 * free.within[pressure]).all()
     assert_allclose(np.diag(capped.between)[pressure], capped.within[pressure])
-    electrodes = columns(["E_TH", "E_MF"])
+    electrodes = BIOTAC.columns(["E_TH", "E_MF"])
     assert_allclose(capped.between[np.ix_(electrodes, electrodes)], free.between[np.ix_(electrodes, electrodes)])
     assert np.linalg.eigvalsh(capped.between).min() > 0.0

@@ -19,7 +19,7 @@ from foretouch.learning.training import generalisation
 from foretouch.learning.training.calibration import rest_level, resting_labels
 from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
-from foretouch.tactile import MODALITIES, biotac_touch, columns
+from foretouch.tactile import BIOTAC, MODALITIES, biotac_touch
 from foretouch.types import Cloud
 
 SAMPLES = make_samples(5, 10)
@@ -70,7 +70,7 @@ def test_forests_and_kernel_are_scikit_learn_s(monkeypatch) -> None:
     monkeypatch.setattr(generalisation, "_RIDGES", (0.3,))
     estimator = fit_contact(rows, labels, OBJECTS, config)
     inputs, scaled = rows[:, len(CONDITIONS) :], (labels - labels.mean(axis=0)) / labels.std(axis=0)
-    for name, column in (("together", np.arange(50)), *((name, columns([name])) for name in MODALITIES)):
+    for name, column in (("together", np.arange(50)), *((name, BIOTAC.columns([name])) for name in MODALITIES)):
         target = scaled[:, column] if len(column) > 1 else scaled[:, column[0]]
         theirs = ExtraTreesRegressor(6, min_samples_leaf=2, max_features=0.5, random_state=3).fit(inputs, target)
         wanted = theirs.predict(inputs).reshape(len(rows), -1)

@@ -17,7 +17,7 @@ from foretouch.learning.data import labels_of
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
-from foretouch.tactile import MODALITIES, P2_RANGES, columns
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 from foretouch.types import Cloud
 
 SAMPLES = make_samples(5, 10)
@@ -43,7 +43,7 @@ def test_forests_predict_known_objects_the_gain_of_the_kernel_new_ones_and_a_ble
     kernel = estimator.kernel.predict(inputs) * np.repeat(gain, [1, 1, 24, 24])
     together, forests = estimator.forests["together"].predict(inputs), np.empty((1, 50))
     for name in MODALITIES:
-        index = columns([name])
+        index = BIOTAC.columns([name])
         forests[:, index] = (together[:, index] + estimator.forests[name].predict(inputs)) / 2.0
 
     def check(share: float) -> None:

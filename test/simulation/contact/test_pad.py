@@ -6,14 +6,14 @@ from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact.pad import PadConfig, contact_frame, gap_field, pad_direction, pad_window
-from foretouch.tactile import electrode_positions
+from foretouch.tactile import BIOTAC_SP
 
 PAD = PadConfig()
 
 
 def test_core_passes_through_the_electrodes():
     axes = PAD.skin_axes - PAD.layer_m
-    positions = electrode_positions()
+    positions = BIOTAC_SP.layout.positions
     inside = (1 - np.linalg.norm(positions / axes, axis=1)) * np.linalg.norm(positions, axis=1)
     assert np.abs(inside[:20]).max() < 3e-5
     assert 0.0 < inside[20:].min() < inside[20:].max() < 4e-4  # the flat in the middle

@@ -19,11 +19,10 @@ from foretouch.channels import Channels
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile import BIOTAC
-from foretouch.types import Float32, Int64
+from foretouch.types import SECOND_NS, Float32, Int64
 
-_SECOND_NS = 1_000_000_000
 _MB = 1_000_000
-_LEAP_NS = _SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
+_LEAP_NS = SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time
 _MAX_READINGS = 100_000
 _SAME_M = 1e-5  # difference of points that were rounded on their way to another frame and back
@@ -69,7 +68,7 @@ class TouchBuffer:
         self.channels = channels
         self.anomalies: Counter[str] = Counter()
         self.newest_ns: int | None = None  # latest stamp [ns], None before the first
-        self._kept_ns = round(kept_s * _SECOND_NS)
+        self._kept_ns = round(kept_s * SECOND_NS)
         self._suspect: TouchReading | None = None
         self._stamps: list[int] = []
         self._readings: list[TouchReading] = []

@@ -20,9 +20,8 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, contact_scores, find_contact
 from foretouch.tactile.readings import rest_of
-from foretouch.types import Bool, Float32, Int64, Touch, UInt8
+from foretouch.types import SECOND_NS, Bool, Float32, Int64, Touch, UInt8
 
-_SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
 _MIN_TARE_S = 0.1
 _MIN_TARE_READINGS = 5
@@ -212,7 +211,7 @@ def _longest_run_ns(same: Bool, stamps_ns: Int64) -> int:
 
 
 def _ns(seconds: float) -> int:
-    return round(seconds * _SECOND_NS)
+    return round(seconds * SECOND_NS)
 
 
 def _s(nanoseconds: int) -> str:

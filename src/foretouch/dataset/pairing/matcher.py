@@ -16,8 +16,8 @@ from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError,
 from foretouch.dataset.record import Outcome
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import SECOND_NS
 
-_SECOND_NS = 1_000_000_000
 _MAX_PLANS = 10_000
 
 
@@ -209,7 +209,7 @@ class GraspTouchMatcher:
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
                 flags = ("detected_interval", "assumed_grasp")
             if name is not None:
-                contact = min(episode.contact + round(self.config.settle_s * _SECOND_NS), episode.release - 1)
+                contact = min(episode.contact + round(self.config.settle_s * SECOND_NS), episode.release - 1)
                 interval = replace(episode, contact=contact)
                 self.add_executed(ExecutedGrasp(grasp_id=name, interval=interval, flags=flags), now_s)
             elif now_s - since_s < self.config.kept_s:
@@ -223,7 +223,7 @@ class GraspTouchMatcher:
         if waited >= self.config.wait_s or interval is None:
             return True
         # The guard lets readings come whose stamps jitter, so that the window does not depend on when it is cut.
-        complete_ns = interval.release + round(self.config.guard_s * _SECOND_NS)
+        complete_ns = interval.release + round(self.config.guard_s * SECOND_NS)
         if self._buffer.newest_ns is None or self._buffer.newest_ns < complete_ns:
             return False
         stamp = self._stamp_of.get(one.executed.grasp_id)

@@ -62,33 +62,30 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
     }
 
 
-def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable: Sequence[str] = ()) -> dict[str, Any]:
+def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = ()) -> dict[str, Any]:
     """Create the folder of a sweep, or check that it contains this sweep.
 
     Args:
         out: The folder.
         fixed: Experiment, settings and data, which must not change.
-        resume: Continue the sweep in the folder, if there is one.
         resumable: Settings that may change nevertheless.
 
     Returns:
         The manifest so far, with the current settings.
 
     Raises:
-        FileError: If the folder exists and `resume` is off, or contains something else.
+        FileError: If the folder contains something else.
         ConfigError: If its sweep has other settings or data; names the difference.
     """
     file, cells = out / MANIFEST_FILE, out / _CELLS
     if cells.is_symlink():
         raise FileError(cells, "is a link, and nothing is written through links")
     if not file.exists():
-        if out.exists() and any(out.iterdir()) and not (resume and [p.name for p in out.iterdir()] == [_CELLS]):
-            raise FileError(out, "already exists" + (f" and contains no {MANIFEST_FILE}" if resume else ""))
+        if out.exists() and {path.name for path in out.iterdir()} - {_CELLS}:
+            raise FileError(out, f"already exists and contains no {MANIFEST_FILE}")
         with disk_errors(cells):
             cells.mkdir(parents=True, exist_ok=True)
         return {**fixed, "sessions": []}
-    if not resume:
-        raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_manifest(file)
     _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
     with disk_errors(cells):

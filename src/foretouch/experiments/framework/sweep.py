@@ -75,7 +75,7 @@ def run_sweep(
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
     try:
-        manifest = manifests.open_folder(out, fixed, resume=resume, resumable=experiment.resumable_settings)
+        manifest = manifests.open_folder(out, fixed, experiment.resumable_settings)
         done = manifests.read_cells(out, cells)
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         manifest["preset"] = preset

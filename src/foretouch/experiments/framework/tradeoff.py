@@ -61,7 +61,6 @@ class Variant:
     values: Mapping[str, Any] = field(default_factory=dict)  # plain JSON data from which the area makes it
     compared_with: str = ""  # variant whose answers its own shall equal; "" for the shipped one
     reference: str = ""  # variant to whose time its ratio is taken; "" for that of the area
-    missing: str = ""  # why it cannot run here, such as a library that is not installed; "" if it can
 
 
 class Timed(NamedTuple):
@@ -82,7 +81,8 @@ class Area(Experiment[S, D]):
 
     Attributes:
         variants: All variants of a preset's settings.
-        timed: Makes a variant ready to be timed; called once for each.
+        timed: Makes a variant ready to be timed; called once for each. Raises a `ForetouchError` if it cannot run here,
+            such as for a library that is not installed.
         shipped: Name of the variant that users have without asking.
         reference: Name of the variant that ratios of times are taken to.
         skills: Columns of skills, each with its meaning.
@@ -215,9 +215,9 @@ def _time_variants(
     variants = list(area.variants(settings))
     ready: dict[str, Timed] = {}
     answers: dict[str, Answer] = {}
-    skipped = {one.name: one.missing for one in variants if one.missing}
+    skipped: dict[str, str] = {}
     with threadpool_limits(1):
-        for variant in (one for one in variants if not one.missing):
+        for variant in variants:
             try:
                 made = area.timed(variant, settings, data)
                 answers[variant.name] = np.array(made.answer(compared))

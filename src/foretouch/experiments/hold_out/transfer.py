@@ -23,7 +23,7 @@ from foretouch.experiments.shared.predictors import Fit, Fitted, with_offset_cor
 from foretouch.experiments.shared.scores import labelled
 from foretouch.experiments.shared.simulated_data import RealAndSimulated
 from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
-from foretouch.tactile import MODALITIES, columns, offsets
+from foretouch.tactile import BIOTAC, MODALITIES, offsets
 from foretouch.types import Float64, GraspSample
 
 Changes = Mapping[str, Float64]  # f by the id of the sample
@@ -75,7 +75,7 @@ def _slopes(f: Float64, labels: Float64) -> Float64:
     f, labels = f - f.mean(axis=0), labels - labels.mean(axis=0)
     result = np.zeros(f.shape[1])
     for name in MODALITIES:
-        index = columns([name])
+        index = BIOTAC.columns([name])
         squares = float((f[:, index] ** 2).sum())
         if squares > 0.0:
             result[index] = np.clip(float((f[:, index] * labels[:, index]).sum()) / squares, 0.0, 1.0)

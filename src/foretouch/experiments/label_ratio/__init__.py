@@ -40,7 +40,7 @@ from foretouch.learning.data.splits import RATIOS
 from foretouch.learning.evaluation.baselines import geometry_trees
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.models.network.config import ModelConfig
-from foretouch.tactile import MODALITIES, columns
+from foretouch.tactile import BIOTAC, MODALITIES
 
 __all__ = ["EXPERIMENTS"]
 
@@ -138,7 +138,7 @@ def _run(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> lis
         train, test = ([data.collection.samples[k] for k in index] for index in (split.train, split.test))
         found = geometry_trees(train, labels_of(train), test, seed)
         return [
-            {"modality": name, **error_row(data.collection, (name,), split, found[:, columns([name])])}
+            {"modality": name, **error_row(data.collection, (name,), split, found[:, BIOTAC.columns([name])])}
             for name in MODALITIES
         ]
     inputs = prepared(data, settings.model.replace(outputs=(cell.values["modality"],)), settings.cached_points)

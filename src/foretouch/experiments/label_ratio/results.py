@@ -61,14 +61,13 @@ _GROUP: Final = 0.84  # width of all bars of a ratio
 _LEAST_SPAN: Final = 5.0  # of the axis of differences to both sides [%]
 
 
-def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int, seed: int = 0) -> list[Row]:
+def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]:
     """Rows of `results.csv`.
 
     Args:
         rows: Rows of the cells. A run that lacks one of its two networks, because its cell failed, is left out.
         ranges: Ranges whose widths P2's percentages refer to.
         draws: Number of bootstrap samples.
-        seed: Seed of the bootstrap.
 
     Raises:
         DatasetError: If the compared models were not tested on the same samples.
@@ -89,7 +88,7 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int, seed: int = 
             {
                 "modality": name,
                 "ratio": ratio,
-                **_compared(runs, high - low, draws, seed),
+                **_compared(runs, high - low, draws),
                 "p2_change": P2_CHANGES[name].get(ratio),
                 "mean_rmse": np.sqrt(np.mean(_samples(runs[0][0], "reference"))),
                 "trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None,
@@ -98,7 +97,7 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int, seed: int = 
     return result
 
 
-def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: int) -> Row:
+def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int) -> Row:
     """Both models in one cell; `width` is that of the range [counts]."""
     pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
     sizes = _sizes(runs)
@@ -111,13 +110,13 @@ def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: i
             f"{name}_sd": rmse.std(ddof=1) if len(runs) > 1 else None,
             f"{name}_percent": 100.0 * rmse.mean() / width,
         }
-    change, low, high = _change(srgan, pointnet, sizes, draws, seed)
+    change, low, high = _change(srgan, pointnet, sizes, draws)
     verdict = None if low is None or high is None else "better" if high < 0.0 else "worse" if low > 0.0 else "tie"
     return result | {"change": change, "change_low": low, "change_high": high, "verdict": verdict}
 
 
 def _change(
-    srgan: Float64, pointnet: Float64, sizes: Sequence[int], draws: int, seed: int
+    srgan: Float64, pointnet: Float64, sizes: Sequence[int], draws: int
 ) -> tuple[float, float | None, float | None]:
     """Eq. 1 and its interval from (R, S) squared errors, samples ordered by object; no interval for a single run."""
     each = np.sqrt(srgan.mean(axis=1)) - np.sqrt(pointnet.mean(axis=1))
@@ -125,7 +124,7 @@ def _change(
     change = scale * float(each.mean())
     if len(each) < 2:
         return change, None, None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weights = np.concatenate(
         [rng.multinomial(size, np.full(size, 1.0 / size), draws) for size in sizes], axis=1
     ) / float(sum(sizes))

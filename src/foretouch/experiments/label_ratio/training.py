@@ -42,7 +42,7 @@ from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
-from foretouch.tactile import columns
+from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
 
 POINTNET: Final = "pointnet"
@@ -187,7 +187,7 @@ def _one(sample: GraspSample, config: ModelConfig, count: int, rng: np.random.Ge
 
 def kind_of(modality: str) -> str:
     """`pressure` or `electrodes`; modalities of a kind share their trial."""
-    return "pressure" if len(columns([modality])) == 1 else "electrodes"
+    return "pressure" if len(BIOTAC.columns([modality])) == 1 else "electrodes"
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
@@ -252,7 +252,8 @@ def error_row(data: Dataset, outputs: Sequence[str], split: DataSplit, predicted
         By object, in order of the samples, both means over the modality's values [counts²].
     """
     train, test = ([data.samples[k] for k in index] for index in (split.train, split.test))
-    actual, mean = labels_of(test)[:, columns(outputs)], labels_of(train)[:, columns(outputs)].mean(axis=0)
+    own = BIOTAC.columns(outputs)
+    actual, mean = labels_of(test)[:, own], labels_of(train)[:, own].mean(axis=0)
     both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}
     names = np.array([sample.object for sample in test])
     found = {

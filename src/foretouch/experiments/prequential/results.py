@@ -33,7 +33,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
-from foretouch.tactile import BIOTAC, FULL_SCALE, MODALITIES, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, FULL_SCALE, MODALITIES, TOUCH_SIZE
 from foretouch.types import Bool, Float64
 
 CONSTANT: Final = "training_mean"
@@ -176,7 +176,7 @@ def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -
     for modality in MODALITIES:
         noticed = [k for k, fingers in enumerate(played.restarted[after]) if _FINGER_OF[modality] in fingers]
         place: Row = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
-        coverage, after_touches = inside[:, columns([modality])].mean(), noticed[0] + 1 if noticed else None
+        coverage, after_touches = inside[:, BIOTAC.columns([modality])].mean(), noticed[0] + 1 if noticed else None
         rows.append(place | {"grasps": len(inside), "coverage": coverage, "noticed_after": after_touches})
     return rows
 
@@ -223,7 +223,7 @@ def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool)
     """
     result: Row = {"grasps": int(chosen.sum())}
     if sources in scored.half:
-        rows = np.ix_(chosen, columns([modality]))
+        rows = np.ix_(chosen, BIOTAC.columns([modality]))
         half = scored.half[sources][rows]
         beyond = np.abs(scored.recording.readings[rows] - scored.counts[sources][rows]) - half
         score = 2.0 * half + 2.0 / MISS_RATE * np.maximum(beyond, 0.0)

@@ -100,13 +100,12 @@ def draw_intervals(
     column: str,
     names: Sequence[str],
     *,
-    values: str = "skill",
     lowest: float = _LOWEST_SKILL,
     colour: Callable[[Mapping[str, Any]], str] | None = None,
 ) -> None:
-    """Draw value and interval of each row, the names of a column one below the other."""
+    """Draw skill and interval of each row, the names of a column one below the other."""
     for row in rows:
-        y, value = names.index(row[column]), row[values]
+        y, value = names.index(row[column]), row["skill"]
         shown = colour(row) if colour else f"C{y % 10}"
         if value < lowest:
             text = f"{value:.2f}" if abs(value) < 1.0 else f"{value:.1f}"
@@ -114,8 +113,8 @@ def draw_intervals(
             axes.annotate(text, (lowest, y), (6, 0), textcoords="offset points", va="center", fontsize=8)
             continue
         axes.plot(value, y, marker="o", color=shown, markersize=5)
-        if row[f"{values}_low"] is not None:
-            axes.plot([max(row[f"{values}_low"], lowest), row[f"{values}_high"]], [y, y], color=shown)
+        if row["skill_low"] is not None:
+            axes.plot([max(row["skill_low"], lowest), row["skill_high"]], [y, y], color=shown)
     axes.axvline(0.0, color="grey", linewidth=0.8)
     axes.set_yticks(range(len(names)), names, fontsize=8)
     axes.set_ylim(len(names) - 0.5, -0.5)

@@ -22,7 +22,7 @@ from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, columns
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
 from foretouch.types import Float64, GraspSample
 
 # The networks by name, with the recipe of `foretouch train` that each is trained by.
@@ -57,7 +57,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         together = model.outputs == MODALITIES
         for outputs in [MODALITIES] if together else [(one,) for one in MODALITIES]:
             part = replace(data, config=model.replace(outputs=outputs))
-            predicted[:, columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
+            predicted[:, BIOTAC.columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
         if not together:
             return predicted
         # Faded to the mean on objects out of the training distribution, as the released network does.

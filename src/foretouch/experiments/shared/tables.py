@@ -53,26 +53,25 @@ def pivot(
     rows: Iterable[R],
     line: str,
     text: Callable[..., str],
-    column: str = "modality",
     names: Sequence[Any] = MODALITIES,
     label: Callable[[Any], str] = str,
 ) -> list[list[str]]:
-    """A line of a table for each value of a column, and in it a cell for each of the `names` of another column.
+    """A line of a table for each value of a column, and in it a cell for each of the `names` of the modalities.
 
     `text` is given the rows of the cell, usually one, as arguments; a cell without a row is empty.
     """
     body = []
     for name, own in grouped(rows, line):
-        cells = {key: text(*found) for key, found in grouped(own, column)}
+        cells = {key: text(*found) for key, found in grouped(own, "modality")}
         body.append([label(name), *(cells.get(key, "") for key in names)])
     return body
 
 
-def short(value: float | None, decimals: int = 2) -> str:
+def short(value: float | None) -> str:
     """A number without the zero before its point, and with one decimal less from 1 on; `–` for None."""
     if value is None:
         return "–"
-    return f"{value:.{decimals}f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.{decimals - 1}f}"
+    return f"{value:.2f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.1f}"
 
 
 def listed(rows: Iterable[Mapping[str, Any]], column: str) -> str:

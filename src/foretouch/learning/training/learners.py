@@ -32,7 +32,7 @@ from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
-from foretouch.tactile import BIOTAC, P2_RANGES, columns
+from foretouch.tactile import BIOTAC, P2_RANGES
 from foretouch.tactile.description import with_sensor
 from foretouch.types import Float64
 
@@ -191,7 +191,7 @@ class NetworkLearner(Learner):
     def predict(self, index: Indices) -> Float64:
         """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""
         predicted = np.full((len(index), self._prepared.labels.shape[1]), np.nan)
-        predicted[:, columns(self.config.model.outputs)] = predict_set(
+        predicted[:, BIOTAC.columns(self.config.model.outputs)] = predict_set(
             self._net, self._prepared, self.split.train[index]
         )
         return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
@@ -242,7 +242,7 @@ class NetworkLearner(Learner):
     def _validate(self, trainer: Trainer) -> float:
         """Root mean square of the scaled validation errors; keeps the weights if it is the least so far."""
         net, held = trainer.net.eval(), self.split.validation
-        labels = self._prepared.labels[np.ix_(held, columns(self.config.model.outputs))]
+        labels = self._prepared.labels[np.ix_(held, BIOTAC.columns(self.config.model.outputs))]
         error = (predict_set(net, self._prepared, held) - labels) / net.target_scale.cpu().numpy()
         value = float(np.sqrt(np.mean(error**2)))
         if value < self._best.error:

@@ -17,8 +17,9 @@ from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, DistributedContext, TrainingDevice
+from foretouch.models.files import under
 from foretouch.models.network.networks import TouchNet
-from foretouch.tactile import columns
+from foretouch.tactile import BIOTAC
 from foretouch.types import Float64
 
 _LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
@@ -145,7 +146,7 @@ class Trainer(ABC):
             self.net = TouchNet(data.config)
             extra = self._make_modules()
         self.modules: dict[str, nn.Module] = {"net": self.net, **extra}
-        outputs = columns(data.config.outputs)
+        outputs = BIOTAC.columns(data.config.outputs)
         _set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
         for module in self.modules.values():
             self.training_device.prepare(module)
@@ -153,7 +154,7 @@ class Trainer(ABC):
         self.optimisers = {
             name: _ScheduledOptimiser(module, config, steps, context) for name, module in self.modules.items()
         }
-        self.sizes = [len(columns([name])) for name in data.config.outputs]
+        self.sizes = [len(BIOTAC.columns([name])) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
 
@@ -196,11 +197,11 @@ class Trainer(ABC):
         """
         try:
             for name, module in self.modules.items():
-                own = _under(name, tensors)
+                own = under(f"{name}/", tensors)
                 _require_shapes(name, module.state_dict(), own)
                 module.load_state_dict(own)
             for name, optimiser in self.optimisers.items():
-                optimiser.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
+                optimiser.restore(under(f"{name}-steps/", tensors), plain["steppers"][name])
             self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
@@ -303,14 +304,9 @@ def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {f"{prefix}/{name}": value for name, value in tensors.items()}
 
 
-def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    start = f"{prefix}/"
-    return {name.removeprefix(start): value for name, value in tensors.items() if name.startswith(start)}
-
-
 def _set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
     """Set the affine map of the targets from (T, M) training labels [counts]."""
-    outputs = columns(net.config.outputs)
+    outputs = BIOTAC.columns(net.config.outputs)
     if kind == "ranges":
         low, high = net.config.ranges.ranges.low[outputs], net.config.ranges.ranges.high[outputs]
         mean, scale = low, high - low

@@ -27,7 +27,7 @@ from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges, columns
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
 from foretouch.types import Cloud, Grasp
 
 
@@ -63,7 +63,7 @@ class NetworkEstimator:
         prepared = prepare_cloud(cloud, self.config)
         features = self.network.features(torch.from_numpy(prepared.points))
         inputs = torch.from_numpy(prepare_grasps(grasps, prepared.frame, self.config))
-        counts[:, columns(self.config.outputs)] = self.network.regress(features, inputs).numpy().astype(np.float64)
+        counts[:, BIOTAC.columns(self.config.outputs)] = self.network.regress(features, inputs).numpy()
         if self.lengths is not None:
             in_distribution &= self.lengths.within(grasp_lengths(prepared, grasps))
         if self.fallback is not None:

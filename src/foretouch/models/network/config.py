@@ -6,7 +6,7 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.tactile import MODALITIES, TactileRanges, columns
+from foretouch.tactile import BIOTAC, MODALITIES, TactileRanges
 
 GRASP_SIZE: Final = 15
 """g1, g2 (3 + 3) and R (9), as in P2."""
@@ -88,4 +88,4 @@ class ModelConfig(Settings):
     @property
     def output_size(self) -> int:
         """Number of values predicted: 1, 24 or up to 50."""
-        return sum(len(columns([name])) for name in self.outputs)
+        return sum(len(BIOTAC.columns([name])) for name in self.outputs)

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -17,12 +17,17 @@ from foretouch.grasp import quaternion_xyzw
 from foretouch.tactile import ELECTRODES, TOUCH_SIZE
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
+from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Interval, Status, TactilePrediction
+from foretouch_msgs.msg import Interval, Status, TactilePrediction, TactilePredictionArray, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
-_SECOND_NS = 1_000_000_000
+AnyPrediction: TypeAlias = TouchPredictionMsg | TactilePrediction
+"""For the BioTac SP, or for any sensor."""
+
+AnyAnswer: TypeAlias = TouchPredictionArray | TactilePredictionArray
+"""The predictions of one cloud, of either type."""
+
 REFERENCE_CODES: dict[Reference, int] = {
     "none": TouchPredictionMsg.NONE,
     "tare": TouchPredictionMsg.TARE,
@@ -38,13 +43,13 @@ _MAX_COEFFICIENT = 1e100  # of a plane
 
 def stamp_to_msg(nanoseconds: int) -> Time:
     """The reverse of `stamp_ns`."""
-    sec, nanosec = divmod(nanoseconds, _SECOND_NS)
+    sec, nanosec = divmod(nanoseconds, SECOND_NS)
     return Time(sec=sec, nanosec=nanosec)
 
 
 def duration_to_msg(seconds: float) -> Duration:
     """Convert a time span [s], which may be negative."""
-    sec, nanosec = divmod(round(seconds * _SECOND_NS), _SECOND_NS)
+    sec, nanosec = divmod(round(seconds * SECOND_NS), SECOND_NS)
     return Duration(sec=max(-(2**31), min(sec, 2**31 - 1)), nanosec=nanosec)
 
 
@@ -139,7 +144,7 @@ def _intervals(rows: Sequence[tuple[float, float, float]]) -> list[Interval]:
     return made
 
 
-def values_from_msg(message: TouchPredictionMsg | TactilePrediction, sensor: Sensor) -> Float64:
+def values_from_msg(message: AnyPrediction, sensor: Sensor) -> Float64:
     """(3, D) value, lower and upper bounds of a prediction, float32 in double precision; NaN where there is none.
 
     A `ModelError` if it is for another sensor.
@@ -160,7 +165,7 @@ def values_from_msg(message: TouchPredictionMsg | TactilePrediction, sensor: Sen
     return found
 
 
-def prediction_from_msg(message: TouchPredictionMsg | TactilePrediction, sensor: Sensor = BIOTAC_SP) -> TouchPrediction:
+def prediction_from_msg(message: AnyPrediction, sensor: Sensor = BIOTAC_SP) -> TouchPrediction:
     """Convert a received prediction; values are float32, and NaN bounds become None.
 
     Raises:
@@ -196,11 +201,11 @@ def evidence_fields(evidence: Evidence) -> dict[str, Any]:
 
 
 def _age(duration: Duration) -> float | None:
-    seconds = duration.sec + duration.nanosec / _SECOND_NS
+    seconds = duration.sec + duration.nanosec / SECOND_NS
     return None if seconds < 0.0 else float(seconds)
 
 
-def reference_text(message: TouchPredictionMsg | TactilePrediction) -> str:
+def reference_text(message: AnyPrediction) -> str:
     """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
     name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
     return evidence_text(name, message.touches, message.readings)

@@ -25,6 +25,7 @@ from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import other_sensor
 from foretouch.ros.messages.clouds import objects_from_msg
+from foretouch.ros.messages.conversions import AnyAnswer, AnyPrediction
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.channels import BIOTAC_SP
@@ -32,14 +33,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, PREDICTED_TOPIC, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud
-from foretouch_msgs.msg import (
-    BiotacAll,
-    ExecutedGrasp,
-    TactilePrediction,
-    TactilePredictionArray,
-    TouchPrediction,
-    TouchPredictionArray,
-)
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TactilePredictionArray, TouchPredictionArray
 
 
 @dataclass(frozen=True)
@@ -58,10 +52,8 @@ class View:
     sensor: Sensor = BIOTAC_SP  # whose readings are predicted
     answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
-    last: TouchPredictionArray | TactilePredictionArray | None = None  # the last array
-    executed: tuple[TouchPrediction | TactilePrediction, TouchCut] | None = (
-        None  # of the last grasp with success, and its readings
-    )
+    last: AnyAnswer | None = None  # the last array
+    executed: tuple[AnyPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
     nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
 
 
@@ -71,11 +63,11 @@ class Drawable:
 
     scene: Cloud | None  # the whole cloud, if it was received
     target: FoundObject  # the object
-    prediction: TouchPrediction | TactilePrediction  # the prediction
+    prediction: AnyPrediction  # the prediction
     readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
 
 
-def _is_unfamiliar(prediction: TouchPrediction | TactilePrediction) -> bool:
+def _is_unfamiliar(prediction: AnyPrediction) -> bool:
     return "unfamiliar" in prediction.flags
 
 
@@ -109,7 +101,7 @@ class MonitorNode(GuardedCallbacks, Node):
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
         self._kept = 32 if with_hand else 8  # clouds: enough to find that of an answer again, or of an executed grasp
-        self._drawable: deque[TouchPredictionArray | TactilePredictionArray] = deque(maxlen=self._kept)
+        self._drawable: deque[AnyAnswer] = deque(maxlen=self._kept)
         # The last by whether the model does not know the object, and by the touches of it before, up to two.
         self._executed: dict[tuple[bool, int], Drawable] = {}
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
@@ -158,9 +150,7 @@ class MonitorNode(GuardedCallbacks, Node):
                 found[_is_unfamiliar(one)] = drawn
         return [found[key] for key in sorted(found)]
 
-    def _drawn(
-        self, prediction: TouchPrediction | TactilePrediction, readings: TouchCut | None = None
-    ) -> Drawable | None:
+    def _drawn(self, prediction: AnyPrediction, readings: TouchCut | None = None) -> Drawable | None:
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
@@ -175,7 +165,7 @@ class MonitorNode(GuardedCallbacks, Node):
         drawables = (Drawable(scene, one, prediction, readings) for one in found)
         return next((one for one in drawables if one.target.id == prediction.grasp.object_id), None)
 
-    def _receive_touch(self, message: TouchPredictionArray | TactilePredictionArray) -> None:
+    def _receive_touch(self, message: AnyAnswer) -> None:
         with self._lock:
             if self._closed:
                 return

@@ -154,15 +154,17 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
-        self.serve(StartRecording, "start_recording", self._start_recording, group)
         self.serve(StopRecording, "stop_recording", self._stop_recording, group)
-        self.serve(LabelGrasp, "label_grasp", self._label_grasp, group)
-        self.serve(LabelGrasp, "edit_grasp", partial(self._answer, self._edit_grasp), group)
-        self.serve(
-            LabelGrasp, "next_object", partial(self._answer, lambda request: self.act("object", request.object)), group
+        services: tuple[tuple[Any, str, Callable[[Any, Any], str]], ...] = (
+            (StartRecording, "start_recording", self._start_recording),
+            (LabelGrasp, "label_grasp", self._label_grasp),
+            (LabelGrasp, "edit_grasp", self._edit_grasp),
+            (LabelGrasp, "next_object", lambda request, _: self.act("object", request.object)),
+            (SetBool, "pause_recording", lambda request, _: self.act("pause", "on" if request.data else "off")),
+            (Trigger, "undo_edit", lambda *_: self.act("undo")),
         )
-        self.serve(SetBool, "pause_recording", partial(self._answer, self._pause), group)
-        self.serve(Trigger, "undo_edit", partial(self._answer, lambda _: self.act("undo")), group)
+        for kind, name, act in services:
+            self.serve(kind, name, partial(self._answer, act), group)
         if self.config.joy_topic:
             self.subscribe(Joy, self.config.joy_topic, self._receive_buttons)
 
@@ -329,16 +331,12 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     # Services and the timer.
 
-    def _start_recording(self, request: Any, response: Any) -> Any:
-        try:
-            if self.state_name != "active":
-                raise ConfigError(f"the recorder is {self.state_name}")
-            self._require_inside(request.path)
-            response.path = str(self.begin(request.path, request.object, request.note))
-            response.success = True
-        except ForetouchError as err:
-            response.message = str(err)
-        return response
+    def _start_recording(self, request: Any, response: Any) -> str:
+        if self.state_name != "active":
+            raise ConfigError(f"the recorder is {self.state_name}")
+        self._require_inside(request.path)
+        response.path = str(self.begin(request.path, request.object, request.note))
+        return ""
 
     def _require_inside(self, path: str) -> None:
         """Refuse a dataset outside of `folder`: anyone in the graph can ask for one."""
@@ -355,28 +353,23 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         response.success = not last.error
         return response
 
-    def _label_grasp(self, request: Any, response: Any) -> Any:
-        session = self._session
-        try:
-            label = _decode_label(request)
-            if session is None:
-                raise ConfigError("nothing is being recorded")
-            response.grasp_id, response.message = session.label(label)
-            response.success = True
-        except ForetouchError as err:
-            response.grasp_id, response.message = request.grasp_id, str(err)
-        return response
+    def _label_grasp(self, request: Any, response: Any) -> str:
+        response.grasp_id, session, label = request.grasp_id, self._session, _decode_label(request)
+        if session is None:
+            raise ConfigError("nothing is being recorded")
+        response.grasp_id, text = session.label(label)
+        return text
 
-    def _answer(self, act: Callable[[Any], str], request: Any, response: Any) -> Any:
+    def _answer(self, act: Callable[[Any, Any], str], request: Any, response: Any) -> Any:
         """Answer a request by what was done, or by why it was not."""
         try:
-            response.message = act(request)
+            response.message = act(request, response)
             response.success = True
         except ForetouchError as err:
             response.message = str(err)
         return response
 
-    def _edit_grasp(self, request: Any) -> str:
+    def _edit_grasp(self, request: Any, _: Any) -> str:
         label = _decode_label(request)
         edits: list[tuple[Action, str]] = [("relabel", label.object)] if label.object else []
         edits += [(label.outcome, "")] if label.outcome != "unknown" else []
@@ -385,9 +378,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if not edits:
             raise ConfigError("the request changes nothing: set object, outcome, note or discard")
         return "; ".join(self.act(action, text, request.grasp_id) for action, text in edits)
-
-    def _pause(self, request: Any) -> str:
-        return self.act("pause", "on" if request.data else "off")
 
     def _receive_buttons(self, message: Any) -> None:
         """Do what the buttons stand for that were pressed since the last message; those held at the first one are not."""

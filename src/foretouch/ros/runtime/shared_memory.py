@@ -6,6 +6,7 @@ Fast DDS holds a lock on `<segment>_el` as long as the owner of a segment lives,
 
 import fcntl
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -31,11 +32,14 @@ def stale_bytes(folder: Path = _FOLDER, *, free: bool = False) -> int:
 
 @contextmanager
 def _unlocked(lock: Path) -> Iterator[None]:
-    """Hold a lock; an OSError if another process holds it, or the file is a link or of another user."""
-    descriptor = os.open(lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    """Hold a lock; an OSError if another process holds it, or the file is a link, no regular file or of another user."""
+    descriptor = os.open(
+        lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    )  # anyone may put a FIFO there
     try:
-        if os.fstat(descriptor).st_uid != os.getuid():
-            raise PermissionError(f"{lock}: is of another user")
+        found = os.fstat(descriptor)
+        if found.st_uid != os.getuid() or not stat.S_ISREG(found.st_mode):
+            raise PermissionError(f"{lock}: is of another user, or no regular file")
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:

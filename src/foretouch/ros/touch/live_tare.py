@@ -14,9 +14,7 @@ from foretouch.channels import Channels
 from foretouch.tactile import BIOTAC, touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.tactile.readings import rest_of
-from foretouch.types import Float32, Touch
-
-_SECOND_NS = 1_000_000_000
+from foretouch.types import SECOND_NS, Float32, Touch
 
 
 class LiveTare:
@@ -26,8 +24,8 @@ class LiveTare:
         self.fault = ""  # why the last rest gives no tare, such as a dead sensor
         self._channels = channels
         self._detector = ContactDetector(config, channels)
-        self._lag_ns = round(config.lag_s * _SECOND_NS)
-        self._window_ns = round(config.window_s * _SECOND_NS)
+        self._lag_ns = round(config.lag_s * SECOND_NS)
+        self._window_ns = round(config.window_s * SECOND_NS)
         # More than the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory.
         self._recent: deque[tuple[int, Float32]] = deque(maxlen=20_000)
         self._rest: list[Float32] = []
@@ -82,5 +80,5 @@ class LiveTare:
         newest = stamp_ns - self._lag_ns
         rest = [counts for stamp, counts in self._recent if stamp <= newest]
         if len(rest) >= 5 and newest - self._recent[0][0] >= 0.8 * self._window_ns:
-            self._rest, self._rest_ns, self._rest_s = rest, newest, now_s - self._lag_ns / _SECOND_NS
+            self._rest, self._rest_ns, self._rest_s = rest, newest, now_s - self._lag_ns / SECOND_NS
             self._tare, self.fault, self._since_renewal = None, "", 0

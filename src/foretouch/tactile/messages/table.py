@@ -17,7 +17,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, load_sensor
-from foretouch.types import Float32
+from foretouch.types import SECOND_NS, Float32
 
 #: Message type to the module that decodes it.
 TACTILE_TYPES: dict[str, str] = {
@@ -29,8 +29,6 @@ TACTILE_TYPES: dict[str, str] = {
 
 #: Flag of samples whose messages carry no stamp: the time of reception is taken instead.
 ARRIVAL_STAMPED: Final = "arrival_stamped"
-
-_SECOND_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,4 +130,4 @@ def named_index(name: str, names: Sequence[str], setting_name: str) -> int:
 
 def stamp_ns(stamp: Any) -> int:
     """A `builtin_interfaces/Time` or `Duration` in integer nanoseconds."""
-    return int(stamp.sec) * _SECOND_NS + int(stamp.nanosec)
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
