@@ -9,8 +9,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -52,7 +53,15 @@ def summarise(record: SampleRecord) -> GraspSummary:
     ]
     outcome = DROPPED if DISCARDED in record.flags else record.outcome
     day = str(datetime.fromtimestamp(sample.stamp_ns * 1e-9).astimezone().date())
-    return GraspSummary(sample.object, outcome, sample.touch is not None, day, spots[0], frozenset().union(*spots))
+    kept = (sample.object, day, spots[0], frozenset().union(*spots))
+    name, day, spot, planned = (_shared(one) for one in kept)
+    return GraspSummary(name, outcome, sample.touch is not None, day, spot, planned)
+
+
+@lru_cache(maxsize=4096)
+def _shared(value: Any) -> Any:
+    """The first of equal values: thousands of samples share a few."""
+    return value
 
 
 def summarise_dataset(path: Path) -> dict[str, GraspSummary]:
@@ -69,9 +78,8 @@ def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, Gras
     found = {}
     for recorded, one in grasps.items():
         label, outcome, _, dropped = edits.changes(recorded)
-        found[recorded] = one._replace(
-            object=label or one.object, outcome=DROPPED if dropped else outcome or one.outcome
-        )
+        changed = (label or one.object, DROPPED if dropped else outcome or one.outcome)
+        found[recorded] = one if changed == one[:2] else one._replace(object=changed[0], outcome=changed[1])
     return found
 
 

@@ -7,6 +7,7 @@ off again. Chunks are not compressed: a reader finds a message by its offset, an
 
 import os
 import sys
+import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -27,9 +28,10 @@ LIBRARY: Final = f"foretouch {__version__}"
 
 
 class _PackedIndex:
-    """The index of all chunks so far, as the bytes that `finish` writes: mcap keeps objects, 5 MB for an hour of recording."""
+    """The index of all chunks so far, as `finish` writes it, compressed: mcap keeps objects, 5 MB for an hour of recording."""
 
     def __init__(self) -> None:
+        self._packer = zlib.compressobj(1)
         self._content = bytearray()
 
     def take(self, writer: Writer) -> None:
@@ -40,12 +42,12 @@ class _PackedIndex:
         for one in indices:
             if one is not self:
                 one.write(builder := RecordBuilder())
-                self._content += builder.end()  # type: ignore[no-untyped-call]
-        indices[:] = [self] if self._content else []
+                self._content += self._packer.compress(builder.end())  # type: ignore[no-untyped-call]
+        indices[:] = [self] if indices else []
 
     def write(self, stream: RecordBuilder) -> None:
         """As of mcap's records."""
-        stream.write(self._content)
+        stream.write(zlib.decompress(self._content + self._packer.copy().flush()))
 
 
 class McapFile:
