@@ -406,7 +406,7 @@ def _read_chunks(path: Path) -> None:
 
 def _run(folder: Path) -> Path:
     run = RunFolder(folder / "run")
-    run.open(SETTINGS)
+    run.open(SETTINGS, resume=False)
     write_state(folder / "run" / "state.safetensors", {"x": torch.zeros(3)}, {"epoch": 1, "best": {}})
     run.log({"epoch": 0})
     return folder / "run"

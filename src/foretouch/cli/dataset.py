@@ -13,9 +13,8 @@ from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
-from foretouch.dataset import editing
+from foretouch.dataset import editing, formats
 from foretouch.dataset.chunks import ReadOnRay, chunks_folder, remove_chunks
-from foretouch.dataset.formats import FORMATS, readable_formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
@@ -40,7 +39,7 @@ _SHEET_SAMPLES = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one action each, with its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    dataset = f"dataset: {readable_formats()}"
+    dataset = f"dataset: {formats.readable_formats()}"
 
     info = _action(actions, "info", _info, "Print counts and ranges of a dataset")
     info.add_argument("path", metavar="IN", help=dataset)
@@ -75,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export = _action(actions, "export", _export, "Write samples in another format")
     export.add_argument("source", metavar="DS", help=dataset)
     _add_out(export, "DIR", "folder to create; must not exist")
-    exported = [entry.name for entry in FORMATS if entry.exported]
+    exported = [entry.name for entry in formats.FORMATS if entry.exported]
     export.add_argument("--format", required=True, choices=exported, help="format to write")
 
     show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
@@ -98,7 +97,7 @@ def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> Non
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SRC", help=f"dataset ({readable_formats()}) or ROS bag")
+    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}) or ROS bag")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
     group = parser.add_argument_group("ROS bags without foretouch samples")
     for name, topic, content in (

@@ -93,10 +93,12 @@ def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[Gr
     return predicted
 
 
-def object_time_trees(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+def object_time_trees(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+) -> Float64:
     """Extremely randomised trees on object and time of recording alone."""
     names = sorted({sample.object for sample in train})
-    return _forest(_object_time(train, names), labels, _object_time(test, names), seed)
+    return _forest(_object_time(train, names), labels, _object_time(test, names), seed, trees)
 
 
 def geometry_trees(
@@ -148,7 +150,7 @@ def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Float6
     return np.column_stack([days, [[float(sample.object == name) for name in names] for sample in samples]])
 
 
-def _forest(train: Float64, labels: Float64, test: Float64, seed: int, trees: int = TREES) -> Float64:
+def _forest(train: Float64, labels: Float64, test: Float64, seed: int, trees: int) -> Float64:
     from sklearn.ensemble import ExtraTreesRegressor
 
     forest = ExtraTreesRegressor(

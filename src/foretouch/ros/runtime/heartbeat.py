@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from diagnostic_msgs.msg import KeyValue
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.lifecycle import LifecycleNode
@@ -32,6 +33,7 @@ _PERIOD_S: Final = 0.4
 _SILENT_S: Final = 1.0  # after which a node is not counted as the second of its name: it may have been restarted
 _GONE_S: Final = 1.4  # after which it is reported, so within 2 s
 _HANGS_S: Final = 6.0  # the same if its process still runs, as far as can be seen: the computer may be overloaded
+_GOODBYE_S: Final = 1.0  # at most, until all others have heard it
 _PARTICIPANT: Final = 12  # bytes of an id that all ends of a process share
 
 
@@ -78,6 +80,8 @@ class Heartbeat:
             self._stopping.set()
             self._thread.join()
             self._beat(FINALIZED)
+            with suppress(_rclpy.RCLError, InvalidHandle):  # what is not yet received is lost with the publisher
+                self._publisher.wait_for_all_acked(Duration(seconds=_GOODBYE_S))
 
     def _run(self) -> None:
         while not self._stopping.wait(_PERIOD_S) and self._node.context.ok():
