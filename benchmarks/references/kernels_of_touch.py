@@ -120,13 +120,12 @@ def _weights_of_electrodes(t: float, rng: np.random.Generator) -> tuple[float, f
     pad = PadConfig(cells=3)
     window = pad_window(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
     points = window.points.reshape(-1, 3)
-    points[:4] = (
-        BIOTAC_SP.layout.positions[:4] + pad.layer_m * BIOTAC_SP.layout.normals[:4]
-    )  # some right at an electrode
+    positions, normals = BIOTAC_SP.layout.positions, BIOTAC_SP.layout.normals
+    points[:4] = positions[:4] + pad.layer_m * normals[:4]  # some right at an electrode
     found = _electrode_weights(pad, window.frame, points.reshape(3, 3, 3), kernel_m)
-    places = exact(BIOTAC_SP.layout.positions) + exact(pad.layer_m) * exact(BIOTAC_SP.layout.normals)
+    places = exact(positions) + exact(pad.layer_m) * exact(normals)
     squares = ((places[:, None] - exact(points)[None]) ** 2).sum(axis=2)
-    facing = np.maximum(exact(BIOTAC_SP.layout.normals) @ exact(window.frame.rotation[:, 2]), mpmath.mpf(0))
+    facing = np.maximum(exact(normals) @ exact(window.frame.rotation[:, 2]), mpmath.mpf(0))
     scale = exact(pad.step_m) ** 2 / (2 * mpmath.pi * exact(kernel_m) ** 2)
     wanted = scale * facing[:, None] * exp(-squares / (2 * exact(kernel_m) ** 2))
     return float((points**2).sum(axis=1).max()) / kernel_m**2, gap(found, wanted) / float(wanted.max())

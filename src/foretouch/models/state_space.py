@@ -100,7 +100,8 @@ class TrackerParameters(TensorRecord):
         empirical Bayes estimate [Efron and Morris 1973].
 
         The basis diagonalises B and W of new objects at the same time; of B and W of known ones only the diagonals are
-        used. Of more than 400 values, modalities are taken for independent of each other. Variances beyond their bounds, as of a model without errors, are set to these.
+        used. Of more than 400 values, modalities are taken for independent of each other. Variances beyond their
+        bounds, as of a model without errors, are set to these.
 
         Args:
             channels: Of the readings.

@@ -36,9 +36,8 @@ class _PackedIndex:
 
     def take(self, writer: Writer) -> None:
         """Pack what the writer has added, and take its place."""
-        indices: list[Any] = getattr(
-            writer, "_Writer__chunk_indices", []
-        )  # no other name in the version that is pinned
+        # It has no public name, in the version that is pinned.
+        indices: list[Any] = getattr(writer, "_Writer__chunk_indices", [])
         for one in indices:
             if one is not self:
                 one.write(builder := RecordBuilder())

@@ -35,7 +35,6 @@ from foretouch.dataset.recording.sample_codec import ABOUT, HEAD_SIZE, SAMPLE_TY
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.tactile.description import Sensor
 
 _T = TypeVar("_T")
 
@@ -58,7 +57,7 @@ class RecordedDataset:
         self.files = recorded_files(self.path)  # MCAP files
         if self.path.is_dir():
             require_chain(self.path)
-        self._sensor = recorded_sensor(self.path) if self.path.is_dir() else None
+        self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
         self._samples: list[_Sample] = []
         self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
@@ -87,14 +86,9 @@ class RecordedDataset:
         """One sample before any edit (raises as indexing)."""
         file, data, message, type_name = self._samples[index]
         try:
-            return decode_sample(data[message.start : message.end], type_name, self._sensor)
+            return decode_sample(data[message.start : message.end], type_name, self.stated_sensor)
         except DatasetError as err:
             raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
-
-    @property
-    def sensor(self) -> Sensor:
-        """That was read: by the manifest of a dataset, or the first sample of a single recording."""
-        return self._sensor or (self[0].sensor if len(self) else BIOTAC_SP)
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
         """The message counts by topic, summed over the last ones of each recording; a `FileError` for damage."""
@@ -215,7 +209,7 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
         unfinished=cut,
         message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
-        sensor=dataset.sensor,
+        sensor=dataset.stated_sensor or (first.sensor if first else BIOTAC_SP),
     )
 
 

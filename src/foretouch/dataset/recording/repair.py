@@ -54,7 +54,7 @@ _HEAD: Final = 31  # bytes of a message record before its CDR
 _LARGEST: Final = 256_000_000  # bytes of a sample; an image of 1280 x 720 points has 15 million
 _TRIED: Final = 8  # times the bytes of a damaged part that are hashed in search of samples
 _MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4}.{22}\x00\x01\x00\x00)", re.DOTALL)  # up to the CDR's header
-_BEGINNING: Final = 4096  # bytes of a sample that hold its frame and its id
+_BEGINNING: Final = 4096  # of `HEAD_SIZE`, enough for any id in use: it is read at each possible start
 
 
 @dataclass(eq=False)

@@ -33,9 +33,8 @@ def stale_bytes(folder: Path = _FOLDER, *, free: bool = False) -> int:
 @contextmanager
 def _unlocked(lock: Path) -> Iterator[None]:
     """Hold a lock; an OSError if another process holds it, or the file is a link, no regular file or of another user."""
-    descriptor = os.open(
-        lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    )  # anyone may put a FIFO there
+    # Without waiting: anyone may put a FIFO there.
+    descriptor = os.open(lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         found = os.fstat(descriptor)
         if found.st_uid != os.getuid() or not stat.S_ISREG(found.st_mode):
