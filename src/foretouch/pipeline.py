@@ -16,7 +16,16 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_ta
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.config import Settings, setting
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HeldGrasp, hand_rotation, object_axis, plan_grasps
+from foretouch.grasp import (
+    GeoGraspConfig,
+    GraspPlan,
+    HandConfig,
+    HeldGrasp,
+    Obstacles,
+    hand_rotation,
+    object_axis,
+    plan_grasps,
+)
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History
@@ -32,6 +41,7 @@ class PipelineConfig(Settings):
     target: TargetConfig = TargetConfig()
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
+    hand: HandConfig = HandConfig()
     reach: ReachConfig = ReachConfig()
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
 
@@ -45,6 +55,7 @@ class FoundObject:
     plane: Plane  # the table, in the cloud's frame
     pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it comes from, if any
     image_shape: tuple[int, int] | None = None  # (H, W) of that image
+    obstacles: Obstacles | None = None  # all objects of the scene, if there are others
     flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
 
 
@@ -141,6 +152,8 @@ class Pipeline:
             limits=self.config.limits,
             held=held,
             hold=hold,
+            hand=self.config.hand,
+            obstacles=None if target.obstacles is None else target.obstacles.without(target.id),
         )
         return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
 

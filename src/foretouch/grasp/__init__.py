@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GeoGrasp: contacts for two fingers on the cloud of an unknown object, and the pose of the hand."""
+"""Grasps: contacts for two fingers on the cloud of an unknown object, and the pose of the hand."""
 
 from foretouch.grasp.axis import object_axis
-from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig, SceneGeoGraspConfig
+from foretouch.grasp.completed import Obstacles
+from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig, SceneGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
 from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw
 
 __all__ = [
+    "DEFAULT_HAND",
     "GeoGraspConfig",
     "GraspHold",
     "GraspPlan",
+    "HandConfig",
     "HeldGrasp",
-    "LiveGeoGraspConfig",
+    "Obstacles",
     "PlanStatus",
     "SceneGeoGraspConfig",
     "check_closing",

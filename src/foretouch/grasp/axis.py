@@ -11,8 +11,8 @@ import numpy as np
 from foretouch.cloud.geometry.pcl_filters import VoxelGrid, mean_neighbour_distance, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.preprocessing import finite_points
-from foretouch.grasp.stable import object_frame, weigh_points
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 _TOP_VIEW = 0.9  # |n_z| of the table above which the camera looks down on it
@@ -38,13 +38,13 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
         config: Settings.
 
     Returns:
-        (3,) float64 axis of unit length with the sign of `find_axis` (method `stable`: of `object_frame`), and (3,)
+        (3,) float64 axis of unit length with the sign of `find_axis` (method `completed`: of `object_frame`), and (3,)
         float64 centroid [m].
 
     Raises:
         CloudError: If the points are too few, too far away, or all in one voxel.
     """
-    if config.method == "stable":
+    if config.method == "completed":
         points = finite_points(cloud).in_canonical_order().downsampled(config)
         distance = mean_neighbour_distance(points.xyz, config.neighbours)
         frame = object_frame(weigh_points(points.xyz, distance, config), plane)

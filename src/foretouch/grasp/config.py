@@ -6,9 +6,9 @@ from typing import Literal, get_args
 
 from foretouch.config import Settings, setting
 
-GraspMethod = Literal["original", "stable"]
+GraspMethod = Literal["completed", "original"]
 SEARCH_VOXELS = 4.0  # radius around an initial point in which contacts are searched: two fingertips
-_METHOD = "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little"
+_METHOD = "completed: through the middle of the object, whose unseen side is estimated; original: equal to the published GeoGrasp"
 
 _FLYING = (
     "Flying points, alone before or behind their neighbours, are dropped if they are at least this share of an object; "
@@ -39,7 +39,7 @@ class GeoGraspConfig(Settings):
     slide_fraction: float = setting(
         0.8, "Fraction of the object's extent along its axis from which a random slide is drawn", bounds=(0.0, 1.0)
     )
-    method: GraspMethod = setting("original", _METHOD, choices=get_args(GraspMethod))
+    method: GraspMethod = setting("completed", _METHOD, choices=get_args(GraspMethod))
 
     @property
     def voxel_m(self) -> float:
@@ -48,14 +48,22 @@ class GeoGraspConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveGeoGraspConfig(GeoGraspConfig):
-    """Settings of the grasp planner in a stream of clouds."""
-
-    method: GraspMethod = setting("stable", _METHOD, choices=get_args(GraspMethod))
-
-
-@dataclass(frozen=True, kw_only=True)
 class SceneGeoGraspConfig(GeoGraspConfig):
     """Settings of the grasp planner of simulated samples: as that of the recorded ones, it drops no flying points."""
 
     flying_share: float = setting(1.0, _FLYING, bounds=(0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandConfig(Settings):
+    """What the hand can execute: two fingertips that close along the line through both contacts, from outside."""
+
+    opening_m: float = setting(0.1, "Grasps whose contacts are farther apart are not planned", bounds=(0.005, 1.0))
+    tip_radius_m: float = setting(0.008, "Radius of a fingertip where it touches", bounds=(0.001, 0.05))
+    clearance_m: float = setting(0.002, "Distance that a fingertip keeps from the table", bounds=(0.0, 0.1))
+    approach_m: float = setting(
+        0.03, "Length of the way in, from outside along the line, on which nothing may stand", bounds=(0.0, 0.3)
+    )
+
+
+DEFAULT_HAND = HandConfig()

@@ -20,12 +20,13 @@ from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
-from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.completed import COMPLETED_POINTS, SCORE_OF_NONE, CompletedObject, Obstacles, best_lines, why_no_line
+from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
+from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
-from foretouch.grasp.stable import StableRanking, object_frame, soft_extremes, stable_side, weigh_points
 from foretouch.timing import timed
 from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, Plane
 
@@ -36,14 +37,16 @@ PlanStatus = Literal["ok", "initial_points", "no_grasp"]
 class GraspPlan:
     """The grasps of one object, with the intermediate results of GeoGrasp, None where planning failed before.
 
-    The first grasp of method "stable" is the mean of the best pairs, whatever the scores of single pairs, which follow.
-    With the status "initial_points", no pair of candidates passes, and the only grasp is that of the initial points.
+    With the status "initial_points", of method "original" alone, no pair of candidates passes, and the only grasp is that
+    of the initial points.
     """
 
     status: PlanStatus = "no_grasp"
     reason: str = ""  # explanation of the status
     grasps: tuple[Grasp, ...] = ()  # best first
-    initial_points: Float64 | None = None  # (2, 3) float64 [m], the extremes near the grasp plane
+    initial_points: Float64 | None = (
+        None  # (2, 3) float64 [m], the extremes near the grasp plane; `completed`: its contacts
+    )
     axis: Float64 | None = None  # (3,) float64, the object's axis
     centroid: Float64 | None = None  # (3,) float64 [m], of the object
     axis_ratio: float | None = None  # middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary
@@ -65,6 +68,8 @@ def plan_grasps(
     limits: ObjectLimits = DEFAULT_LIMITS,
     held: HeldGrasp | None = None,
     hold: float = 0.0,
+    hand: HandConfig = DEFAULT_HAND,
+    obstacles: Obstacles | None = None,
 ) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
 
@@ -80,10 +85,11 @@ def plan_grasps(
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
-        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless
-            another one is better by more than `hold`, on three clouds in a row. Its own axis counts if it is as good an
-            axis of the present cloud.
+        held: Best grasp of this object in the previous cloud of a stream; method "completed" returns it again unless
+            another one is better by more than `hold`, on three clouds in a row.
         hold: In units of the score.
+        hand: What the hand can execute; method "completed" only.
+        obstacles: What stands around the object; method "completed" only.
 
     Returns:
         The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
@@ -100,8 +106,9 @@ def plan_grasps(
     plan = GraspPlan(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
         check_table(plane, limits)
-        if config.method == "stable":
-            _plan_stable(plan, points, plane, config, rng, limits, None if held is None else (held, hold))
+        if config.method == "completed":
+            keep = None if held is None else (held, hold)
+            _plan_completed(plan, points, plane, config, rng, limits, keep, hand, obstacles)
         else:
             _plan_original(plan, points, plane, config, rng, limits)
     except CloudError as err:
@@ -176,7 +183,7 @@ def _best_grasps(
     plan.status, plan.reason = "ok" if ranked else "initial_points", "; ".join(notes)
 
 
-def _plan_stable(
+def _plan_completed(
     plan: GraspPlan,
     points: FinitePoints,
     plane: Plane,
@@ -184,50 +191,44 @@ def _plan_stable(
     rng: np.random.Generator | None,
     limits: ObjectLimits,
     held: tuple[HeldGrasp, float] | None,
+    hand: HandConfig,
+    obstacles: Obstacles | None,
 ) -> None:
-    """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
+    """The method `completed` (see `foretouch.grasp.completed`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
         downsampled = points.downsampled(config, sort=True)
         check_object(points.xyz, limits)
-        counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
-        downsampled = downsampled.without_flying(config, counts)
-        weighted = weigh_points(downsampled.xyz, mean_neighbour_distance(downsampled.xyz, config.neighbours), config)
+        xyz = downsampled.without_flying(config, counts).xyz
+        xyz = np.ascontiguousarray(xyz[:: -(-len(xyz) // COMPLETED_POINTS)])  # in the canonical order, by place
+        counts["n_thinned"] = len(points.xyz) - len(xyz) - counts.get("n_flying", 0)
+        spacing = mean_neighbour_distance(xyz, config.neighbours)
+        weighted = weigh_points(xyz, spacing, config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated
     with timed(plan.ms, "axis"):
         frame = object_frame(weighted, plane)
         plan.axis, plan.centroid, plan.axis_ratio = frame.axis, frame.centroid, frame.ratio
-    with timed(plan.ms, "slab"):
         if rng is not None:
-            kept = downsampled.xyz[weighted.inlier > 0.0]
+            kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
-        initial, counts["n_plane"] = soft_extremes(weighted, frame, plan.slide_m, config.slab_half_width_m)
-        plan.initial_points = initial
+    with timed(plan.ms, "completion"):
+        completed = CompletedObject(weighted, spacing, plane, plan.slide_m, frame.axis)
+        counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
-        width = float(np.linalg.norm(initial[1] - initial[0]))
-        first, second = (stable_side(weighted, one, frame, width, config) for one in initial)
-        counts["n_first"], counts["n_second"] = first.n_points, second.n_points
-        counts["n_fv"], counts["n_sv"] = len(first.xyz) - 1, len(second.xyz) - 1
+        lines = completed.lines(hand, obstacles)
+        counts |= lines.counts
     with timed(plan.ms, "ranking"):
-        ranking = StableRanking(weighted, (first, second), frame, plan.slide_m, config.normal_radius_m)
-        pairs = ranking.pairs()
-        score, passes = ranking.score(pairs.contacts)
-        counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
-    with timed(plan.ms, "pose"):
-        g1, g2 = pairs.contacts
-        best = Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), score)
-        if held is not None:
+        best = best_lines(completed, lines, config.count)
+        found = [(*completed.contacts(lines, *one), SCORE_OF_NONE - lines.cost[one]) for one in best]
+        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
+        if held is not None and plan.grasps:
             last, margin = held
-            held_score, held_passes = ranking.score_held(last)
-            best, plan.outdone = held_or_new(last, held_score, best, margin)
-            passes = held_passes if best.g1 is last.grasp.g1 else passes
-        others = []
-        if passes:
-            order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")
-            i, j = np.unravel_index(order[: min(config.count - 1, counts["n_pairs_ranked"])], pairs.score.shape)
-            others = [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
-        plan.grasps = (best, *(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in others))
-    plan.status, plan.reason = "ok", f"mean of {counts['n_pairs']} weighted pairs of candidates"
-    if not passes:
-        plan.status, plan.reason = "initial_points", f"{plan.reason}, which passes no filter of a ranked pair"
+            held_score = SCORE_OF_NONE - lines.cost[completed.nearest_line(last.grasp)]
+            first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
+            plan.grasps = (first, *plan.grasps[1:])
+    if plan.grasps:
+        plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+        plan.status, plan.reason = "ok", f"best of {counts['n_free']} of {counts['n_lines']} closing lines"
+    else:
+        plan.reason = why_no_line(lines, hand, obstacles)

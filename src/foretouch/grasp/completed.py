@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The default method: horizontal grasps through the middle of the object, whose unseen side is estimated.
+
+A camera sees one side of an object. The extremes of what it sees, which the published GeoGrasp takes as contacts, lie in
+front of the object's middle and above it, and two fingers that close there slide off. This method
+
+1. completes the object: it stands on the table, and is symmetric about the vertical line through the middle of its top,
+   as far as its outline in the image allows. A place that the camera sees through is free;
+2. closes along horizontal lines, in 24 directions and at many places, each at half the height of the object there, or of
+   the part whose underside is free;
+3. refuses lines that the hand cannot execute: wider than it opens, too low for a fingertip, or with another object in the
+   way of a finger that comes from outside along the line;
+4. prefers lines that are short, near the object's centre of mass (of the completed object, with equal density), meet
+   both sides at a right angle, and run across the view, where both sides are seen.
+
+Every measure is a quantile or a mean, so that it changes little when the cloud changes little.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from foretouch.errors import CloudError
+from foretouch.grasp.config import HandConfig
+from foretouch.grasp.frame import PREFERRED, WeightedPoints
+from foretouch.grasp.pose import cross
+from foretouch.kernels import Kernel
+from foretouch.types import Float32, Float64, Grasp, Int32, Int64, Plane
+
+_closing_lines = Kernel(
+    "closing_lines",
+    *(np.float64, np.float64, int, int, int, np.float64, np.float64, np.float32, int, int),
+    *(np.float64, int, np.float64),
+)
+_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, int, int, np.uint8)
+
+_ANGLES = 24  # directions in half a turn
+_LINES = 21  # in each direction, next to the centre
+_STEP_M = 0.004  # from one line to the next; a line takes the points up to 1.5 of it beside it
+_END_SHARE = 0.02  # of the points of a line that are beyond either end
+_TOP_SHARE, _TOP_M = 0.12, 0.004  # of the height, and at least: what counts as the top of an object
+_TOP_CELL_M, _MASS_CELL_M = 0.003, 0.004  # of the grids for the middle of the top, and for the centre of mass
+_PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
+_SPACINGS = 0.8  # mean distances to the neighbours in a cell of that grid, at least
+_BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
+_MOST_CELLS = 4e6  # of such a grid
+_FAR_M = 0.6  # from the centre: no hand reaches it
+_FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
+_THIN_M = 0.001  # shorter lines hold nothing
+_DISTANCE_M, _SLOPE_DEG, _ACROSS = (
+    0.02,
+    30.0,
+    0.1,
+)  # the offset, the slope and the share of the view that cost as much as
+_WIDTH_M = 0.1  # this width
+_APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
+COMPLETED_POINTS = 1500  # visible points that are used; more change few grasps
+SCORE_OF_NONE = 10.0  # score of a line without any cost
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacles:
+    """Points of all objects of a scene, sampled, which stand in the way of fingers."""
+
+    xyz: Float32  # (M, 3) float32 [m], camera frame
+    object_ids: Int32  # (M,) int32, the object of each
+
+
+@dataclass(frozen=True, eq=False)
+class ClosingLines:
+    """The lines of one object. Arrays are (24, 21): directions, and places beside the centre."""
+
+    low: Float64  # float64 [m], where the line enters the object, from its middle; NaN where it meets nothing
+    high: Float64  # float64 [m], where it leaves it
+    height: Float64  # float64 [m], above the table
+    top: Float64  # float64 [m], of the object there
+    blocker: Int64  # int64, index of the first obstacle in the way of a finger, or -1
+    cost: Float64  # float64, infinite for lines that the hand cannot execute
+    counts: dict[str, int]  # of lines: all, and those refused by each filter
+
+
+class CompletedObject:
+    """An object on its table with its unseen side estimated.
+
+    Args:
+        points: Its visible points, camera frame, with weights.
+        spacing: (N,) float32 [m], distance of each point to its neighbours.
+        plane: The table.
+        slide_m: Shift of the grasps along the object's axis [m].
+        axis: (3,) float64, that axis.
+
+    Raises:
+        CloudError: If no point has a weight.
+    """
+
+    def __init__(self, points: WeightedPoints, spacing: Float32, plane: Plane, slide_m: float, axis: Float64) -> None:
+        self._points, self._spacing = points, spacing
+        total = float(points.inlier.sum())
+        if not total > 0.0:
+            raise CloudError(f"xyz: none of {len(points.xyz)} points is near others")
+        centroid = points.inlier @ points.xyz / total
+        self._basis = _table_basis(plane, centroid)
+        up = self._basis[2]
+        height = float(plane.normal @ centroid + plane.offset) * (1.0 if plane.normal @ up > 0.0 else -1.0)
+        height -= _base(height + _quantile((points.xyz - centroid) @ up, _END_SHARE))
+        self._foot = centroid - height * up
+        seen = (points.xyz - self._foot) @ self._basis.T
+        eye = -self._foot @ self._basis.T
+        distance = float(np.linalg.norm(centroid))
+        # Without a viewpoint in front of all points, nothing is known to be unseen.
+        self._in_view = bool((points.xyz[:, 2] > 0.05 * distance).all())
+        self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
+        mirrored = self._mirrored(seen)
+        self.n_completed = len(mirrored[1])
+        xyz, self._weights = np.vstack([seen, mirrored[0]]), np.concatenate([points.inlier, mirrored[1]])
+        shift = slide_m * (self._basis @ axis)
+        centre = np.append(_centre_of_mass(xyz, self._weights) + shift[:2], 0.0)
+        self._foot, self._shift_m = self._foot + centre @ self._basis, float(shift[2])
+        self._xyz = np.ascontiguousarray(xyz - centre)
+        near = (np.abs(self._xyz[:, :2]) < _FAR_M).all(axis=1)
+        self._weights = np.where(near, self._weights, 0.0)
+
+    @cached_property
+    def _outline(self) -> tuple[Float64, Float32]:
+        """Column, row and pitch of a grid over the object's image, and the depth of the nearest point of each cell [m].
+
+        The depth is infinite in gaps of the outline, and zero outside of it.
+        """
+        from scipy.ndimage import binary_closing
+
+        xyz = self._points.xyz
+        place = xyz[:, :2] / xyz[:, 2:]
+        pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
+        low = place.min(axis=0) - 4.0 * pitch
+        column, row = np.floor((place - low) / pitch).astype(np.int64).T
+        nearest = np.full((int(row.max()) + 5, int(column.max()) + 5), np.inf, np.float32)
+        np.minimum.at(nearest, (row, column), xyz[:, 2].astype(np.float32))
+        closed = binary_closing(np.isfinite(nearest), iterations=2) | np.isfinite(nearest)
+        nearest[~closed] = 0.0
+        return np.array([*low, pitch]), nearest
+
+    def _camera(self) -> tuple[Float64, Float32, int, int]:
+        """The outline and the pose of the table's frame in the camera's, as the kernels read them."""
+        if not self._in_view:
+            return np.zeros(15), np.zeros((1, 1), np.float32), 0, 0
+        grid, nearest = self._outline
+        return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, *nearest.shape
+
+    def _mirrored(self, seen: Float64) -> tuple[Float64, Float64]:
+        """Points mirrored about the vertical line through the middle of the top, where the camera cannot see; and their weights."""
+        if not self._in_view:
+            return np.empty((0, 3)), np.empty(0)
+        weight, height = self._points.inlier, seen[:, 2]
+        certain = weight > 0.5
+        if not certain.any():
+            return np.empty((0, 3)), np.empty(0)
+        top = _quantile(height[certain], 1.0 - _END_SHARE)
+        upper = certain & (height >= top - max(_TOP_SHARE * top, _TOP_M))
+        middle = _filled_cells(seen[upper], _TOP_CELL_M)[0].mean(axis=0)
+        other = seen * np.array([-1.0, -1.0, 1.0]) + np.append(2.0 * middle, 0.0)
+        hidden = np.empty(len(other), np.uint8)
+        _hidden_points(other, len(other), _BEHIND_M, *self._camera(), hidden)
+        kept = hidden.view(np.bool_) & (weight > 0.0)
+        return other[kept], weight[kept]
+
+    def lines(self, hand: HandConfig, obstacles: Obstacles | None = None) -> ClosingLines:
+        """All closing lines with their costs."""
+        others = np.empty((0, 3))
+        if obstacles is not None:
+            others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
+        floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
+        settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
+        found = np.empty((_ANGLES, _LINES, 6))
+        _closing_lines(
+            *(self._xyz, self._weights, len(self._xyz), _ANGLES, _LINES, settings, *self._camera()),
+            *(others, len(others), found),
+        )
+        low, high, height, top, blocker, _ = np.moveaxis(found, 2, 0)
+        width, met = high - low, np.isfinite(low)
+        refused = {
+            "n_too_wide": width > hand.opening_m,
+            "n_too_thin": width < _THIN_M,
+            "n_too_flat": height > top + 0.5 * hand.tip_radius_m,
+            "n_blocked": blocker >= 0.0,
+        }
+        counts, left = {"n_lines": int(np.count_nonzero(met))}, met
+        for name, mask in refused.items():
+            counts[name] = int(np.count_nonzero(left & mask))
+            left = left & ~mask
+        counts["n_free"] = int(np.count_nonzero(left))
+        cost = np.where(left, self._cost(low, high), np.inf)
+        return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
+
+    def _cost(self, low: Float64, high: Float64) -> Float64:
+        """What speaks against each line; the smallest is the best."""
+        offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
+        angle = np.pi * np.arange(_ANGLES) / _ANGLES
+        slopes = [np.degrees(np.arctan(np.abs(_slopes(side)))) / _SLOPE_DEG for side in (low, high)]
+        cost = (high - low) / _WIDTH_M + slopes[0] ** 2 + slopes[1] ** 2
+        return np.asarray(cost + (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None], np.float64)
+
+    def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
+        """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
+        along, beside = self._directions(angle)
+        middle = self._foot + _STEP_M * (line - _LINES // 2) * beside + lines.height[angle, line] * self._basis[2]
+        ends = middle + lines.low[angle, line] * along, middle + lines.high[angle, line] * along
+        return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
+
+    def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
+        """Direction and place of the line that is closest to a grasp."""
+        across = self._basis @ (grasp.g2 - grasp.g1)
+        angle = round(float(np.arctan2(across[1], across[0])) / np.pi * _ANGLES) % _ANGLES
+        beside = float(self._directions(angle)[1] @ (grasp.midpoint - self._foot))
+        return angle, int(np.clip(round(beside / _STEP_M) + _LINES // 2, 0, _LINES - 1))
+
+    def _directions(self, angle: int) -> tuple[Float64, Float64]:
+        """(3,) unit vectors along the lines of a direction, and from one to the next; camera frame."""
+        turn = np.pi * angle / _ANGLES
+        first, second = self._basis[0], self._basis[1]
+        return np.cos(turn) * first + np.sin(turn) * second, np.cos(turn) * second - np.sin(turn) * first
+
+
+def _table_basis(plane: Plane, centroid: Float64) -> Float64:
+    """(3, 3) float64, rows: away from the camera along the table, to its left, and up; directions of the camera's frame.
+
+    Away is between the direction of view and the image's upward direction, which is defined also from straight above.
+    """
+    up = np.asarray(plane.normal, np.float64) / np.linalg.norm(plane.normal)
+    if up @ centroid > 0.0 or (up @ centroid == 0.0 and up[1] > 0.0):
+        up = -up
+    away = centroid / max(float(np.linalg.norm(centroid)), 1e-9) - np.array([0.0, 1.0, 0.0])
+    away = away - (away @ up) * up
+    if np.linalg.norm(away) < 1e-3:
+        away = np.eye(3)[np.argmin(np.abs(up))] - up[np.argmin(np.abs(up))] * up
+    away /= np.linalg.norm(away)
+    return np.stack([away, cross(up, away), up])
+
+
+def _base(lowest_m: float) -> float:
+    """Height on which an object stands [m]: the table, unless its lowest visible points are below or far above it."""
+    return lowest_m if lowest_m < 0.0 or lowest_m > _FLOATING_M else 0.0
+
+
+def _quantile(values: Float64, share: float) -> float:
+    """A quantile that is one of the values, in a tenth of the time of np.quantile."""
+    k = int(share * (len(values) - 1))
+    return float(np.partition(values, k)[k])
+
+
+def _filled_cells(xyz: Float64, cell_m: float) -> tuple[Float64, Float64]:
+    """(M, 2) and (M,) float64 [m]: centres of the cells of a grid over the table with (N, 3) points, and the highest point of each."""
+    cells = np.floor(xyz[:, :2] / cell_m)
+    low = cells.min(axis=0)
+    rows, columns = (cells - low).astype(np.int64).T
+    width = int(columns.max()) + 1
+    if not float(rows.max() + 1) * width < _MOST_CELLS:
+        raise CloudError("xyz: the points of the object are too far apart")
+    highest = np.full((int(rows.max()) + 1) * width, -np.inf)
+    np.maximum.at(highest, rows * width + columns, xyz[:, 2])
+    filled = np.flatnonzero(highest > -np.inf)
+    return (np.stack(np.divmod(filled, width), axis=1) + low + 0.5) * cell_m, highest[filled]
+
+
+def _centre_of_mass(xyz: Float64, weights: Float64) -> Float64:
+    """(2,) float64 [m]: centre of columns from the table to the highest point in each cell of a grid."""
+    inside = weights > 0.5
+    places, highest = _filled_cells(xyz[inside] if inside.any() else xyz, _MASS_CELL_M)
+    mass = np.maximum(highest, 1e-6)
+    return np.asarray(mass @ places / mass.sum(), np.float64)
+
+
+def _slopes(ends: Float64) -> Float64:
+    """Root mean square slope from the ends of the lines to those of up to two neighbours on either side; 1 where fewer than three are known.
+
+    A fitted line would hide a corner, whose two sides fall away from it.
+    """
+    slopes = np.full((4, *ends.shape), np.nan)
+    for one, k in zip(slopes[:2], (1, 2), strict=True):
+        one[:, k:] = (ends[:, k:] - ends[:, :-k]) / (k * _STEP_M)
+    slopes[2, :, :-1], slopes[3, :, :-2] = slopes[0, :, 1:], slopes[1, :, 2:]
+    known = np.isfinite(slopes)
+    n = known.sum(axis=0)
+    squared = np.where(known, slopes * slopes, 0.0).sum(axis=0)
+    return np.where(n >= 2, np.sqrt(squared / np.maximum(n, 1)), 1.0)
+
+
+def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> list[tuple[int, int]]:
+    """Directions and places of at most `count` lines, best first; each differs from all better ones by a contact."""
+    order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
+    chosen: list[tuple[int, int]] = []
+    taken = np.empty((0, 2, 3))
+    for angle, line in zip(*np.unravel_index(order, lines.cost.shape), strict=True):
+        if len(chosen) == count:
+            break
+        ends = np.stack(completed.contacts(lines, int(angle), int(line)))
+        if not (np.linalg.norm(taken - ends, axis=2).max(axis=1, initial=0.0) < _APART_M).any():
+            chosen.append((int(angle), int(line)))
+            taken = np.concatenate([taken, ends[None]])
+    return chosen
+
+
+def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
+    """Why the hand can execute none of the lines."""
+    counts = lines.counts
+    if counts["n_lines"] == 0:
+        return "no horizontal line across the object meets 8 points"
+    blockers = [] if obstacles is None else np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist()
+    reasons = {
+        "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
+        "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
+        "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
+        "n_blocked": f"blocked by object {', '.join(map(str, blockers))}",
+    }
+    found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
+    return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"
