@@ -2,86 +2,44 @@
 """How often does the first grasp hold the object? See README.md."""
 
 import argparse
-import multiprocessing
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from benchmarks.common import add_data, print_rows, write_csv
-from benchmarks.grasp_physics import analytic
-from benchmarks.grasp_physics.camera import VIEWS, see
-from benchmarks.grasp_physics.methods import DEFAULT, METHODS, Planner, Proposal, find
-from benchmarks.grasp_physics.objects import Item, Placed, read_items
-from benchmarks.grasp_physics.simulation import OPENING_M, Outcome, grip, verdict
+from benchmarks.common import add_data, print_rows, replace_marked, write_csv
+from benchmarks.grasp_physics import report
+from benchmarks.grasp_physics.camera import VIEWS
+from benchmarks.grasp_physics.measure import ALL_METHODS, FRICTIONS, TIPS_MM, Conditions, Row, Task, measure
+from benchmarks.grasp_physics.objects import read_items
+from benchmarks.grasp_physics.simulation import OPENING_M
 from foretouch.libusb import ensure_libusb
-from foretouch.types import Float64
 
 HERE: Final = Path(__file__).parent
-TIPS_MM: Final = (8.0, 12.5)  # radius
-FRICTIONS: Final = (0.8, 0.5, 1.2)
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Of one closing."""
-
-    tip_mm: float
-    friction: float
-    opening_mm: float
-
-
-@dataclass(frozen=True)
-class Row:
-    """What became of one grasp."""
-
-    object: str
-    pose: int
-    view: str
-    method: str
-    tip_mm: float
-    friction: float
-    held: bool
-    strict: bool
-    reason: str
-    analytic: bool  # whether the friction cones say that it holds
-    opening_mm: float
-    clearance_mm: float
-    status: str
-    ms: float
-
-
-@dataclass(frozen=True)
-class Task:
-    """What one process does: all images of one object."""
-
-    item: Item
-    poses: int
-    views: tuple[str, ...]
-    methods: tuple[str, ...]
-    conditions: tuple[Conditions, ...]
-    cache: Path | None
+RESULTS: Final = HERE / "results.csv"
+PICTURE: Final = HERE / "grasps.png"
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_options(parser)
     options = parser.parse_args()
     ensure_libusb()
+    if options.frontier:
+        from benchmarks.grasp_physics.frontier import run
+
+        run(tasks(options), options.vary, options.workers, renew=options.renew)
+        return
     start = time.perf_counter()
-    rows = measure(tasks(options), options.workers)
+    todo = tasks(options)
+    rows, used = measure(todo, options.workers), todo[0].conditions
     if options.rows:
         write_csv(options.rows, [asdict(row) for row in rows])
-    for one in conditions(options):
-        print(f"\ntips of {one.tip_mm:g} mm, friction {one.friction:g}")
-        print_rows([summary(rows, method, one) for method in options.methods])
-    print_reasons(rows, options.methods)
-    print(f"\n{len(rows)} closings in {time.perf_counter() - start:.0f} s")
+    print_all(rows, used)
+    print(f"\n{len(rows)} grasps in {time.perf_counter() - start:.0f} s")
+    if options.renew:
+        renew(rows, todo, used)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -91,108 +49,66 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", nargs="+", metavar="OBJECT", help="these objects alone")
     parser.add_argument("--poses", type=int, default=8, help="of each object")
     parser.add_argument("--views", nargs="+", choices=VIEWS, default=VIEWS)
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
+    parser.add_argument("--methods", nargs="+", choices=ALL_METHODS, default=ALL_METHODS, metavar="METHOD",
+                        help=f"out of {', '.join(ALL_METHODS)}")  # fmt: skip
     parser.add_argument("--tip-mm", nargs="+", type=float, default=TIPS_MM[:1], help="radius of the tips [mm]")
     parser.add_argument("--friction", nargs="+", type=float, default=FRICTIONS[:1], help="between tip and object")
     parser.add_argument("--opening-mm", type=float, default=1e3 * OPENING_M, help="how far the hand opens [mm]")
+    parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
     parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
     parser.add_argument("--cache", type=Path, help="folder where images are kept")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
+    parser.add_argument("--renew", action="store_true", help="write the committed tables and pictures")
+    parser.add_argument("--frontier", action="store_true", help="held against time, over settings of the planner")
+    parser.add_argument("--vary", nargs="+", default=["max_points=500,1000,2000,4000,8000"], metavar="SETTING=A,B,…",
+                        help="settings of the planner for --frontier, all combinations; a method without one ignores it")  # fmt: skip
 
 
 def conditions(options: argparse.Namespace) -> tuple[Conditions, ...]:
     """The first tip with each friction, and the other tips with the first friction."""
-    pairs = [(options.tip_mm[0], friction) for friction in options.friction]
-    pairs += [(tip, options.friction[0]) for tip in options.tip_mm[1:]]
+    tips, frictions = (TIPS_MM, FRICTIONS) if options.all else (options.tip_mm, options.friction)
+    pairs = [(tips[0], friction) for friction in frictions] + [(tip, frictions[0]) for tip in tips[1:]]
     return tuple(Conditions(tip, friction, options.opening_mm) for tip, friction in pairs)
 
 
 def tasks(options: argparse.Namespace) -> list[Task]:
     """One task for each object."""
-    folder = options.objects or Path(options.data or "") / "ycb"
-    items = [item for item in read_items(folder) if not options.only or item.name in options.only]
-    chosen = tuple(options.views), tuple(options.methods)
-    return [Task(item, options.poses, *chosen, conditions(options), options.cache) for item in items]
+    items = read_items(options.objects or Path(options.data or "") / "ycb")
+    chosen = options.poses, tuple(options.views), tuple(options.methods), conditions(options), options.cache
+    return [Task(item, *chosen) for item in items if not options.only or item.name in options.only]
 
 
-def measure(todo: Sequence[Task], workers: int) -> list[Row]:
-    """All rows, in the order of the tasks."""
-    if workers == 1:
-        return [row for task in todo for row in rows_of(task)]
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        return [row for rows in pool.map(rows_of, todo) for row in rows]
+def print_all(rows: list[Row], used: tuple[Conditions, ...]) -> None:
+    """All tables on the terminal."""
+    print_rows(report.by_method(rows, used[0]))
+    for lines in (report.by_reason(rows, used[0]), report.by_name(rows, used[0])):
+        print()
+        print_rows(lines)
+    if len(used) > 1:
+        print("\nheld / strict")
+        print_rows(report.by_conditions(rows, used))
+    print(f"\n{report.agreement(rows)}")
 
 
-def rows_of(task: Task) -> list[Row]:
-    """All rows of one object."""
-    planners = {method: Planner(method) for method in task.methods}
-    return [
-        row for pose in range(task.poses) for view in task.views for row in rows_of_image(task, pose, view, planners)
+def renew(rows: list[Row], todo: list[Task], used: tuple[Conditions, ...]) -> None:
+    """Write the table, the page and the picture."""
+    from benchmarks.grasp_physics.figure import draw
+
+    write_csv(RESULTS, report.committed(rows, used))
+    first = used[0]
+    text = [
+        f"{len(todo)} objects, {todo[0].poses} poses each, tips of {first.tip_mm:g} mm radius, friction {first.friction:g}, opening {first.opening_mm:g} mm:",
+        report.table(report.by_method(rows, first)),
+        "What became of the grasps, both views:",
+        report.table(report.by_reason(rows, first)),
+        "Held, by object, both views:",
+        report.table(report.by_name(rows, first)),
+        "Held / strict under other conditions, both views:",
+        report.table(report.by_conditions(rows, used)),
+        report.agreement(rows),
     ]
-
-
-def rows_of_image(task: Task, pose: int, view: str, planners: dict[str, Planner]) -> Iterator[Row]:
-    """The rows of one image: each method, under all conditions."""
-    seen = see(task.item, pose, view, task.cache)
-    surface = Placed(task.item, seen.pose)
-    target = find(seen, next(iter(planners.values())).pipeline)
-    for method, planner in planners.items():
-        proposal = planner.propose(seen, target)
-        for one in task.conditions:
-            row = closed(task.item, seen.pose, surface, proposal, one)
-            yield Row(task.item.name, pose, view, method, one.tip_mm, one.friction, *row, proposal.status, proposal.ms)
-
-
-def closed(
-    item: Item, pose: Float64, surface: Placed, proposal: Proposal, one: Conditions
-) -> tuple[bool, bool, str, bool, float, float]:
-    """Held, strict, reason, the second opinion, opening and clearance [mm] of one proposal."""
-    outcome, second = Outcome(proposal.reason), Outcome(proposal.reason)
-    if proposal.contacts is not None:
-        outcome = grip(item, one.tip_mm * 1e-3, one.friction).close(pose, *proposal.contacts)
-        second = analytic.close(item, surface, *proposal.contacts, one.tip_mm * 1e-3, one.friction)
-    found, other = (verdict(each, one.opening_mm * 1e-3) for each in (outcome, second))
-    return (*found, other.held, 1e3 * outcome.opening_m, 1e3 * outcome.clearance_m)
-
-
-def summary(rows: Sequence[Row], method: str, one: Conditions) -> dict[str, object]:
-    """Shares of one method under some conditions, by view."""
-    name = f"{method} (default)" if method == DEFAULT else method
-    result: dict[str, object] = {"method": name}
-    mine = [row for row in rows if (row.method, row.tip_mm, row.friction) == (method, one.tip_mm, one.friction)]
-    for view in dict.fromkeys(row.view for row in mine):
-        found = [row for row in mine if row.view == view]
-        result[f"{view}: held"], result[f"{view}: strict"] = share(found, "held"), share(found, "strict")
-    result["cones agree"] = f"{np.mean([row.held == row.analytic for row in mine]):.2f}"
-    times = [row.ms for row in mine]
-    result["ms"], result["p95"] = (f"{np.nanquantile(times, q):.1f}" for q in (0.5, 0.95))
-    return result
-
-
-def share(rows: Sequence[Row], what: str) -> str:
-    """Mean over objects, with an interval of 95 % over them."""
-    objects: dict[str, list[bool]] = {}
-    for row in rows:
-        objects.setdefault(row.object, []).append(getattr(row, what))
-    mean, low, high = interval([float(np.mean(values)) for values in objects.values()])
-    return f"{mean:.2f} [{low:.2f}, {high:.2f}]"
-
-
-def interval(means: Sequence[float], draws: int = 10_000) -> tuple[float, float, float]:
-    """Mean, and its interval of 95 % by drawing as many objects again, with replacement."""
-    values = np.asarray(means)
-    again = values[np.random.default_rng(0).integers(len(values), size=(draws, len(values)))].mean(axis=1)
-    return float(values.mean()), *(float(edge) for edge in np.quantile(again, [0.025, 0.975]))
-
-
-def print_reasons(rows: Sequence[Row], methods: Sequence[str]) -> None:
-    """How many grasps of each method ended how."""
-    reasons = sorted({row.reason for row in rows})
-    counted = {(row.reason, row.method): 0 for row in rows}
-    for row in rows:
-        counted[row.reason, row.method] += 1
-    print()
-    print_rows([{"reason": reason, **{m: counted.get((reason, m), 0) for m in methods}} for reason in reasons])
+    replace_marked(HERE / "README.md", "\n\n".join(part.strip() for part in text))
+    draw(rows, todo, PICTURE)
 
 
 if __name__ == "__main__":
