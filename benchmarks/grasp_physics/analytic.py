@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second opinion on a grasp, without simulation: the friction cones where both tips first meet the object.
+"""The second opinion on a grasp, without simulation: by the friction cones where both tips first meet the object.
 
 Each tip is a ray along the line through both planned contacts, from 3 cm outside. At its first contact it pushes with 5 N along the line, and
-carries half of the weight. The grasp holds if that force lies in the friction cone of both contacts. Torque and motion are left out.
+carries half of the weight. The grasp holds if that force lies in the friction cone of both contacts, and if the object, which swings about the line until its centre of
+mass hangs below it unless the spin of the contacts stops that, is clear of the table once lifted. Motion is left out.
 """
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import trimesh
 
 from benchmarks.grasp_physics.objects import Item, Placed
-from benchmarks.grasp_physics.simulation import BESIDE, FORCE_N, HELD, INSIDE, OUTSIDE_M, Outcome
+from benchmarks.grasp_physics.simulation import BESIDE, FORCE_N, HANGS, HELD, INSIDE, LIFT_M, OUTSIDE_M, SPIN_M, Outcome
 from foretouch.types import Float64
 
 CONE: Final = "outside of the friction cone"
@@ -69,4 +71,18 @@ def close(
     ]
     opening = float(np.linalg.norm(found.points[0, 1] - found.points[0, 0]))
     within = slopes(found, np.stack(smooth)[None], item.mass_kg * 9.81).max() <= np.arctan(friction)
-    return Outcome(HELD if within else CONE, opening, float(clearance(found, tip_radius_m)[0]))
+    reason = CONE if not within else HELD if _swings_clear(surface, found, item.mass_kg * 9.81) else HANGS
+    return Outcome(reason, opening, float(clearance(found, tip_radius_m)[0]))
+
+
+def _swings_clear(surface: Placed, contacts: Contacts, weight_n: float) -> bool:
+    """Whether the object is clear of the table, lifted and hanging."""
+    point, along = contacts.points[0, 0], contacts.closing[0, 0]
+    arm, down = (vector - along * (vector @ along) for vector in (surface.centre - point, -_UP))
+    torque = weight_n * float(np.linalg.norm(np.cross(arm, down)))
+    if torque < 2.0 * SPIN_M * FORCE_N:
+        return True
+    angle = np.arctan2(np.cross(arm, down) @ along, arm @ down)
+    turn = trimesh.transformations.rotation_matrix(angle, along, point)
+    lowest = trimesh.transform_points(surface.mesh.vertices, turn)[:, 2].min()
+    return bool(lowest + LIFT_M > 0.0)

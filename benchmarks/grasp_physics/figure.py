@@ -57,14 +57,29 @@ def _cases(rows: Sequence[Row]) -> list[Row]:
     """One row for each reason, grasps that hold first, of as many objects as possible; the default method where it can be."""
     order = {method: k for k, method in enumerate(dict.fromkeys((DEFAULT, *METHODS)))}
     planned = [row for row in rows if row.method in order and row.status and not row.status.startswith("no_grasp")]
-    reasons = sorted({row.reason for row in planned}, key=lambda reason: (reason != HELD, not reason.startswith(HELD), reason))
+    reasons = sorted(
+        {row.reason for row in planned}, key=lambda reason: (reason != HELD, not reason.startswith(HELD), reason)
+    )
     first = planned[0] if planned else None
     found: list[Row] = []
     for reason in reasons:
-        mine = [row for row in planned if row.reason == reason and (row.tip_mm, row.friction) == (first.tip_mm, first.friction)]
+        mine = [
+            row
+            for row in planned
+            if row.reason == reason and (row.tip_mm, row.friction) == (first.tip_mm, first.friction)
+        ]
         used = [row.object for row in found]
         if mine:
-            found.append(min(mine, key=lambda row: (order[row.method] if row.method != RULE else 99, row.view != "oblique", used.count(row.object))))
+            found.append(
+                min(
+                    mine,
+                    key=lambda row: (
+                        order[row.method] if row.method != RULE else 99,
+                        row.view != "oblique",
+                        used.count(row.object),
+                    ),
+                )
+            )
     return found
 
 
@@ -84,7 +99,10 @@ def _draw_case(axes: tuple[Any, Any], row: Row, task: Task) -> None:
     beside, up = np.cross([0.0, 0.0, 1.0], level), np.array([0.0, 0.0, 1.0])
     reason = row.reason.replace(f"{HELD}, ", f"{HELD}, but ")
     axes[0].set_title(f"{reason}\n{row.object}, {row.method}, {row.view}", fontsize=9)
-    for axis, frame, name in ((axes[0], (level, up, beside), "from the side"), (axes[1], (level, beside, up), "from above")):
+    for axis, frame, name in (
+        (axes[0], (level, up, beside), "from the side"),
+        (axes[1], (level, beside, up), "from above"),
+    ):
         _draw_view(axis, np.stack(frame), surface, points, proposal.contacts, row.tip_mm)
         axis.text(0.02, 0.02, name, transform=axis.transAxes, fontsize=8)
         axis.text(0.98, 0.02, "20 mm", transform=axis.transAxes, fontsize=8, ha="right")
@@ -111,7 +129,7 @@ def _draw_view(axis: Any, frame: Float64, surface: Placed, points: Float64, cont
         axis.scatter(*flat(points[chosen]).T, s=size, alpha=alpha, color="tab:orange", linewidths=0)
     axis.plot(*flat(contacts).T, "x--", color="tab:red", markersize=7, markeredgewidth=2, linewidth=1)
     _draw_tips(axis, flat, surface, contacts, tip_mm)
-    ends = np.concatenate([flat(surface.mesh.vertices), flat(contacts) + [[-45.0, 0.0], [45.0, 0.0]]])
+    ends = np.concatenate([flat(surface.mesh.vertices), *(flat(contacts) + np.array([x, 0.0]) for x in (-45.0, 45.0))])
     middle, half = (ends.max(axis=0) + ends.min(axis=0)) / 2.0, float(np.ptp(ends, axis=0).max()) / 2.0 + 8.0
     axis.set_xlim(middle[0] - half, middle[0] + half)
     axis.set_ylim(middle[1] - half, middle[1] + half)
@@ -125,10 +143,14 @@ def _draw_tips(axis: Any, flat: Any, surface: Placed, contacts: Float64, tip_mm:
 
     found = analytic.meet(surface, contacts[:1], contacts[1:])
     for k in range(2):
-        start, closing, point, normal = (field[0, k] for field in (found.starts, found.closing, found.points, found.normals))
+        start, closing, point, normal = (
+            field[0, k] for field in (found.starts, found.closing, found.points, found.normals)
+        )
         axis.add_patch(Circle(flat(start), tip_mm, fill=False, linestyle=":", color="tab:blue"))
         if np.isfinite(point).all():
-            axis.add_patch(Circle(flat(point - 1e-3 * tip_mm * closing), tip_mm, fill=False, color="tab:blue", linewidth=1.5))
+            axis.add_patch(
+                Circle(flat(point - 1e-3 * tip_mm * closing), tip_mm, fill=False, color="tab:blue", linewidth=1.5)
+            )
             tail = flat(point)
             tip = flat(point - 1e-3 * _ARROW_MM * normal)
             axis.annotate("", tip, tail, arrowprops={"arrowstyle": "->", "color": "tab:green", "linewidth": 1.8})

@@ -64,7 +64,9 @@ def by_method(rows: Sequence[Row], one: Conditions) -> list[dict[str, str]]:
             line[f"{view}: held"] = share(mine, lambda row: row.held)
             line[f"{view}: strict"] = share(mine, lambda row: row.strict)
             if best:
-                line[f"{view}: of the best"] = f"{np.mean([r.held for r in mine]) / np.mean([r.held for r in best]):.2f}"
+                line[f"{view}: of the best"] = (
+                    f"{np.mean([r.held for r in mine]) / np.mean([r.held for r in best]):.2f}"
+                )
         if REFERENCE in times:
             line["time, median (p95)"] = _ratio(times[method], times[REFERENCE])
         found.append(line)
@@ -100,7 +102,8 @@ def by_conditions(rows: Sequence[Row], all_conditions: Sequence[Conditions]) -> 
         {"first grasp": named(method)}
         | {
             f"tip {one.tip_mm:g} mm, friction {one.friction:g}": " / ".join(
-                f"{np.mean([getattr(row, what) for row in chosen(rows, method, one)]):.2f}" for what in ("held", "strict")
+                f"{np.mean([getattr(row, what) for row in chosen(rows, method, one)]):.2f}"
+                for what in ("held", "strict")
             )
             for one in all_conditions
         }
@@ -132,7 +135,13 @@ def committed(rows: Sequence[Row], all_conditions: Sequence[Conditions]) -> list
             for view in dict.fromkeys(row.view for row in rows):
                 mine = chosen(rows, method, one, view)
                 found += [
-                    {"tip_mm": f"{one.tip_mm:g}", "friction": f"{one.friction:g}", "method": method, "view": view, "object": name}
+                    {
+                        "tip_mm": f"{one.tip_mm:g}",
+                        "friction": f"{one.friction:g}",
+                        "method": method,
+                        "view": view,
+                        "object": name,
+                    }
                     | _counted([row for row in mine if row.object == name])
                     for name in dict.fromkeys(row.object for row in mine)
                 ]

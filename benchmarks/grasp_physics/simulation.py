@@ -27,6 +27,7 @@ LIFT_M: Final = 0.10
 SHAKE_M: Final = (0.005, 0.0025)
 SHAKE_HZ: Final = 4.0
 CLOSED_S, LIFTED_S, SHAKEN_S, END_S = 0.5, 1.0, 1.5, 2.0
+SPIN_M: Final = 0.005  # friction against a turn of the tip about its normal, torque over force
 TABLE_SHARE: Final = 0.2  # of the weight
 OPENING_M: Final = 0.10  # largest distance of the contacts
 SUNK_M: Final = 0.001  # a tip may be this far below the table and count as clear of it
@@ -223,7 +224,7 @@ def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
     i = item.inertia + 1e-7 * np.eye(3)  # no thinner than MuJoCo can invert
     inertia = " ".join(f"{v:.9g}" for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
     centre = " ".join(f"{v:.9g}" for v in item.centre)
-    tip = f'type="sphere" size="{tip_radius_m}" mass="0.05" contype="2" conaffinity="0" condim="4" priority="1" friction="{friction} 0.005 0.0001"'
+    tip = f'type="sphere" size="{tip_radius_m}" mass="0.05" contype="2" conaffinity="0" condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"'
     tips = "".join(
         f'<body name="tip{k}" gravcomp="1"><joint name="close{k}" type="slide" axis="{axis} 0 0" damping="25"/>'
         f'<geom name="tip{k}" {tip}/></body>'
