@@ -200,7 +200,7 @@ def test_the_knee_is_the_fastest_of_the_best() -> None:
     points = [slow, fast, worse, rule]
     assert frontier.knee_of(points) is fast
     assert [frontier.on_frontier(one, points) for one in points] == [False, False, False, True]
-    assert frontier.combinations(["max_points=10,20", "method=a"]) == [
-        {"max_points": 10, "method": "a"},
-        {"max_points": 20, "method": "a"},
+    assert frontier.combinations(["grasp.max_points=10,20", "method=a"]) == [
+        {"grasp.max_points": 10, "method": "a"},
+        {"grasp.max_points": 20, "method": "a"},
     ]

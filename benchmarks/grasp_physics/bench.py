@@ -5,7 +5,9 @@ import argparse
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import yaml
 
 from benchmarks.common import add_data, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics import report
@@ -25,14 +27,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     add_options(parser)
     options = parser.parse_args()
+    todo = tasks(options)
+    if not todo:
+        parser.error(f"--only: {', '.join(options.only)}: there is no such object")
     ensure_libusb()
     if options.frontier:
         from benchmarks.grasp_physics.frontier import run
 
-        run(tasks(options), options.vary, options.workers, renew=options.renew)
+        run(todo, options.vary, options.workers, renew=options.renew)
         return
     start = time.perf_counter()
-    todo = tasks(options)
     rows, used = measure(todo, options.workers), todo[0].conditions
     if options.rows:
         write_csv(options.rows, [asdict(row) for row in rows])
@@ -57,11 +61,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
     parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
     parser.add_argument("--cache", type=Path, help="folder where images are kept")
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline, such as grasp.max_points=1000"
+    )
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
     parser.add_argument("--renew", action="store_true", help="write the committed tables and pictures")
     parser.add_argument("--frontier", action="store_true", help="held against time, over settings of the planner")
-    parser.add_argument("--vary", nargs="+", default=["max_points=500,1000,2000,4000,8000"], metavar="SETTING=A,B,…",
-                        help="settings of the planner for --frontier, all combinations; a method without one ignores it")  # fmt: skip
+    parser.add_argument("--vary", nargs="+", default=["grasp.max_points=500,1000,2000,4000,8000"], metavar="SETTING=A,B,…",
+                        help="for --frontier: settings of the pipeline, all combinations")  # fmt: skip
 
 
 def conditions(options: argparse.Namespace) -> tuple[Conditions, ...]:
@@ -75,7 +82,14 @@ def tasks(options: argparse.Namespace) -> list[Task]:
     """One task for each object."""
     items = read_items(options.objects or Path(options.data or "") / "ycb")
     chosen = options.poses, tuple(options.views), tuple(options.methods), conditions(options), options.cache
-    return [Task(item, *chosen) for item in items if not options.only or item.name in options.only]
+    settings = dict(parsed(text) for text in options.set)
+    return [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
+
+
+def parsed(text: str) -> tuple[str, Any]:
+    """Name and value of a setting given as `name=value`, the value as in YAML."""
+    name, _, value = text.partition("=")
+    return name, yaml.safe_load(value)
 
 
 def print_all(rows: list[Row], used: tuple[Conditions, ...]) -> None:

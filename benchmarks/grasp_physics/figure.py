@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.grasp_physics import analytic
 from benchmarks.grasp_physics.camera import see
 from benchmarks.grasp_physics.measure import Row, Task
-from benchmarks.grasp_physics.methods import DEFAULT, METHODS, RULE, Planner, find
+from benchmarks.grasp_physics.methods import DEFAULT, METHODS, NO_GRASP, NO_OBJECT, RULE, Planner, find
 from benchmarks.grasp_physics.objects import Placed
 from benchmarks.grasp_physics.simulation import HELD
 from foretouch.report.panels import new_figure, save_small
@@ -48,38 +48,27 @@ def draw(rows: Sequence[Row], tasks: Sequence[Task], path: Path) -> None:
 def _handle(text: str, colour: str, style: str) -> Any:
     from matplotlib.lines import Line2D
 
-    line = {"linestyle": "-"} if style == "-" else {"linestyle": "", "marker": style}
-    hollow = {"markerfacecolor": "none"} if style == "o" else {}
-    return Line2D([], [], color=colour, label=text, **line, **hollow)
+    if style == "-":
+        return Line2D([], [], color=colour, label=text)
+    filled = "none" if style == "o" else colour
+    return Line2D([], [], linestyle="", marker=style, color=colour, markerfacecolor=filled, label=text)
 
 
 def _cases(rows: Sequence[Row]) -> list[Row]:
-    """One row for each reason, grasps that hold first, of as many objects as possible; the default method where it can be."""
-    order = {method: k for k, method in enumerate(dict.fromkeys((DEFAULT, *METHODS)))}
-    planned = [row for row in rows if row.method in order and row.status and not row.status.startswith("no_grasp")]
-    reasons = sorted(
-        {row.reason for row in planned}, key=lambda reason: (reason != HELD, not reason.startswith(HELD), reason)
-    )
-    first = planned[0] if planned else None
+    """One row for each reason, grasps that hold first, under the first conditions.
+
+    Of the default method where there is one, else of another and last of the simple rule, and of as many objects as possible.
+    """
+    order = [DEFAULT, *(name for name in METHODS if name not in {DEFAULT, RULE}), RULE]
+    planned = [row for row in rows if row.method in order and row.reason not in {NO_GRASP, NO_OBJECT}]
+    planned = [row for row in planned if (row.tip_mm, row.friction) == (rows[0].tip_mm, rows[0].friction)]
     found: list[Row] = []
-    for reason in reasons:
-        mine = [
-            row
-            for row in planned
-            if row.reason == reason and (row.tip_mm, row.friction) == (first.tip_mm, first.friction)
-        ]
-        used = [row.object for row in found]
-        if mine:
-            found.append(
-                min(
-                    mine,
-                    key=lambda row: (
-                        order[row.method] if row.method != RULE else 99,
-                        row.view != "oblique",
-                        used.count(row.object),
-                    ),
-                )
-            )
+
+    def rank(row: Row) -> tuple[int, bool, int]:
+        return order.index(row.method), row.view != "oblique", sum(row.object == other.object for other in found)
+
+    for reason in sorted({row.reason for row in planned}, key=lambda text: (text != HELD, HELD not in text, text)):
+        found.append(min((row for row in planned if row.reason == reason), key=rank))
     return found
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import yaml
 
 from benchmarks.common import print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.measure import Row, Task, measure
@@ -53,19 +54,10 @@ def run(tasks: Sequence[Task], vary: Sequence[str], workers: int, *, renew: bool
 
 
 def combinations(vary: Sequence[str]) -> list[dict[str, Any]]:
-    """All combinations of settings given as `name=a,b`, with numbers where they are numbers."""
+    """All combinations of settings given as `name=a,b`, values as in YAML."""
     named = [text.partition("=") for text in vary]
-    values = [[(name, _number(value)) for value in given.split(",")] for name, _, given in named]
+    values = [[(name, yaml.safe_load(value)) for value in given.split(",")] for name, _, given in named]
     return [dict(chosen) for chosen in product(*values)]
-
-
-def _number(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
 
 
 def _points(tasks: Sequence[Task], vary: Sequence[str], workers: int) -> Iterator[Point]:
@@ -75,7 +67,10 @@ def _points(tasks: Sequence[Task], vary: Sequence[str], workers: int) -> Iterato
     for settings, methods in every:
         if not methods:
             continue
-        rows = measure([replace(task, methods=methods, settings=settings, repeats=REPEATS) for task in tasks], workers)
+        rows = measure(
+            [replace(task, methods=methods, settings={**task.settings, **settings}, repeats=REPEATS) for task in tasks],
+            workers,
+        )
         for method in methods:
             yield _point(method, settings, [row for row in rows if row.method == method])
 
@@ -84,7 +79,7 @@ def _point(method: str, settings: Mapping[str, Any], rows: Sequence[Row]) -> Poi
     held, strict = (float(np.mean([getattr(row, what) for row in rows])) for what in ("held", "strict"))
     times = np.array([row.ms for row in rows])
     median, p95 = (float(np.nanquantile(times, q)) for q in (0.5, 0.95))
-    text = ", ".join(f"{name} {value}" for name, value in settings.items())
+    text = ", ".join(f"{name.rpartition('.')[2]} {value}" for name, value in settings.items())
     return Point(method, text, held, share(rows, lambda row: row.held), strict, median, p95)
 
 
@@ -112,7 +107,7 @@ def _line(point: Point, points: Sequence[Point], knee: Point) -> dict[str, str]:
         "strict": f"{point.strict:.2f}",
         "median [ms]": f"{point.ms:.2f}",
         "p95 [ms]": f"{point.p95_ms:.2f}",
-        "": place,
+        "place": place,
     }
 
 
@@ -132,7 +127,8 @@ def draw(points: Sequence[Point], knee: Point, path: Path) -> None:
         mine = sorted((point for point in points if point.method == method), key=lambda point: point.ms)
         axis.plot([point.ms for point in mine], [point.held for point in mine], "o-", label=method)
     axis.plot(knee.ms, knee.held, "o", markersize=14, fillstyle="none", color="black", label=f"knee: {knee.name}")
-    axis.set(xlabel="time of a plan, median [ms]", ylabel="first grasps that hold", ylim=(0.0, 1.0), xscale="log")
-    axis.grid(alpha=0.3, which="both")
+    axis.set(xlabel="time of a plan, median [ms]", ylabel="first grasps that hold", ylim=(0.0, 1.0))
+    axis.set_xlim(left=0.0)
+    axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     save_small(figure, path)

@@ -79,7 +79,7 @@ class Task:
     methods: tuple[str, ...] = ALL_METHODS
     conditions: tuple[Conditions, ...] = (Conditions(),)
     cache: Path | None = None  # folder where images are kept
-    settings: Mapping[str, Any] = field(default_factory=dict)  # of the planner
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
     repeats: int = 1  # of each plan; the least time counts
 
 

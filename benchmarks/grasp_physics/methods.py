@@ -38,13 +38,13 @@ class Planner:
 
     Args:
         method: One of `METHODS`.
-        settings: Of the planner, besides the method.
+        settings: Of the pipeline, besides the method, by dotted keys such as `grasp.max_points`; the simple rule has none.
     """
 
     def __init__(self, method: str, settings: Mapping[str, Any] | None = None) -> None:
         self.method = method
-        chosen = {} if method == RULE else {"method": method, **(settings or {})}
-        self.pipeline = Pipeline(PipelineConfig.from_mapping({"grasp": chosen}))
+        chosen = {} if method == RULE else {"grasp.method": method, **(settings or {})}
+        self.pipeline = Pipeline(PipelineConfig().updated(chosen))
 
     def propose(self, seen: Seen, target: FoundObject | None, repeats: int = 1) -> Proposal:
         """The first grasp on a target of the scene; none where segmentation has found none.

@@ -10,6 +10,7 @@ from benchmarks.common import markdown
 from benchmarks.grasp_physics.measure import Conditions, Row
 from benchmarks.grasp_physics.methods import DEFAULT, NO_GRASP, NO_OBJECT
 from benchmarks.grasp_physics.surface import ANY, FIRST
+from foretouch.types import Float64
 
 REFERENCE: Final = "original"  # whose time the others are compared with
 _DRAWS = 10_000
@@ -73,7 +74,7 @@ def by_method(rows: Sequence[Row], one: Conditions) -> list[dict[str, str]]:
     return found
 
 
-def _ratio(times: np.ndarray, reference: np.ndarray) -> str:
+def _ratio(times: Float64, reference: Float64) -> str:
     if np.isnan(times).all():
         return ""
     median, p95 = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
