@@ -36,7 +36,7 @@ class Conditions:
             return Closing(Verdict(False, False, proposal.reason))
         tip_m, opening_m = self.tip_mm * 1e-3, self.opening_mm * 1e-3
         outcome = grip(item, tip_m, self.friction).close(pose, *proposal.contacts)
-        second = analytic.close(item, surface, *proposal.contacts, tip_m, self.friction)
+        second = analytic.close(item, surface, *proposal.contacts, tip_radius_m=tip_m, friction=self.friction)
         return Closing(verdict(outcome, opening_m), verdict(second, opening_m).held, outcome)
 
 
@@ -94,7 +94,7 @@ def measure(tasks: Sequence[Task], workers: int = 1) -> list[Row]:
 def rows_of(task: Task) -> list[Row]:
     """All rows of one object."""
     planners = {name: Planner(name, task.settings) for name in task.methods if name in METHODS}
-    rows = []
+    rows: list[Row] = []
     for pose in range(task.poses):
         for view in task.views:
             rows += _planned(task, pose, view, planners)

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.grasp_physics.analytic import Contacts, clearance, meet, slopes
 from benchmarks.grasp_physics.objects import Item, Placed
+from benchmarks.grasp_physics.simulation import OUTSIDE_M
 from foretouch.types import Float64
 
 FIRST: Final = "true surface, first"
@@ -32,7 +33,7 @@ def best_grasps(item: Item, surface: Placed, tip_radius_m: float, friction: floa
     lines = _lines(surface)
     found = meet(surface, *lines, outside_m=1.0)
     limit, weight_n = _SPARE * np.arctan(friction), item.mass_kg * 9.81
-    near = replace(found, starts=found.points - 0.03 * found.closing)
+    near = replace(found, starts=found.points - OUTSIDE_M * found.closing)
     width = np.linalg.norm(found.points[:, 1] - found.points[:, 0], axis=1)
     steep = slopes(near, near.normals, weight_n).max(axis=1)
     with np.errstate(invalid="ignore"):
@@ -53,9 +54,8 @@ def _lines(surface: Placed) -> tuple[Float64, Float64]:
     """Two points (n, 3) each on lines through points of the surface."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(surface.samples), _LINES, replace=False)
-    direction = -surface.normals[chosen] + np.tan(np.radians(_TILT_DEG)) * rng.uniform(-1.0, 1.0, (_LINES, 1)) * _unit(
-        rng.standard_normal((_LINES, 3))
-    )
+    tilt = np.tan(np.radians(_TILT_DEG)) * rng.uniform(-1.0, 1.0, (_LINES, 1))
+    direction = tilt * _unit(rng.standard_normal((_LINES, 3))) - surface.normals[chosen]
     direction[::2, 2] = 0.0  # level
     direction[np.linalg.norm(direction, axis=1) < 0.1] = [1.0, 0.0, 0.0]
     return surface.samples[chosen], surface.samples[chosen] + 1e-3 * _unit(direction)
