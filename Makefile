@@ -39,7 +39,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute)"
-	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,docs,test,dev]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,physics,docs,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the depth camera of `config/scenes/rigid.yaml`, with all its faults, sees of one object on the table."""
+
+import hashlib
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.common import scene
+from benchmarks.grasp_physics.objects import Item, Placed
+from foretouch.simulation.depth_scene import DepthImage, to_millimetres
+from foretouch.simulation.effect import Effect, Job, SampleState
+from foretouch.simulation.effects.view import FRAME_EFFECTS
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.solids import Body, Hits
+from foretouch.simulation.view import CameraView
+from foretouch.simulation.world import SampleKey
+from foretouch.types import Cloud, Float32, Float64
+
+VIEWS: Final = ("oblique", "above")
+ELEVATION_DEG: Final = (45.0, 60.0)  # of the oblique camera over the table
+DISTANCE_M: Final = (0.8, 1.2)  # from the world's origin
+_MISS = 1e30
+
+
+@dataclass(frozen=True, eq=False)
+class Surface(Body):
+    """A body whose triangles are given in the world."""
+
+    triangles: Float32  # (F, 3, 3) float32 [m]
+
+    @classmethod
+    def of(cls, surface: Placed) -> "Surface":
+        """From an object at its pose."""
+        low, high = surface.mesh.bounds
+        triangles = np.ascontiguousarray(surface.mesh.triangles, np.float32)
+        return cls(shape="", variant=0, size=high - low, position=(low + high) / 2.0, rotation=np.eye(3), triangles=triangles)  # fmt: skip
+
+    @cached_property
+    def _tree(self) -> Any:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        tree = EmbreeScene(robust=True)
+        TriangleMesh(tree, self.triangles)
+        return tree
+
+    def cast(self, origins: Float64, directions: Float64) -> Hits:
+        """First hits of rays from outside, as those of `Body`."""
+        along = np.ascontiguousarray(directions, np.float32)
+        answer = self._tree.run(np.array(np.broadcast_to(origins, along.shape), np.float32), along, output=1)
+        t = answer["tfar"].astype(np.float64)
+        return Hits(np.where(t < _MISS, t, np.inf), answer["Ng"])
+
+    def world_normals(self, normal: Float32) -> Float64:
+        """Unit normals (n, 3) float64."""
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One image of one object."""
+
+    item: Item
+    pose: Float64  # (4, 4) float64, object to world
+    camera: CameraView  # where the camera stands in the world
+    cloud: Cloud  # (H, W, 3), camera frame
+
+
+def see(item: Item, number: int, view: str, cache: Path | None = None) -> Seen:
+    """An image of an object at its pose of this number.
+
+    Args:
+        item: The object.
+        number: Of its pose.
+        view: One of `VIEWS`.
+        cache: Folder where images are kept, by object, pose and view.
+    """
+    slot = len(VIEWS) * number + VIEWS.index(view)
+    rng = np.random.default_rng([zlib.crc32(item.name.encode()), slot, 1])
+    elevation = rng.uniform(*ELEVATION_DEG) if view == "oblique" else 90.0
+    stands = {"camera__tilt_deg": 90.0 - elevation, "camera__distance_m": float(rng.uniform(*DISTANCE_M))}
+    config = scene("rigid", objects=[{"name": item.name}], **stands)  # `stand` puts the object itself there
+    camera, pose = config.camera.view(), item.pose(number)
+    body = Surface.of(Placed(item, pose))
+    path = None if cache is None else cache / f"{item.name}_{number}_{view}_{_hash(body, camera)}.npz"
+    if path is not None and path.is_file():
+        depth = np.load(path)["depth_mm"]
+    else:
+
+        def stand(_job: Job, state: SampleState) -> None:
+            state.bodies = [body]
+
+        engine = Engine(config, (Effect("object", stand, "objects", writes=("bodies",)), *FRAME_EFFECTS), ("depth",))
+        depth = to_millimetres(engine.run(SampleKey(zlib.crc32(item.name.encode()), slot)).depth)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.savez_compressed(path, depth_mm=depth)
+    return Seen(item, pose, camera, _cloud(depth, camera))
+
+
+def _cloud(depth: npt.NDArray[np.uint16], camera: CameraView) -> Cloud:
+    nothing = np.zeros(depth.shape, np.int32)
+    rgb = np.zeros((*depth.shape, 3), np.uint8)
+    return DepthImage(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud()
+
+
+def _hash(body: Surface, camera: CameraView) -> str:
+    content = body.triangles.tobytes() + camera.eye.tobytes() + camera.matrix.tobytes()
+    return hashlib.sha256(content).hexdigest()[:12]

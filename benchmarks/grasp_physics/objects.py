@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigid objects made of convex parts, and their poses on the table z = 0."""
+
+import re
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from foretouch.errors import FileError
+from foretouch.types import Float64
+
+PARTS = "collision_vhacd.obj"  # convex parts [m]
+MASS = "model.urdf"  # holds the mass [kg]
+SPREAD_M = 0.04  # objects stand up to this far from the world's origin, along x and along y
+RARE = 0.01  # a pose of this probability or more may count as upright
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """A rigid object of uniform density.
+
+    Attributes:
+        name: Its name, which also decides its random poses.
+        parts: Its convex parts, each a closed mesh in the object's frame [m].
+        mass_kg: Its mass.
+    """
+
+    name: str
+    parts: tuple[trimesh.Trimesh, ...]
+    mass_kg: float
+
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """The surfaces of all parts; those inside of another part are never met from outside."""
+        return trimesh.util.concatenate(list(self.parts))
+
+    @cached_property
+    def centre(self) -> Float64:
+        """(3,) float64, centre of mass in the object's frame [m]."""
+        volumes = np.array([part.volume for part in self.parts])
+        centres = np.array([part.center_mass for part in self.parts])
+        return np.asarray(volumes @ centres / volumes.sum(), np.float64)
+
+    @cached_property
+    def inertia(self) -> Float64:
+        """(3, 3) float64, about the centre of mass [kg m²], by the parallel axes of the parts."""
+        total = np.zeros((3, 3))
+        for part in self.parts:
+            arm = part.center_mass - self.centre
+            total += part.moment_inertia + part.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return np.asarray(self.mass_kg * total / sum(part.volume for part in self.parts), np.float64)
+
+    @cached_property
+    def _rests(self) -> tuple[Float64, Float64]:
+        """(n, 4, 4) poses at rest on the table, and the (n,) probability of each."""
+        poses, probabilities = trimesh.poses.compute_stable_poses(
+            self.mesh.convex_hull, center_mass=self.centre, sigma=0.0, n_samples=1, threshold=0.0
+        )
+        return poses, probabilities / probabilities.sum()
+
+    def random(self, number: int) -> np.random.Generator:
+        """The random numbers of one pose, whatever other objects there are."""
+        return np.random.default_rng([zlib.crc32(self.name.encode()), number])
+
+    def pose(self, number: int) -> Float64:
+        """(4, 4) float64 pose at rest: even ones upright (the highest centre of mass), odd ones as it falls."""
+        poses, probabilities = self._rests
+        rng = self.random(number)
+        heights = poses[:, 2, :3] @ self.centre + poses[:, 2, 3]
+        likely = probabilities >= min(RARE, float(probabilities.max()))
+        upright = int(np.argmax(np.where(likely, heights, -np.inf)))
+        rest = poses[rng.choice(len(poses), p=probabilities) if number % 2 else upright]
+        turned = trimesh.transformations.rotation_matrix(rng.uniform(0.0, 2.0 * np.pi), [0.0, 0.0, 1.0]) @ rest
+        return placed(self, turned, rng.uniform(-SPREAD_M, SPREAD_M, 2))
+
+
+def placed(item: Item, pose: Float64, at: Float64) -> Float64:
+    """The pose (4, 4) shifted so that the object stands on the table, the middle of its footprint at (2,) [m]."""
+    vertices = trimesh.transform_points(item.mesh.vertices, pose)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    shifted = pose.copy()
+    shifted[:3, 3] += [*(at - (low + high)[:2] / 2.0), -low[2]]
+    return shifted
+
+
+def read_item(folder: Path) -> Item:
+    """An object from its folder.
+
+    Raises:
+        FileError: If a file is absent, or holds no part or no mass.
+    """
+    for name in (PARTS, MASS):
+        if not (folder / name).is_file():
+            raise FileError(folder / name, "is absent")
+    loaded = trimesh.load(folder / PARTS, process=False, split_object=True, group_material=False)
+    meshes = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
+    mass = re.search(r'mass value="([\d.]+)"', (folder / MASS).read_text(encoding="utf-8"))
+    if not meshes or mass is None:
+        raise FileError(folder / (PARTS if mass else MASS), "holds no part" if mass else "holds no mass")
+    parts = tuple(trimesh.Trimesh(mesh.vertices, mesh.faces).convex_hull for mesh in meshes)
+    return Item(folder.name, parts, float(mass[1]))
+
+
+def read_items(folder: Path) -> list[Item]:
+    """All objects of a folder, by name."""
+    found = sorted(path.parent for path in folder.glob(f"*/{PARTS}"))
+    if not found:
+        raise FileError(folder, f"holds no folder with {PARTS}")
+    return [read_item(one) for one in found]
+
+
+class Placed:
+    """The surface of an object at a pose in the world, for rays and normals.
+
+    Args:
+        item: The object.
+        pose: (4, 4) float64, object to world.
+    """
+
+    _SAMPLES = 20000
+
+    def __init__(self, item: Item, pose: Float64) -> None:
+        self.mesh = item.mesh.copy()
+        self.mesh.apply_transform(pose)
+        self.centre = trimesh.transform_points(item.centre[None], pose)[0]
+        self.samples, faces = trimesh.sample.sample_surface(self.mesh, self._SAMPLES, seed=0)
+        self.normals = self.mesh.face_normals[faces]
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.samples)
+
+    def first(self, origins: Float64, directions: Float64) -> tuple[Float64, Float64]:
+        """Where rays first meet the surface.
+
+        Args:
+            origins: (n, 3) float64 [m].
+            directions: (n, 3) float64, unit.
+
+        Returns:
+            (n,) distance, inf where there is none [m]; (n, 3) outward normal of the face, NaN where there is none.
+        """
+        hits, rays, faces = self.mesh.ray.intersects_location(origins, directions, multiple_hits=False)
+        distance, normal = np.full(len(origins), np.inf), np.full((len(origins), 3), np.nan)
+        distance[rays] = np.einsum("ij,ij->i", hits - origins[rays], directions[rays])
+        normal[rays] = self.mesh.face_normals[faces]
+        return distance, normal
+
+    def smooth_normal(self, point: Float64, normal: Float64, radius_m: float = 0.003) -> Float64:
+        """(3,) mean normal around a point of the surface, of what faces the same way as the face there."""
+        near = self.normals[self._tree.query_ball_point(point, radius_m)]
+        mean = near[near @ normal > 0.5].sum(axis=0) + 1e-6 * normal
+        return np.asarray(mean / np.linalg.norm(mean), np.float64)

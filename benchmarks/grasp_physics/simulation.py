@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Closes two spherical fingertips on an object in MuJoCo, lifts it and shakes it.
+
+    0.0 s  tips 3 cm outside of the planned contacts move towards each other along their line, with 5 N each
+    0.5 s  the first keeps its place along the line from now on; the hand rises 10 cm
+    1.0 s  the hand shakes, 5 mm along x and 2.5 mm along y at 4 Hz
+    1.5 s  it rests
+    2.0 s  held: both tips touch the object, and the table carries less than a fifth of its weight
+
+There is no hand: no kinematics, no palm, nothing that could meet the object but the tips, and the tips pass through the
+table. How far below it they would be is part of the answer.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import mujoco
+import numpy as np
+
+from benchmarks.grasp_physics.objects import Item
+from foretouch.types import Float64
+
+FORCE_N: Final = 5.0
+OUTSIDE_M: Final = 0.03  # from a planned contact to the middle of its tip, at first
+LIFT_M: Final = 0.10
+SHAKE_M: Final = (0.005, 0.0025)
+SHAKE_HZ: Final = 4.0
+CLOSED_S, LIFTED_S, SHAKEN_S, END_S = 0.5, 1.0, 1.5, 2.0
+SPIN_M: Final = 0.005  # friction against a turn of the tip about its normal, torque over force
+TABLE_SHARE: Final = 0.2  # of the weight
+OPENING_M: Final = 0.10  # largest distance of the contacts
+SUNK_M: Final = 0.001  # a tip may be this far below the table and count as clear of it
+_STEP_S = 0.002
+_CHECKED = 5  # steps from one check to the next while closing
+_HOLD_N_M, _HOLD_NS_M = 5000.0, 60.0  # of the first tip's place, once closed
+
+HELD: Final = "held"
+INSIDE: Final = "starts inside the object"
+BESIDE: Final = "closes beside the object"
+OUT: Final = "squeezed out while closing"
+LIFT: Final = "slips while lifted"
+SHAKE: Final = "slips while shaken"
+HANGS: Final = "hangs on the table"
+UNSTABLE: Final = "simulation diverges"
+
+
+class Verdict(NamedTuple):
+    """Whether a grasp holds, whether the hand could also do it, and why not."""
+
+    held: bool
+    strict: bool  # held, tips clear of the table on their way in, contacts no farther apart than the hand opens
+    reason: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one grasp."""
+
+    reason: str  # "held", or the kind of failure
+    opening_m: float = float("nan")  # distance of the contacts once closed; NaN where it never closed
+    clearance_m: float = float("nan")  # of the lower tip from the table, the least on its way in; negative below it
+
+
+def held(
+    item: Item,
+    pose: Float64,
+    g1: Float64,
+    g2: Float64,
+    tip_radius_m: float = 0.008,
+    friction: float = 0.8,
+    opening_m: float = OPENING_M,
+) -> Verdict:
+    """Whether a grasp holds an object.
+
+    Args:
+        item: The object.
+        pose: (4, 4) float64, object to world; the table is z = 0.
+        g1: (3,) float64, planned contact, world [m].
+        g2: (3,) float64, the other one.
+        tip_radius_m: Radius of the two spherical tips [m].
+        friction: Between tips and object.
+        opening_m: Largest distance of the contacts [m].
+    """
+    return verdict(grip(item, tip_radius_m, friction).close(pose, g1, g2), opening_m)
+
+
+def verdict(outcome: Outcome, opening_m: float = OPENING_M) -> Verdict:
+    """What an outcome means for a hand that opens so far."""
+    if outcome.reason != HELD:
+        return Verdict(False, False, outcome.reason)
+    faults = {"through the table": outcome.clearance_m < -SUNK_M, "too wide": outcome.opening_m > opening_m}
+    found = [name for name, there in faults.items() if there]
+    return Verdict(True, not found, ", ".join([HELD, *found]))
+
+
+@lru_cache(maxsize=16)
+def grip(item: Item, tip_radius_m: float, friction: float) -> "Grip":
+    """The simulated world of one object and two tips, built once."""
+    return Grip(item, tip_radius_m, friction)
+
+
+class Grip:
+    """One object, the table and two tips.
+
+    Args:
+        item: The object.
+        tip_radius_m: Radius of the tips [m].
+        friction: Between tips and object; between table and object it is 0.6.
+    """
+
+    def __init__(self, item: Item, tip_radius_m: float, friction: float) -> None:
+        self.radius_m, self.weight_n = tip_radius_m, item.mass_kg * 9.81
+        self.model = mujoco.MjModel.from_xml_string(_xml(item, tip_radius_m, friction))
+        self.data = mujoco.MjData(self.model)
+        self._object, self._hand = self.model.body("object").id, self.model.body("hand").id
+        self._bodies = [self.model.body(name).id for name in ("tip1", "tip2")]
+        self._tips = [self.model.geom(name).id for name in ("tip1", "tip2")]
+        self._table, self._joint = self.model.geom("table").id, self.model.joint("close1")
+
+    def close(self, pose: Float64, g1: Float64, g2: Float64) -> Outcome:
+        """Close on the object from outside of two contacts (3,) in the world [m], lift and shake."""
+        if not float(np.linalg.norm(g2 - g1)) > 1e-4:
+            return Outcome(BESIDE)
+        self._reset(pose, g1, g2)
+        if self._starts_inside():
+            return Outcome(INSIDE)
+        clear = self._clearance()
+        touched = False
+        for _ in range(round(CLOSED_S / _STEP_S) // _CHECKED):
+            mujoco.mj_step(self.model, self.data, _CHECKED)
+            both = self._both_touch()
+            touched |= both
+        if not both:
+            return Outcome(OUT if touched else BESIDE)
+        opening, clear = self._opening(), min(clear, self._clearance())
+        return Outcome(self._lift_and_shake(), opening, clear)
+
+    def _reset(self, pose: Float64, g1: Float64, g2: Float64) -> None:
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        width = float(np.linalg.norm(g2 - g1))
+        along = (g2 - g1) / width
+        across = np.cross([0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0], along)
+        across /= np.linalg.norm(across)
+        model.body_pos[self._hand] = (g1 + g2) / 2.0
+        model.body_quat[self._hand] = _quaternion(np.stack([along, across, np.cross(along, across)], axis=1))
+        for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
+            model.body_pos[body] = [sign * (width / 2.0 + OUTSIDE_M), 0.0, 0.0]
+        data.qpos[:3], data.qpos[3:7] = pose[:3, 3], _quaternion(pose[:3, :3])
+        data.ctrl[3:5] = FORCE_N
+        mujoco.mj_forward(model, data)
+
+    def _starts_inside(self) -> bool:
+        contacts = (self.data.contact[i] for i in range(self.data.ncon))
+        return any(c.dist < -0.001 and not {c.geom1, c.geom2}.isdisjoint(self._tips) for c in contacts)
+
+    def _lift_and_shake(self) -> str:
+        model, data = self.model, self.data
+        place = float(data.qpos[self._joint.qposadr[0]])
+        for step in range(round((END_S - CLOSED_S) / _STEP_S)):
+            time = CLOSED_S + step * _STEP_S
+            moved, speed = data.qpos[self._joint.qposadr[0]] - place, data.qvel[self._joint.dofadr[0]]
+            data.ctrl[5] = -_HOLD_N_M * moved - _HOLD_NS_M * speed
+            raised = min(1.0, (time - CLOSED_S) / (LIFTED_S - CLOSED_S))
+            data.ctrl[0] = LIFT_M * raised * raised * (3.0 - 2.0 * raised)
+            shaken = np.sin(2.0 * np.pi * SHAKE_HZ * (time - LIFTED_S)) if LIFTED_S <= time < SHAKEN_S else 0.0
+            data.ctrl[1:3] = np.multiply(SHAKE_M, shaken)
+            mujoco.mj_step(model, data)
+            if step % (10 * _CHECKED) == 0 and not any(self._touches(tip) for tip in self._tips):
+                return LIFT if time < LIFTED_S else SHAKE
+        if not np.isfinite(data.qpos).all():
+            return UNSTABLE
+        if not self._both_touch():
+            return SHAKE
+        return HELD if self._load(self._table) < TABLE_SHARE * self.weight_n else HANGS
+
+    def _contacts(self, geom: int) -> list[int]:
+        """Contacts of a geom with the object."""
+        found = []
+        for i in range(self.data.ncon):
+            pair = self.data.contact[i].geom1, self.data.contact[i].geom2
+            if geom in pair and self._object in self.model.geom_bodyid[list(pair)]:
+                found.append(i)
+        return found
+
+    def _touches(self, geom: int) -> bool:
+        return bool(self._contacts(geom))
+
+    def _both_touch(self) -> bool:
+        return all(self._touches(tip) for tip in self._tips)
+
+    def _load(self, geom: int) -> float:
+        """Normal force between a geom and the object [N]."""
+        force, total = np.zeros(6), 0.0
+        for i in self._contacts(geom):
+            mujoco.mj_contactForce(self.model, self.data, i, force)
+            total += float(force[0])
+        return total
+
+    def _opening(self) -> float:
+        """Distance of the contacts of both tips [m]."""
+        one, other = (np.mean([self.data.contact[i].pos for i in self._contacts(tip)], axis=0) for tip in self._tips)
+        return float(np.linalg.norm(one - other))
+
+    def _clearance(self) -> float:
+        return float(self.data.geom_xpos[self._tips, 2].min()) - self.radius_m
+
+
+def _quaternion(rotation: Float64) -> Float64:
+    """(4,) float64, w first, of a (3, 3) rotation."""
+    result = np.zeros(4)
+    mujoco.mju_mat2Quat(result, np.ascontiguousarray(rotation).ravel())
+    return result
+
+
+def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
+    """The model; the tips' friction counts at their contacts, and they collide with the object alone."""
+    names = [f"part{i}" for i in range(len(item.parts))]
+    vertices = [" ".join(f"{value:.7f}" for value in part.vertices.ravel()) for part in item.parts]
+    meshes = "".join(f'<mesh name="{n}" vertex="{v}"/>' for n, v in zip(names, vertices, strict=True))
+    rough = 'condim="4" friction="0.6 0.005 0.0001"'
+    parts = "".join(f'<geom type="mesh" mesh="{n}" contype="1" conaffinity="3" {rough} mass="0"/>' for n in names)
+    i = item.inertia + 1e-7 * np.eye(3)  # no thinner than MuJoCo can invert
+    inertia = " ".join(f"{v:.9g}" for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
+    centre = " ".join(f"{v:.9g}" for v in item.centre)
+    tip = f'type="sphere" size="{tip_radius_m}" mass="0.05" contype="2" conaffinity="0" condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"'
+    tips = "".join(
+        f'<body name="tip{k}" gravcomp="1"><joint name="close{k}" type="slide" axis="{axis} 0 0" damping="25"/>'
+        f'<geom name="tip{k}" {tip}/></body>'
+        for k, axis in ((1, 1), (2, -1))
+    )
+    axes = (("z", "0 0 1"), ("x", "1 0 0"), ("y", "0 1 0"))
+    slides = "".join(f'<joint name="{name}" type="slide" axis="{axis}" damping="10"/>' for name, axis in axes)
+    drives = "".join(f'<position joint="{name}" kp="20000" kv="300"/>' for name, _ in axes)
+    return f"""<mujoco>
+<compiler angle="radian" balanceinertia="true" boundmass="1e-6" boundinertia="1e-9"/>
+<option timestep="{_STEP_S}" integrator="implicitfast" cone="elliptic" impratio="10"/>
+<asset>{meshes}</asset>
+<worldbody>
+<geom name="table" type="plane" size="2 2 .1" contype="1" conaffinity="1" {rough}/>
+<body name="object"><freejoint/><inertial pos="{centre}" mass="{item.mass_kg}" fullinertia="{inertia}"/>{parts}</body>
+<body name="arm" gravcomp="1"><inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>{slides}
+<body name="hand">{tips}</body></body>
+</worldbody>
+<actuator>{drives}<motor joint="close1"/><motor joint="close2"/><motor joint="close1"/></actuator>
+</mujoco>"""
