@@ -55,8 +55,8 @@ class FoundObject:
     plane: Plane  # the table, in the cloud's frame
     pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it comes from, if any
     image_shape: tuple[int, int] | None = None  # (H, W) of that image
-    obstacles: Obstacles | None = None  # all objects of the scene, if there are others
     flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
+    obstacles: Obstacles | None = None  # all objects of the scene, if there are several
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +117,9 @@ class Pipeline:
         chosen, reason = select_targets(found.objects, self.config.target, previous)
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
         flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
+        obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in found.objects])
         targets = tuple(
-            FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape, flags)
+            FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape, flags, obstacles)
             for one in chosen
         )
         return SegmentedScene("ok" if targets else "no_target", reason, found, targets)

@@ -16,8 +16,10 @@ front of the object's middle and above it, and two fingers that close there slid
 Every measure is a quantile or a mean, so that it changes little when the cloud changes little.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -54,6 +56,7 @@ _DISTANCE_M, _SLOPE_DEG, _ACROSS = (
     0.1,
 )  # the offset, the slope and the share of the view that cost as much as
 _WIDTH_M = 0.1  # this width
+_OBSTACLE_POINTS = 400  # at most, of each object
 _APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 1500  # visible points that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
@@ -65,6 +68,20 @@ class Obstacles:
 
     xyz: Float32  # (M, 3) float32 [m], camera frame
     object_ids: Int32  # (M,) int32, the object of each
+
+    @classmethod
+    def of(cls, objects: Sequence[tuple[int, Float32]]) -> Self | None:
+        """The obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
+        if len(objects) < 2:
+            return None
+        sampled = [(k, xyz[:: -(-len(xyz) // _OBSTACLE_POINTS)]) for k, xyz in objects]
+        ids = [np.full(len(xyz), k, np.int32) for k, xyz in sampled]
+        return cls(np.concatenate([xyz for _, xyz in sampled]), np.concatenate(ids))
+
+    def without(self, object_id: str) -> "Obstacles":
+        """The obstacles for grasps on one object: all others."""
+        others = np.array([str(one) != object_id for one in self.object_ids.tolist()], np.bool_)
+        return Obstacles(self.xyz[others], self.object_ids[others])
 
 
 @dataclass(frozen=True, eq=False)
