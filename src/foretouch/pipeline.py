@@ -67,6 +67,7 @@ class SegmentedScene:
     reason: str  # why, in words; for "ok" usually "", or how an ambiguous target was selected
     segmentation: Segmentation  # the table and all objects
     targets: tuple[FoundObject, ...]  # the objects to grasp, best first
+    obstacles: Obstacles | None = None  # the points of all objects, if there are several
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,7 @@ class Pipeline:
             FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape, flags, obstacles)
             for one in chosen
         )
-        return SegmentedScene("ok" if targets else "no_target", reason, found, targets)
+        return SegmentedScene("ok" if targets else "no_target", reason, found, targets, obstacles)
 
     def plan(
         self,

@@ -404,7 +404,7 @@ def _timings() -> RowResult:
     image, cloud, grasps, model = Cloud(table_scene(width=848, height=480)), exact_cloud(), exact_grasps(), load_model()
     steps: dict[str, Callable[[], object]] = {
         "segment 848x480": lambda: segment(image),
-        "grasp": lambda: plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig(method="stable")),
+        "grasp": lambda: plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig()),
         DEFAULT_MODEL: lambda: model.predict(cloud, grasps),
     }
     return RowResult("timings", "ok", ", ".join(f"{name} {_median_ms(step):.1f} ms" for name, step in steps.items()))

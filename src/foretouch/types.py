@@ -121,6 +121,13 @@ ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 """The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
+def assumed_table(cloud: Cloud) -> Plane:
+    """The table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
+    depths = cloud.xyz[..., 2]
+    depths = depths[np.isfinite(depths)]
+    return Plane(ASSUMED_TABLE.normal, -float(depths.max())) if depths.size else ASSUMED_TABLE
+
+
 @dataclass(frozen=True, eq=False)
 class Grasp:
     """Two contacts and the orientation of the hand (P2: g1, g2, R).

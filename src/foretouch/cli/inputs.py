@@ -13,7 +13,7 @@ from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ForetouchError
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.types import ASSUMED_TABLE, Cloud, Plane
+from foretouch.types import Cloud, Plane, assumed_table
 
 Record = dict[str, Any]
 
@@ -161,7 +161,7 @@ def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
 
 def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
     """A cloud as one object, on --plane or on an assumed table."""
-    table = ASSUMED_TABLE if arguments.plane is None else Plane.from_coefficients(arguments.plane)
+    table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
     return FoundObject("1", cloud, table)
 
 

@@ -90,7 +90,7 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
         if not np.isfinite(contact).all():
             raise FileError(path, f"{contact.tolist()} is not finite", field=name)
     try:
-        axis, _ = object_axis(cloud, ASSUMED_TABLE, GeoGraspConfig(tip_mm=25.0))
+        axis, _ = object_axis(cloud, ASSUMED_TABLE, GeoGraspConfig(method="original"))
         rotation = hand_rotation(numbers[:3], numbers[3:], axis)
         return Grasp(numbers[:3], numbers[3:], rotation, id=path.parent.name, object_id=object_name)
     except CloudError as err:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of GeoGrasp. The defaults are those of the original with a BioTac SP fingertip."""
+"""Settings of the grasp planner, and what the hand can execute."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
 
 GraspMethod = Literal["completed", "original"]
 SEARCH_VOXELS = 4.0  # radius around an initial point in which contacts are searched: two fingertips
@@ -40,6 +41,11 @@ class GeoGraspConfig(Settings):
         0.8, "Fraction of the object's extent along its axis from which a random slide is drawn", bounds=(0.0, 1.0)
     )
     method: GraspMethod = setting("completed", _METHOD, choices=get_args(GraspMethod))
+
+    def __post_init__(self) -> None:
+        if str(self.method) == "stable":
+            raise ConfigError("method: 'stable' was replaced by 'completed', which is the default")
+        super().__post_init__()
 
     @property
     def voxel_m(self) -> float:

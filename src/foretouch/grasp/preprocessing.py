@@ -50,7 +50,7 @@ class FinitePoints:
             raise CloudError(f"xyz: {len(self.xyz)} finite points, GeoGrasp needs {_MIN_POINTS}")
         farthest = float(np.abs(self.xyz).max())
         if farthest > _MAX_COORDINATE_M:
-            raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m")
+            raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m; is it in metres?")
         if self.pixels is not None and self.image_shape is not None:
             grid = PixelGrid.from_pixels(self.pixels, self.image_shape)
         if config.max_points == 0 or len(self.xyz) <= config.max_points:

@@ -54,13 +54,25 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
         return
     distance = math.hypot(*((low + high) / 2.0).tolist())
     if distance > limits.max_range_m:
-        raise LimitError(f"xyz: the object is {distance:.4g} m away, more than max_range_m {limits.max_range_m:g}")
+        raise LimitError(
+            f"xyz: the object is {distance:.4g} m away, more than max_range_m {limits.max_range_m:g}{_unit(distance)}"
+        )
     if extent > limits.max_extent_m:
-        raise LimitError(f"xyz: the object extends {extent:.4g} m, more than max_extent_m {limits.max_extent_m:g}")
+        raise LimitError(
+            f"xyz: the object extends {extent:.4g} m, more than max_extent_m {limits.max_extent_m:g}{_unit(extent)}"
+        )
     if extent < limits.min_extent_m:
         raise LimitError(f"xyz: the object extends {extent:.4g} m, less than min_extent_m {limits.min_extent_m:g}")
     if distance < limits.min_range_m:
-        raise LimitError(f"xyz: the object is {distance:.4g} m away, less than min_range_m {limits.min_range_m:g}")
+        raise LimitError(
+            f"xyz: the object is {distance:.4g} m away, less than min_range_m {limits.min_range_m:g}; "
+            "for a cloud in the object's own frame set limits.min_range_m=0"
+        )
+
+
+def _unit(length: float) -> str:
+    """A question that is added to the refusal of a length that is likely in millimetres."""
+    return "; is it in metres?" if abs(length) > 10.0 else ""
 
 
 def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
@@ -68,13 +80,17 @@ def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
 
     Args:
         plane: The table; one through the camera itself is accepted.
-        limits: Range.
+        limits: Range; with a `min_range_m` of 0 the cloud may be in any frame, and the table on any side.
 
     Raises:
         LimitError: If it is behind the camera, or out of range.
     """
     if not abs(plane.offset) <= limits.max_range_m:
-        raise LimitError(f"plane: is {abs(plane.offset):.4g} m away, more than max_range_m {limits.max_range_m:g}")
+        raise LimitError(
+            f"plane: is {abs(plane.offset):.4g} m away, more than max_range_m {limits.max_range_m:g}{_unit(plane.offset)}"
+        )
+    if limits.min_range_m == 0.0:  # the cloud may be in the object's own frame, without a camera
+        return
     x, y, z = plane.normal.tolist()
     sideways = _WIDEST * (abs(x) + abs(y))
     # n·p + d = 0 has no solution p = t (u, v, 1) with t > 0 in the field of view.

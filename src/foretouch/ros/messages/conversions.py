@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
+import array
 import math
 from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias
@@ -13,13 +14,20 @@ from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import CloudError, ModelError
-from foretouch.grasp import quaternion_xyzw
+from foretouch.grasp import Obstacles, quaternion_xyzw
 from foretouch.tactile import ELECTRODES, TOUCH_SIZE
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Interval, Status, TactilePrediction, TactilePredictionArray, TouchPredictionArray
+from foretouch_msgs.msg import (
+    Interval,
+    Status,
+    TablePlane,
+    TactilePrediction,
+    TactilePredictionArray,
+    TouchPredictionArray,
+)
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
 AnyPrediction: TypeAlias = TouchPredictionMsg | TactilePrediction
@@ -67,6 +75,31 @@ def point_to_msg(point: Float64) -> Point:
 def plane_to_msg(plane: Plane | None) -> PlaneMsg:
     """Convert a plane; four zeros stand for none."""
     return PlaneMsg(coef=np.zeros(4) if plane is None else plane.coefficients)
+
+
+def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, array.array[Any]]:
+    """The fields of `TablePlane` that hold the points of all objects of a scene."""
+    if obstacles is None:
+        return {}
+    ids = obstacles.object_ids.astype(np.uint32)
+    xyz = np.ascontiguousarray(obstacles.xyz, np.float32)
+    return {"obstacles": array.array("f", xyz.tobytes()), "obstacle_ids": array.array("I", ids.tobytes())}
+
+
+def obstacles_from_msg(message: TablePlane) -> Obstacles | None:
+    """The reverse of `obstacles_to_msg`; points that are not finite are ignored.
+
+    Raises:
+        CloudError: If the two fields do not have three numbers and one id for each point.
+    """
+    ids = np.asarray(message.obstacle_ids, np.uint32).astype(np.int32)
+    if len(message.obstacles) != 3 * len(ids):
+        raise CloudError(f"table: {len(message.obstacles)} numbers in obstacles are not x, y, z of {len(ids)} points")
+    if not len(ids):
+        return None
+    xyz = np.asarray(message.obstacles, np.float32).reshape(-1, 3)
+    finite = np.isfinite(xyz).all(axis=1)
+    return Obstacles(xyz[finite], ids[finite])
 
 
 def plane_from_msg(message: PlaneMsg) -> Plane | None:

@@ -14,10 +14,10 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.segmentation.rays import not_optical
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, LimitError
-from foretouch.grasp import GraspHold, HeldGrasp
+from foretouch.grasp import GraspHold, HeldGrasp, Obstacles
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
@@ -109,6 +109,12 @@ def read_table(message: TablePlane, header: Header) -> Plane:
         raise passed_on("table", message.status, message.reason)
     check_frames("table", message.header, header)
     return read_plane(message.plane)
+
+
+def read_obstacles(message: TablePlane) -> Obstacles | None:
+    """Convert what stands around the targets; a `RefusalError`, BAD_REQUEST, if its fields do not fit each other."""
+    with _refused_as(Status.BAD_REQUEST):
+        return obstacles_from_msg(message)
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`object_cloud` + `table` -> `grasps`: where two fingers can grasp each target."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,9 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
-from foretouch.grasp import GraspHold, LiveGeoGraspConfig
+from foretouch.grasp import GeoGraspConfig, GraspHold, HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
+from foretouch.ros.messages.requests import plan_targets, read_obstacles, read_table, read_targets
 from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
@@ -24,7 +24,8 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
     """Settings of the grasp node."""
 
     limits: ObjectLimits = ObjectLimits()
-    grasp: LiveGeoGraspConfig = LiveGeoGraspConfig()
+    grasp: GeoGraspConfig = GeoGraspConfig()
+    hand: HandConfig = HandConfig()
     grasp_hold: float = setting(
         2.0,
         "The last grasp of an object is kept until another is better by this score on three clouds in a row; "
@@ -37,7 +38,7 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
 
 
 class GraspNode(ProcessingNode[GraspNodeConfig]):
-    """Plans with GeoGrasp (`Pipeline.plan`)."""
+    """Plans grasps on each target (`Pipeline.plan`)."""
 
     exclusive_topics = (GRASPS_TOPIC,)
     _frame: OutputFrame | None = None
@@ -62,14 +63,16 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         return {**super().notes(), **(self._frame.notes() if self._frame else {})}
 
     def _config_changed(self, config: GraspNodeConfig) -> None:
-        self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, limits=config.limits))
-        holds = config.grasp_hold > 0.0 and config.grasp.method == "stable"
+        self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, hand=config.hand, limits=config.limits))
+        holds = config.grasp_hold > 0.0 and config.grasp.method == "completed"
         self._held = GraspHold(config.grasp_hold_tolerance_m) if holds else None
 
     def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         transform = self._frame.transform(header) if self._frame else None
         table = messages["table"]
         targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header), self.config.limits)
+        obstacles = read_obstacles(table)
+        targets = tuple(replace(one, obstacles=obstacles) for one in targets)
         message = plan_targets(self._pipeline, targets, header, table.reason, self._held, self.config.grasp_hold)
         for grasp in message.grasps:  # as after serialisation, for subscribers of this process
             grasp.score = float(np.float32(grasp.score))

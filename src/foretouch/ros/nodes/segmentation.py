@@ -14,7 +14,7 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
 from foretouch.ros.messages.clouds import TargetCloud, object_to_msg
-from foretouch.ros.messages.conversions import plane_to_msg
+from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
@@ -83,7 +83,13 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
 
     def _publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
         self._table.publish(  # first what the grasp node waits for
-            TablePlane(header=header, plane=plane_to_msg(scene.segmentation.plane), status=status, reason=scene.reason)
+            TablePlane(
+                header=header,
+                plane=plane_to_msg(scene.segmentation.plane),
+                **obstacles_to_msg(scene.obstacles),
+                status=status,
+                reason=scene.reason,
+            )
         )
         self._object_cloud.publish(TargetCloud(header, scene.targets))
         if not (self._objects.wanted or self._markers.wanted):
