@@ -14,7 +14,7 @@ from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
-METHODS = ("original", "stable")
+METHODS = ("original", "completed")
 TUNED_ON = 8  # each k-th recorded cloud served to tune `stable`
 MOVED_MM = 10.0
 CHANGES = ("order of points", "jitter 1 µm", "jitter 0.1 mm", "shift 1 mm", "shift 1 m", "turn 1°", "turn 90°", "turn 180°")  # fmt: skip
