@@ -21,7 +21,6 @@ from scipy.spatial import cKDTree
 from benchmarks.common import scene
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
-from foretouch.grasp.config import LiveGeoGraspConfig
 from foretouch.models.registry import load_model
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.simulation.depth_scene import random_scene
@@ -255,7 +254,7 @@ def against_yardstick(make: Callable[[], Job]) -> Callable[[], tuple[Job, Job]]:
 def graph() -> tuple[Job, Job]:
     """CPU seconds a cloud: the whole graph of `foretouch run` in one process, and `Pipeline.run` with its settings."""
     clouds = [scene_cloud(seed=seed) for seed in (2, 4, 6, 8)]
-    made = Pipeline(PipelineConfig(grasp=LiveGeoGraspConfig()))
+    made = Pipeline()
 
     def ours() -> float:
         with tempfile.TemporaryDirectory() as folder:
@@ -308,7 +307,7 @@ def all_cases() -> list[Case]:
         yard("segmentation 1280x720", lambda: segmentation(1280, 720)),
         Case("GeoGrasp original, SciPy", "SciPy's tree, all normals", geograsp_against_scipy, 1e-6),
         yard("GeoGrasp original", lambda: geograsp(GeoGraspConfig())),
-        yard("GeoGrasp stable", lambda: geograsp(GeoGraspConfig(method="stable"))),
+        yard("GeoGrasp completed", lambda: geograsp(GeoGraspConfig())),
         yard("contact model, 1 grasp", lambda: touch("default", 1)),
         yard("contact model, 100 grasps", lambda: touch("default", 100)),
         yard("contact model, 1000 grasps", lambda: touch("default", 1000)),

@@ -21,7 +21,6 @@ from sensor_msgs.msg import PointCloud2
 from benchmarks.common import ROOT, OthersLoad, markdown, print_rows, read_csv, replace_marked, write_csv
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from foretouch.errors import ConfigError
-from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.simulation.depth_scene import random_scene
@@ -159,7 +158,7 @@ def scenes(width: int = 848, height: int = 480, n_objects: int = 3, count: int =
 
 def check(bench: Bench, clouds: Sequence[Cloud], messages: Sequence[Any]) -> None:
     """One cloud at a time: every answer equals that of the command line, before anything is timed."""
-    pipeline = Pipeline(PipelineConfig(grasp=LiveGeoGraspConfig()))
+    pipeline = Pipeline()
     for number, (cloud, message) in enumerate(zip(clouds, messages, strict=True)):
         predicted = [one.value for target in pipeline.run(cloud).targets for one in target.predictions]
         expected = [float(np.float32(v)) for touch in predicted for v in touch.values[:2]]

@@ -9,7 +9,7 @@ from foretouch.grasp.axis import _side, find_axis
 from foretouch.types import Cloud, Plane
 
 SIDE_VIEW = Plane.from_coefficients([0.0, 1.0, 0.0, 0.0])
-CONFIG = GeoGraspConfig()
+CONFIG = GeoGraspConfig(method="original")
 
 
 def _rod(direction, n=400):

@@ -7,7 +7,7 @@ from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.grasp.geograsp import _random_slide
 from foretouch.types import Cloud, Plane
 
-CONFIG = GeoGraspConfig()
+CONFIG = GeoGraspConfig(method="original")
 
 
 def test_a_box_is_taken_across_its_long_axis(box_cloud, top_view):
@@ -21,12 +21,12 @@ def test_a_box_is_taken_across_its_long_axis(box_cloud, top_view):
 
 
 def test_candidates_come_best_first_and_points_are_counted_those_that_are_not_finite_too(box_cloud, top_view):
-    plan = plan_grasps(box_cloud, top_view, GeoGraspConfig(count=10))
+    plan = plan_grasps(box_cloud, top_view, GeoGraspConfig(method="original", count=10))
     counts, ms = plan.counts, plan.ms
     scores = [grasp.score for grasp in plan.grasps]
     assert len(scores) == min(10, counts["n_pairs_ranked"])
     assert scores == sorted(scores, reverse=True)
-    three = plan_grasps(box_cloud, top_view, GeoGraspConfig(count=3))
+    three = plan_grasps(box_cloud, top_view, GeoGraspConfig(method="original", count=3))
     assert [grasp.score for grasp in three.grasps] == scores[:3]
     assert counts["n_pairs"] == counts["n_fv"] * counts["n_sv"]
     dropped = sum(counts[name] for name in ("n_pairs_inside", "n_pairs_unknown", "n_pairs_low"))
@@ -91,7 +91,7 @@ def test_one_candidate_a_side_has_no_score_and_says_so(top_view):
     ends = np.column_stack([x.ravel(), y.ravel() + 0.001, 1.0 + 0.1 * x.ravel() ** 2 + 0.01 * y.ravel()])
     spine = np.column_stack([np.zeros(200), np.linspace(-0.06, 0.06, 200), np.full(200, 1.003)])
     plan = plan_grasps(
-        Cloud(np.concatenate([ends, spine]).astype(np.float32)), top_view, GeoGraspConfig(outlier_deviations=9.0)
+        Cloud(np.concatenate([ends, spine]).astype(np.float32)), top_view, CONFIG.replace(outlier_deviations=9.0)
     )
     assert plan.status == "initial_points"
     assert np.isnan(plan.grasps[0].score)
@@ -123,7 +123,7 @@ def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.G
 
     def plan(max_points: int, shift: tuple[int, int] = (0, 0), shape: tuple[int, int] = (150, 90)):
         pixels = ((rows + shift[0]) * shape[1] + columns + shift[1]).reshape(-1)
-        return plan_grasps(cloud, plane, GeoGraspConfig(max_points=max_points), pixels=pixels, image_shape=shape)
+        return plan_grasps(cloud, plane, GeoGraspConfig(method="original", max_points=max_points), pixels=pixels, image_shape=shape)
 
     whole, thin = plan(0), plan(4000)
     assert (whole.counts["n_thinned"], thin.counts["n_thinned"]) == (0, 13_500 - 75 * 45)
@@ -132,4 +132,4 @@ def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.G
     assert thin.counts == there.counts
     np.testing.assert_array_equal(thin.grasps[0].g1, there.grasps[0].g1)
     listed = rng.uniform([-0.03, -0.08, 0.7], [0.03, 0.08, 0.76], (9000, 3)).astype(np.float32)  # by order
-    assert plan_grasps(Cloud(listed), plane, GeoGraspConfig(max_points=3000)).counts["n_thinned"] == 6000
+    assert plan_grasps(Cloud(listed), plane, GeoGraspConfig(method="original", max_points=3000)).counts["n_thinned"] == 6000

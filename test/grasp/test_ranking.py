@@ -15,7 +15,7 @@ from foretouch.grasp.ranking import (
     rank_pairs,
 )
 
-CONFIG = GeoGraspConfig()
+CONFIG = GeoGraspConfig(method="original")
 Y = np.array([0.0, 1.0, 0.0])
 CENTROID = np.zeros(3)
 GRASP_PLANE = GraspPlane(origin=CENTROID, normal=Y, first=0, second=1, n_points=2, width_m=0.1)

@@ -10,7 +10,6 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
-from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -56,7 +55,7 @@ def values(prediction):
 
 
 def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the_cloud(chain, scene_cloud, model_card):
-    pipeline = Pipeline(PipelineConfig(model=model_card, grasp=LiveGeoGraspConfig()))
+    pipeline = Pipeline(PipelineConfig(model=model_card))
     for seed in range(3):
         cloud = scene_cloud(seed, stamp_ns=START + 1 + seed)
         found = chain.send(cloud)
