@@ -20,14 +20,7 @@ from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
-from foretouch.grasp.completed import (
-    COMPLETED_POINTS,
-    SCORE_OF_NONE,
-    CompletedObject,
-    Obstacles,
-    best_lines,
-    why_no_line,
-)
+from foretouch.grasp.completed import SCORE_OF_NONE, CompletedObject, Obstacles, best_lines, why_no_line
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
 from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.hold import HeldGrasp, held_or_new
@@ -207,8 +200,7 @@ def _plan_completed(
         downsampled = points.downsampled(config, sort=True)
         check_object(points.xyz, limits)
         xyz = downsampled.without_flying(config, counts).xyz
-        xyz = np.ascontiguousarray(xyz[:: -(-len(xyz) // COMPLETED_POINTS)])  # in the canonical order, by place
-        counts["n_thinned"] = len(points.xyz) - len(xyz) - counts.get("n_flying", 0)
+        counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         spacing = mean_neighbour_distance(xyz, config.neighbours)
         weighted = weigh_points(xyz, spacing, config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
@@ -220,14 +212,15 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(weighted, spacing, plane, plan.slide_m, frame.axis)
+        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * frame.axis)
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
-        lines = completed.lines(hand, obstacles)
+        lines = completed.lines()
         counts |= lines.counts
     with timed(plan.ms, "ranking"):
         best = best_lines(completed, lines, config.count)
-        found = [(*completed.contacts(lines, *one), SCORE_OF_NONE - lines.cost[one]) for one in best]
+        ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
+        found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
         plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held
