@@ -57,20 +57,20 @@ def _check_predictions(predictions: list[TouchPrediction]) -> None:
 
 def test_plan() -> None:
     def check(case: ObjectCase) -> None:
-        configs = (GeoGraspConfig(method=method) for method in ("original", "stable"))
-        original, stable = (plan_grasps(case.cloud, case.plane, config) for config in configs)
-        if case.planned != "ok":
-            assert (original.status, original.grasps) == ("no_grasp", ())
-            assert re.search(case.planned, original.reason), original.reason
-        else:
-            assert original.status in ("ok", "initial_points"), original.reason
-        for plan in (original, stable):
+        configs = (GeoGraspConfig(method=method) for method in ("original", "completed"))
+        original, completed = (plan_grasps(case.cloud, case.plane, config) for config in configs)
+        for plan, expected, away_m in ((original, case.planned, 0.03), (completed, case.by_default, 0.1)):
             assert plan.reason
+            if expected != "ok":
+                assert (plan.status, plan.grasps) == ("no_grasp", ())
+                assert re.search(expected, plan.reason), plan.reason
+            else:
+                assert plan.status in ("ok", "initial_points"), plan.reason
             assert (plan.status == "no_grasp") == (not plan.grasps)
             for grasp in plan.grasps:
                 assert np.isfinite(grasp.score) or "score" in plan.reason
                 check_rotation(grasp.rotation)
-                check_reach(grasp, case.cloud.xyz, 0.2, 0.03)
+                check_reach(grasp, case.cloud.xyz, 0.2, away_m)
             values = (plan.axis, plan.centroid, plan.initial_points, plan.axis_ratio)
             assert all(np.isfinite(value).all() for value in values if value is not None)
             assert not plan.grasps or all(value is not None for value in values)
@@ -101,7 +101,7 @@ def test_pipeline_of_an_object(pipeline) -> None:
             return
         for target in result.targets:
             _check_predictions(list(target.predictions))
-        assert (result.status == "no_grasp") == (case.planned != "ok")
+        assert (result.status == "no_grasp") == (case.by_default != "ok")
         assert (result.reason != "") == (result.status != "ok")
 
     every_case(OBJECTS, check)
@@ -156,7 +156,7 @@ def test_a_million_points_take_bounded_time_and_memory_and_an_answer_does_not_de
     assert cloud.size == MANY
     tracemalloc.start()
     start = time.thread_time()
-    grasps = plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig(method="stable")).grasps
+    grasps = plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig()).grasps
     assert [one.status for one in model.predict(cloud, grasps)] == ["ok"]
     seconds, peak = time.thread_time() - start, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -34,7 +34,7 @@ def test_objects_and_scenes() -> None:
         if change.name not in bench.LIST_ONLY:
             bench.scene_steps(found, image, change, np.random.default_rng(0))
     bench.batch(found, xyz, models)
-    assert {("GeoGrasp stable: best grasp", "order of points"), ("contact features", "1 grasp or 100")} <= EXACT
+    assert {("GeoGrasp completed: best grasp", "order of points"), ("contact features", "1 grasp or 100")} <= EXACT
     assert not_exact(found) == []
 
 

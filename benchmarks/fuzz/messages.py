@@ -213,7 +213,7 @@ def object_clouds() -> Reader:
 
 def planned() -> Reader:
     """Object clouds and a table through GeoGrasp, both methods."""
-    pipelines = [Pipeline(PipelineConfig(grasp=GeoGraspConfig(method=method))) for method in ("original", "stable")]
+    pipelines = [Pipeline(PipelineConfig(grasp=GeoGraspConfig(method=method))) for method in ("original", "completed")]
     held, table, numbers = GraspHold(0.005), table_message(), count()
 
     def read(message: Any) -> None:

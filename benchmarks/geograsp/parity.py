@@ -45,7 +45,7 @@ class ReferenceRow:
     @property
     def config(self) -> GeoGraspConfig:
         """The settings of that run."""
-        return GeoGraspConfig(tip_mm=self.tip_mm)
+        return GeoGraspConfig(method="original", tip_mm=self.tip_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +131,13 @@ def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
 
 def reproduces(grasp: ExecutedGrasp, slide_m: float) -> bool:
     """Whether the initial points of a grasp plane shifted by this are the executed contacts."""
-    plan = plan_grasps(read_cloud(grasp.cloud), TOP_VIEW, GeoGraspConfig(), slide_m=slide_m)
+    plan = plan_grasps(read_cloud(grasp.cloud), TOP_VIEW, GeoGraspConfig(method="original"), slide_m=slide_m)
     return plan.initial_points is not None and _are_executed(grasp, plan.initial_points)
 
 
 def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
     """The slide in the known interval, nearest to its middle, that reproduces the grasp; None if there is none."""
-    config = GeoGraspConfig()
+    config = GeoGraspConfig(method="original")
     xyz = read_cloud(grasp.cloud).xyz.reshape(-1, 3)
     xyz = xyz[inlier_mask(xyz, config.neighbours, config.outlier_deviations)]
     axis = find_axis(xyz, TOP_VIEW, config)

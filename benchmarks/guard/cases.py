@@ -134,7 +134,7 @@ def geograsp_against_scipy() -> tuple[Job, Job]:
     from benchmarks.geograsp import baseline
     from foretouch.grasp.preprocessing import finite_points
 
-    one, config = target(), GeoGraspConfig()
+    one, config = target(), GeoGraspConfig(method="original")
     thinned = finite_points(one.cloud, one.pixels, one.image_shape).downsampled(config).xyz
 
     def peer() -> Float64:
@@ -306,7 +306,7 @@ def all_cases() -> list[Case]:
         yard("segmentation 848x480", lambda: segmentation(848, 480)),
         yard("segmentation 1280x720", lambda: segmentation(1280, 720)),
         Case("GeoGrasp original, SciPy", "SciPy's tree, all normals", geograsp_against_scipy, 1e-6),
-        yard("GeoGrasp original", lambda: geograsp(GeoGraspConfig())),
+        yard("GeoGrasp original", lambda: geograsp(GeoGraspConfig(method="original"))),
         yard("GeoGrasp completed", lambda: geograsp(GeoGraspConfig())),
         yard("contact model, 1 grasp", lambda: touch("default", 1)),
         yard("contact model, 100 grasps", lambda: touch("default", 100)),

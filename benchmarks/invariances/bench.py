@@ -38,7 +38,7 @@ STEPS = {
     "segmentation: table plane": ("mm at 1 m", 5.0),
     "segmentation: clusters": ("objects", 0.5),
     "GeoGrasp original: best grasp": ("mm", 10.0),
-    "GeoGrasp stable: best grasp": ("mm", 10.0),
+    "GeoGrasp completed: best grasp": ("mm", 10.0),
     "reach and limits": ("other verdicts", 0.5),
     "contact features": ("% of the spread over objects, rms", 25.0),
     **{f"{name}: prediction": ("counts", 50.0) for name in MODELS},
@@ -227,7 +227,7 @@ def made_objects() -> Iterator[Float32]:
 
 def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
     """The grasp whose touch is predicted, and the object's axis."""
-    plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig(method="stable"))
+    plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig())
     assert plan.axis is not None
     return plan.grasps[0], plan.axis
 
@@ -270,7 +270,7 @@ def object_steps(
         ends = [after, after[::-1]] if change.name == "mirror" else [after]
         return 1e3 * min(_largest_move(change.carry(before), one) for one in ends)
 
-    for method in ("original", "stable"):
+    for method in ("original", "completed"):
         compare(f"GeoGrasp {method}: best grasp", partial(_best, method), moved)
     compare("reach and limits", _verdict)
     compare(
@@ -372,7 +372,7 @@ def flying_pixels(found: Found, slots: int = 20) -> None:
         engines = [Engine(scene(name, camera__flying_pixels=one), EFFECTS, ("cloud",)) for one in (None, {})]
         clean, flown = (engine.run(SampleKey(1, slot)).cloud.xyz for engine in engines)
         table = Plane.from_coefficients(engines[0].world.view.table_plane())
-        for method in ("original", "stable"):
+        for method in ("original", "completed"):
             before, after = (_best(method, xyz, None, table) for xyz in (clean, flown))
             found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(1e3 * _largest_move(before, after))
 
@@ -393,7 +393,7 @@ def live(found: Found) -> None:
     def add(step: str, difference: float) -> None:
         found[step, OTHERS[1]].append(difference)
 
-    for seed, method in product(range(3), ("original", "stable")):
+    for seed, method in product(range(3), ("original", "completed")):
         cloud, pipeline = scene_image(seed), Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
         message, offline = cloud_to_msg(cloud), pipeline.run(cloud)
         scene = pipeline.segment(read_cloud(message))
