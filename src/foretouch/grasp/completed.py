@@ -61,6 +61,7 @@ _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
 _SOFT = 0.05  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 _APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
+COMPLETED_POINTS = 1500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
 
@@ -285,9 +286,9 @@ class CompletedObject:
 def _smoothed(cost: Float64) -> Float64:
     """Costs averaged with those of two neighbours on every side, so that noise does not decide; half a turn reverses the places."""
     around = np.concatenate([cost[-2:, ::-1], cost, cost[:2, ::-1]])
-    cost = sum(weight * around[k : k + len(cost)] for k, weight in enumerate(_BINOMIAL))
-    beside = np.pad(cost, ((0, 0), (2, 2)), mode="edge")
-    return np.asarray(sum(weight * beside[:, k : k + _LINES] for k, weight in enumerate(_BINOMIAL)), np.float64)
+    cost = np.sum([weight * around[k : k + len(cost)] for k, weight in enumerate(_BINOMIAL)], axis=0)
+    beside = np.concatenate([cost[:, :1], cost[:, :1], cost, cost[:, -1:], cost[:, -1:]], axis=1)
+    return np.asarray(np.sum([weight * beside[:, k : k + _LINES] for k, weight in enumerate(_BINOMIAL)], axis=0))
 
 
 def _table_basis(plane: Plane, centroid: Float64) -> Float64:
@@ -347,7 +348,7 @@ def _slopes(ends: Float64) -> Float64:
     slopes = np.full((2, *ends.shape), np.nan)
     slopes[0, :, _NEAR:] = (ends[:, _NEAR:] - ends[:, :-_NEAR]) / (_NEAR * _STEP_M)
     slopes[1, :, :-_NEAR] = slopes[0, :, _NEAR:]
-    return np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0)
+    return np.asarray(np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0), np.float64)
 
 
 def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> list[tuple[int, int]]:

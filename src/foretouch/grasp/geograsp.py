@@ -20,7 +20,14 @@ from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
-from foretouch.grasp.completed import SCORE_OF_NONE, CompletedObject, Obstacles, best_lines, why_no_line
+from foretouch.grasp.completed import (
+    COMPLETED_POINTS,
+    SCORE_OF_NONE,
+    CompletedObject,
+    Obstacles,
+    best_lines,
+    why_no_line,
+)
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
 from foretouch.grasp.frame import object_frame, weigh_points
 from foretouch.grasp.hold import HeldGrasp, held_or_new
@@ -197,7 +204,7 @@ def _plan_completed(
     """The method `completed` (see `foretouch.grasp.completed`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
-        downsampled = points.downsampled(config, sort=True)
+        downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
         check_object(points.xyz, limits)
         xyz = downsampled.without_flying(config, counts).xyz
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
