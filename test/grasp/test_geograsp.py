@@ -123,7 +123,9 @@ def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.G
 
     def plan(max_points: int, shift: tuple[int, int] = (0, 0), shape: tuple[int, int] = (150, 90)):
         pixels = ((rows + shift[0]) * shape[1] + columns + shift[1]).reshape(-1)
-        return plan_grasps(cloud, plane, GeoGraspConfig(method="original", max_points=max_points), pixels=pixels, image_shape=shape)
+        return plan_grasps(
+            cloud, plane, GeoGraspConfig(method="original", max_points=max_points), pixels=pixels, image_shape=shape
+        )
 
     whole, thin = plan(0), plan(4000)
     assert (whole.counts["n_thinned"], thin.counts["n_thinned"]) == (0, 13_500 - 75 * 45)
@@ -132,4 +134,7 @@ def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.G
     assert thin.counts == there.counts
     np.testing.assert_array_equal(thin.grasps[0].g1, there.grasps[0].g1)
     listed = rng.uniform([-0.03, -0.08, 0.7], [0.03, 0.08, 0.76], (9000, 3)).astype(np.float32)  # by order
-    assert plan_grasps(Cloud(listed), plane, GeoGraspConfig(method="original", max_points=3000)).counts["n_thinned"] == 6000
+    assert (
+        plan_grasps(Cloud(listed), plane, GeoGraspConfig(method="original", max_points=3000)).counts["n_thinned"]
+        == 6000
+    )

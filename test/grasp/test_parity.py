@@ -53,7 +53,9 @@ def test_pixels_given_and_recovered_plan_the_same(real_data, top_view):
         ordered = Cloud(cloud.xyz[order])
         plans = [
             plan_grasps(ordered, top_view, GeoGraspConfig(method="original", count=5)),
-            plan_grasps(ordered, top_view, GeoGraspConfig(method="original", count=5), pixels=pixels[order], image_shape=shape),
+            plan_grasps(
+                ordered, top_view, GeoGraspConfig(method="original", count=5), pixels=pixels[order], image_shape=shape
+            ),
             plan_grasps(Cloud(image), top_view, GeoGraspConfig(method="original", count=5)),
         ]
         assert plans[2].counts["n_dropped"] == image.size // 3 - cloud.size

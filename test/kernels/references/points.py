@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernels of `neighbours.c`, `flying.c`, `voxels.c` and `stable.c` compute, in NumPy."""
+"""What the kernels of `neighbours.c`, `flying.c`, `voxels.c` and `order.c` compute, in NumPy."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -65,42 +65,6 @@ def cell_means(values, cell, counts) -> Array:
 
 def canonical_order(xyz) -> Array:
     return np.lexsort(xyz.T[::-1])
-
-
-def node_sums(points, initial, basis, radius_m: float, voxel_m: float) -> tuple[Array, Array, int]:
-    """Weights of the points at the eight nodes of the grid around each, and weights times places."""
-    offset = points.xyz - initial
-    t = np.clip((1.1 * radius_m - np.linalg.norm(offset, axis=1)) / (0.2 * radius_m), 0.0, 1.0)
-    weight = points.inlier * t * t * (3.0 - 2.0 * t)
-    nodes: dict[tuple[float, ...], Array] = {}
-    for i in np.flatnonzero(weight > 0.0):
-        at = basis @ offset[i] / voxel_m
-        for corner in np.ndindex(2, 2, 2):
-            node = np.floor(at) + corner
-            share = weight[i] * np.prod(1.0 - np.abs(at - node))
-            nodes[tuple(node)] = nodes.get(tuple(node), 0.0) + share * np.append(1.0, points.xyz[i])
-    sums = np.array([nodes[key] for key in sorted(nodes) if nodes[key][0] > 0.0]).reshape(-1, 4)
-    return sums[:, 0], sums[:, 1:], np.count_nonzero(weight > 0.0)
-
-
-def local_planes(points, centres, radius_m: float) -> tuple[Array, Array]:
-    """Minor eigenvector and curvature of the points around each place, with weights that fall towards the radius."""
-    normals, curvature = [], []
-    for centre in centres:
-        moved = points.xyz - centre
-        weight = np.clip(1.0 - (moved**2).sum(axis=1) / radius_m**2, 0.0, 1.0) * points.inlier
-        total = max(weight.sum(), 1e-9)
-        mean = weight @ moved / total
-        values, vectors = np.linalg.eigh((moved * weight[:, None]).T @ moved / total - np.outer(mean, mean))
-        normals.append(vectors[:, 0])
-        curvature.append(max(values[0], 0.0) / max(values.sum(), 1e-15))
-    return np.array(normals), np.array(curvature)
-
-
-def onto_surface(points, place) -> Array:
-    squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
-    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * 0.002**2))
-    return weight @ points.xyz / weight.sum()
 
 
 def _squared(points, others) -> Iterator[Array]:

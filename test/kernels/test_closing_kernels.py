@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lines along which two fingers close, and what an object hides, against the references."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from every_case import every_case
+from kernels.references import closing as reference
+from seen_solids import Camera, Solid, about_vertical, ball, box, can
+
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, plan_grasps
+from foretouch.types import Cloud
+
+SOLIDS = {
+    "can": (can(0.033, 0.12), Camera(50.0)),
+    "can from above": (can(0.04, 0.05), Camera(90.0)),
+    "ball": (ball(0.035), Camera(60.0)),
+    "ball from above": (ball(0.035), Camera(86.0)),
+    "box": (box(0.06, 0.09, 0.05), Camera(55.0)),
+    "upright box": (box(0.05, 0.08, 0.15), Camera(45.0)),
+    "lying bar": (box(0.2, 0.03, 0.03), Camera(60.0)),
+    "plate": (box(0.05, 0.08, 0.012), Camera(70.0)),
+}
+
+
+class Recorder:
+    """Calls a kernel and its reference with the same arguments, and keeps both answers."""
+
+    def __init__(self, kernel: Callable[..., None], plain: Callable[..., None]) -> None:
+        self._kernel, self._plain = kernel, plain
+        self.answers: list[tuple[Any, Any]] = []
+
+    def __call__(self, *arguments: Any) -> None:
+        other = np.empty_like(arguments[-1])
+        self._plain(*arguments[:-1], other)
+        self._kernel(*arguments)
+        self.answers.append((arguments[-1].copy(), other))
+
+
+def planned(solid: Solid, camera: Camera, noise: np.random.Generator | None = None, **settings: Any) -> GraspPlan:
+    xyz = camera.see(solid, yaw=0.3).xyz
+    if noise is not None:
+        xyz = (xyz * (1.0 + noise.normal(0.0, 0.001, (*xyz.shape[:2], 1)))).astype(np.float32)
+    return plan_grasps(Cloud(xyz), camera.table(), GeoGraspConfig(count=5), **settings)
+
+
+def around(camera: Camera) -> Obstacles:
+    """Posts in a ring of 60 mm."""
+    angle, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 9), np.linspace(0.0, 0.1, 8))
+    posts = np.stack([0.06 * np.cos(angle), 0.06 * np.sin(angle), height], axis=-1).reshape(-1, 3)
+    return Obstacles(camera.to_camera(posts).astype(np.float32), np.arange(len(posts), dtype=np.int32))
+
+
+def test_lines_and_hidden_points(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    """Equal but where a point at the border of two bins falls into the other by rounding; with noise few do."""
+    blocked = n_hidden = 0
+
+    def check(solid: Solid, camera: Camera) -> None:
+        nonlocal blocked, n_hidden
+        closing = Recorder(completed._closing_lines, reference.closing_lines)
+        hidden = Recorder(completed._hidden_points, reference.hidden_points)
+        with monkeypatch.context() as patch:
+            patch.setattr(completed, "_closing_lines", closing)
+            patch.setattr(completed, "_hidden_points", hidden)
+            planned(solid, camera, rng)
+            planned(solid, camera, rng, obstacles=around(camera), slide_m=0.004)
+            planned(solid, camera, rng, hand=HandConfig(tip_radius_m=0.0125, clearance_m=0.0))
+        for found, other in hidden.answers:
+            assert np.count_nonzero(np.abs(found - other) > 1e-9) <= 0.002 * len(found)
+            n_hidden += np.count_nonzero(other)
+        for found, other in closing.answers:
+            met = np.isfinite(found[..., 0])
+            assert np.count_nonzero(met != np.isfinite(other[..., 0])) <= 0.005 * met.size
+            both = met & np.isfinite(other[..., 0])
+            gaps = np.abs(found - other)[both]
+            low, high, height, top, blocker, weight = gaps.T
+            lengths = np.stack([low, high, height, top])  # [m]
+            if met.size > 1:
+                assert np.quantile(lengths, 0.9) < 1e-6
+                assert np.mean(blocker > 0.0) < 0.01
+            assert lengths.max() < 0.002
+            assert np.quantile(weight / other[both][:, 5], 0.9) < 1e-4
+            blocked += int((other[both][:, 4] >= 0.0).sum())
+
+    every_case(SOLIDS, check)
+    assert blocked > 100
+    assert n_hidden > 1000
+
+
+def test_plans_through_the_references(monkeypatch: pytest.MonkeyPatch) -> None:
+    def check(solid: Solid, camera: Camera) -> None:
+        ours = planned(solid, camera)
+        with monkeypatch.context() as patch:
+            patch.setattr(completed, "_closing_lines", reference.closing_lines)
+            patch.setattr(completed, "_hidden_points", reference.hidden_points)
+            plain = planned(solid, camera)
+        assert ours.status == plain.status == "ok"
+        first, other = ours.grasps[0], plain.grasps[0]
+        assert abs(first.score - other.score) < 0.02
+        np.testing.assert_allclose(first.midpoint, other.midpoint, atol=0.001)
+        assert abs(first.width_m - other.width_m) < 0.001
+
+    every_case(SOLIDS, check)
+
+
+def test_an_ideal_box_is_as_wide_as_it_is() -> None:
+    """A block of points that is filled from 0 to 80 mm: worked by hand."""
+    axis = np.arange(-0.03, 0.0301, 0.001)
+    x, y, z = np.meshgrid(axis + 0.0002, np.arange(-0.02, 0.0201, 0.001) + 0.0002, np.arange(0.001, 0.08, 0.002))
+    points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    settings = np.array([0.004, 0.008, 0.01, 0.0, 1.0, 0.0, 0.038])
+    turns = np.array([[0.0, 0.0], [np.pi / 2.0, 0.0], [0.0, 0.004]])
+    others = np.array([[0.05, 0.0, 0.04], [0.0, -0.03, 0.04], [0.08, 0.0, 0.04], [0.05, 0.0, 0.02]])
+    found = np.empty((3, 3, 6))
+    completed._closing_lines(
+        *(points, np.ones(len(points)), len(points), turns, 3, 3, settings, np.zeros(15)),
+        *(np.zeros((1, 1), np.float32), 0, 0, others, len(others), found),
+    )
+    np.testing.assert_allclose(found[0, :, 0], -0.0298, atol=0.0006)
+    np.testing.assert_allclose(found[0, :, 1], 0.0302, atol=0.0006)
+    np.testing.assert_allclose(found[1, :, 0], -0.0198, atol=0.0006)
+    np.testing.assert_allclose(found[1, :, 1], 0.0202, atol=0.0006)
+    np.testing.assert_allclose(found[:, :, 3], 0.076, atol=0.002)  # 95 % of the points are lower
+    np.testing.assert_allclose(found[:, :, 2], found[:, :, 3] / 2.0, atol=1e-9)
+    np.testing.assert_array_equal(
+        found[0, :, 4], 0
+    )  # the first, 20 mm outside of the end and no more than a tip beside
+    np.testing.assert_array_equal(found[1, 1:, 4], 1)
+    np.testing.assert_array_equal(found[2, 0], found[0, 1])  # moved by one step: the same line
