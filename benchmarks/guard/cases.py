@@ -22,7 +22,7 @@ from benchmarks.common import scene
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine

@@ -151,7 +151,7 @@ def covariance(points: Exact, weight: Exact | None = None) -> tuple[Exact, Exact
 
 
 def smoothstep(values: Exact, low: Exact, high: Exact) -> Exact:
-    """Reference of `foretouch.grasp.stable._smoothstep`."""
+    """Reference of `foretouch.grasp.frame.smoothstep`."""
     t = np.clip((exact(values) - low) / (high - low), mpmath.mpf(0), mpmath.mpf(1))
     return t * t * (3 - 2 * t)
 

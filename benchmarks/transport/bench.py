@@ -21,7 +21,7 @@ from sensor_msgs.msg import PointCloud2
 from benchmarks.common import ROOT, OthersLoad, markdown, print_rows, read_csv, replace_marked, write_csv
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from foretouch.errors import ConfigError
-from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud

@@ -109,14 +109,23 @@ def test_predict_takes_given_grasps_in_their_order(call, files) -> None:
 
 
 def test_a_config_file_and_set_change_the_pipeline(call, files, tmp_path) -> None:
-    (tmp_path / "c.yaml").write_text("grasp: {tip_mm: 30, count: 2}\n")
+    (tmp_path / "c.yaml").write_text("grasp: {method: original, tip_mm: 30, count: 2}\n")
     from_file = call("grasp", files / "object.pcd", "--json", "--config", tmp_path / "c.yaml").records[0]
-    from_option = call("grasp", files / "object.pcd", "--json", "--tip-mm", "30", "--set", "grasp.count=2").records[0]
+    original = ("grasp", files / "object.pcd", "--json", "--set", "grasp.method=original")
+    from_option = call(*original, "--tip-mm", "30", "--set", "grasp.count=2").records[0]
     assert from_file["counts"] == from_option["counts"]
-    assert from_file["counts"] != call("grasp", files / "object.pcd", "--json").records[0]["counts"]
+    assert from_file["counts"] != call(*original).records[0]["counts"]
     unknown = call("grasp", files / "object.pcd", "--set", "grasp.tipp_mm=3")
     unknown.check_refused("grasp.tipp_mm: unknown setting; known: tip_mm")
     assert main([]) == 2
+
+
+def test_the_method_that_was_replaced_is_refused_with_the_new_one(call, files, tmp_path) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text("grasp: {method: stable}\n")
+    for words, where in ((("--config", path), f"{path}"), (("--set", "grasp.method=stable"), "--set")):
+        said = f"foretouch: {where}: grasp.method: 'stable' was replaced by 'completed', which is the default"
+        call("grasp", files / "object.pcd", *words).check_refused(said)
 
 
 @pytest.mark.real_data

@@ -78,7 +78,7 @@ def test_clouds_that_are_hardly_an_object(rng: np.random.Generator) -> None:
         "half out of the picture": (seen(can(0.033, 0.12), at=(0.0, 0.46)), ""),
         "behind another": (brick[brick[:, 0] > np.quantile(brick[:, 0], 0.6)], ""),
         "with a hole": (brick[np.linalg.norm(brick - brick.mean(axis=0), axis=1) > 0.015], ""),
-        "in two parts": (np.concatenate([brick, brick + [0.15, 0.0, 0.0]]), ""),
+        "in two parts": (np.concatenate([brick, np.add(brick, [0.15, 0.0, 0.0])]), ""),
         "of points far apart": (placed(rng.uniform(-0.25, 0.25, (40, 3))), ""),
     }
     every_case(cases, check)
@@ -141,5 +141,5 @@ def test_the_method_that_was_replaced_is_refused_with_the_new_one() -> None:
     with pytest.raises(ConfigError) as caught:
         GeoGraspConfig.from_mapping({"method": "stable"}, "settings.yaml")
     assert str(caught.value) == f"settings.yaml: {said}"
-    with pytest.raises(ConfigError, match="method: .*stabel.*completed.*original"):
+    with pytest.raises(ConfigError, match=r"method: .*stabel.*completed.*original"):
         GeoGraspConfig(method="stabel")

@@ -4,8 +4,7 @@
 from collections.abc import Iterable
 
 import numpy as np
-import pytest
-from seen_solids import Camera, about_vertical, ball, box, can
+from seen_solids import Camera, ball, box, can
 
 from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig, HeldGrasp, plan_grasps
 from foretouch.types import Cloud, Float64, Plane

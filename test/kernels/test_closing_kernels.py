@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from every_case import every_case
 from kernels.references import closing as reference
-from seen_solids import Camera, Solid, about_vertical, ball, box, can
+from seen_solids import Camera, Solid, ball, box, can
 
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, plan_grasps
 from foretouch.types import Cloud
