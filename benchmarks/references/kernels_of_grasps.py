@@ -4,6 +4,27 @@
 import mpmath
 import numpy as np
 
+from benchmarks.references.reference import (
+    Exact,
+    covariance,
+    eigen,
+    exact,
+    far_or_round,
+    gap,
+    gap_up_to_sign,
+    kernel,
+    norm,
+    real,
+    relative_gap,
+    rotation,
+    smoothstep,
+    span,
+    spread_points,
+)
+from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.frame import WeightedPoints, _third_moment, object_frame, weigh_points
+from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
+from foretouch.grasp.ranking import GraspPlane, SurfacePoints, _plane_distance, _ScaledSide, _two_rankings
 from foretouch.types import Plane
 
 CONFIG = GeoGraspConfig()
