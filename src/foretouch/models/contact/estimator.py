@@ -62,7 +62,8 @@ class ContactEstimator:
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        return Estimate(*self.predict_rows(HandFrameFeatures(cloud.xyz).describe(grasps)))
+        rows = HandFrameFeatures(cloud.xyz).describe(grasps)
+        return Estimate(*self.predict_rows(rows), rows[:, len(CONDITIONS) :])
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
