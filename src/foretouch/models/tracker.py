@@ -329,7 +329,8 @@ class SensorTracker:
 
     def factor(self, level: Level) -> Float64:
         """(D,) half widths of the intervals over the deviations."""
-        return self._channels.by_modality(np.exp(self._log_factor if level.same_object else self._other_log_factor()))
+        logarithm = self._log_factor if level.same_object else self._other_log_factor()
+        return np.asarray(self._channels.by_modality(np.exp(logarithm)), np.float64)
 
     def _adapt_factor(self, outside: Bool) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""

@@ -81,7 +81,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
     fitted = replace(parameters, **states, **times, noise=parameters.noise * noise, tare_noise=tare)
     fitted = _with_intervals(fitted, recording)  # without slopes as yet, so that TDC changes no interval
     fitted = fitted if recording.tdc is None else replayed.with_slopes(fitted)
-    return fitted if recording.where is None else _with_places(fitted, recording)
+    return fitted if recording.where is None else fit_places(fitted, recording)
 
 
 class _Replay:
@@ -219,7 +219,7 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)
 
 
-def _with_places(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
+def fit_places(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
     """The same parameters with the most likely length and ratios of the features of grasps."""
     assert recording.where is not None  # noqa: S101  checked by the caller
     channels, runs = parameters.channels, recording.runs()
