@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from foretouch.models.state_space import TrackerParameters
 from foretouch.types import Float64
@@ -56,14 +57,10 @@ class SimilarTouches:
         return type(self)(self.parameters, wheres, readings)
 
     def regress(self, where: Float64, level: Float64) -> tuple[Float64, Float64]:
-        """What (K, P) grasps differ from the level by; the same for each grasp alone and among others, to the last bit.
+        """What grasps with (K, P) features differ from a (D,) level by; each as it is alone, to the last bit.
 
-        Args:
-            where: Features of the grasps.
-            level: (D,) readings of a grasp on this object that is like no other, as `readings` [counts].
-
-        Returns:
-            (K, D) differences [counts], and (K, M) shares of the variance of the noise that are left.
+        The level is the reading of a grasp on this object that is like no other, as `readings`. The results are (K, D)
+        differences [counts], and (K, M) shares of the variance of the noise that are left.
         """
         vectors, gain = self._solved
         near = (self._kernel(where)[:, None] @ vectors)[:, 0]  # (K, n): one product a grasp
@@ -74,10 +71,7 @@ class SimilarTouches:
 
     def _kernel(self, where: Float64) -> Float64:
         """(K, n) k of eq. 1."""
-        from scipy.spatial.distance import cdist
-
-        scale = self.parameters.where_scale
-        distance = cdist(where / scale, self.where / scale)
+        distance = cdist(where / self.parameters.where_scale, self.where / self.parameters.where_scale)
         return np.asarray((1.0 + distance) * np.exp(-distance), np.float64)
 
     @cached_property

@@ -80,10 +80,8 @@ class TrackerParameters(TensorRecord):
     alarm: Float64  # (F, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
     slope: Float64  # (D,) expected counts per count of TDC, by value; absent in files of models without
     slope_sd: Float64  # (D,) standard deviation of the slopes between sensors
-    where_scale: (
-        Float64  # (P,) unit of each feature of a grasp (`models.similar_touches`); none in files of models without
-    )
-    where_ratio: Float64  # (M,) by modality: variance of what the features predict over the rest of the noise
+    where_scale: Float64  # (P,) unit of each feature of a grasp; absent in files of models without
+    where_ratio: Float64  # (M,) by modality: variance of what they predict over that of the rest of the noise
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
@@ -149,11 +147,6 @@ class TrackerParameters(TensorRecord):
     def thermal(self) -> bool:
         """Whether readings depend on the temperature."""
         return bool(self.slope.any() or self.slope_sd.any())
-
-    @property
-    def local(self) -> bool:
-        """Whether readings depend on where an object is touched."""
-        return bool(self.where_ratio.any() and self.where_scale.size)
 
     def slopes(self) -> Float64:
         """(2, D) mean and variance of the slopes of the coordinates of the basis."""

@@ -76,10 +76,6 @@ class History:
                 counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows], where)
         return counts, half
 
-    def flags(self, estimate: Estimate) -> tuple[str, ...]:
-        """Flags of all predictions that `adapt` makes of an estimate."""
-        return (SIMILAR_TOUCHES,) * (self._touched and self.tracker.similar.enough and estimate.where is not None)
-
     @property
     def evidence(self) -> Evidence:
         """Numbers and ages of the readings."""
@@ -222,7 +218,8 @@ class TouchModel:
         known = estimate.in_distribution
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)
-            return self._predictions(grasps, known, *read, history.flags(estimate))
+            similar = history.same_object and history.tracker.similar.enough and estimate.where is not None
+            return self._predictions(grasps, known, *read, (SIMILAR_TOUCHES,) * similar)
         half = None
         if self.calibration is not None:
             half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))

@@ -59,7 +59,6 @@ _KEPT: Final = 16
 _LEAP_NS: Final = 10 * 365 * 86400 * 10**9  # no sensor is stored for longer
 _TDC_JUMP: Final = (150.0, 2.0, 800.0)  # at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
-_MOST_WHERE: Final = 1e6  # of a feature: metres, and numbers without a unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +207,7 @@ class SensorTracker:
         self._suspect = failed & ~restarted
         noise = np.where(self._coordinates_of(self._suspect), np.inf, noise)
         self._filter.observe(self._inverse @ (reading - expected), noise, x=x)
-        if where is not None and self.parameters.local and not failed.any():
+        if where is not None and self.parameters.where_ratio.any() and not failed.any():
             seen = self.parameters.difference_shrinkage[self._kind] * expected + level.thermal
             self.similar = self.similar.added(where, reading - seen)
         self._expected = self._expected + expected
@@ -251,9 +250,7 @@ class SensorTracker:
         mean, variance = at.predicted(x=x)
         return Level(
             offset=np.asarray(self.parameters.basis @ mean, np.float64),
-            thermal=np.zeros(len(mean))
-            if x is None
-            else np.asarray(self.parameters.basis @ (at.mean[3] * x), np.float64),
+            thermal=np.asarray(self.parameters.basis @ (at.mean[3] * (0.0 if x is None else x)), np.float64),
             variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
             same_object=same_object,
             similar=same_object and self.similar.enough,
@@ -316,10 +313,8 @@ class SensorTracker:
         """(K, D) means [counts] and variances [counts²] of readings, without the factor of the intervals; see `adapt`."""
         counts, noise = expected + level.offset, self._squared @ self.parameters.noise[level.kind]
         if level.evidence.touches:
-            anchor, shrinkage = (
-                self._expected / level.evidence.touches,
-                self.parameters.difference_shrinkage[level.kind],
-            )
+            shrinkage = self.parameters.difference_shrinkage[level.kind]
+            anchor = self._expected / level.evidence.touches
             counts = anchor + shrinkage * (expected - anchor) + level.offset
             if where is not None and level.similar:
                 base = (1.0 - shrinkage) * anchor + level.offset - level.thermal
@@ -490,12 +485,8 @@ def _similar(parameters: TrackerParameters, touches: int, tensors: Mapping[str, 
     """Touches by where they were, from a file; a `ModelError` if the touches of the object cannot have been these."""
     where, readings = tensors["where"], tensors.get("where_readings", np.empty(0))
     shapes = (len(where), parameters.where_scale.size), (len(where), parameters.channels.size)
-    fits = (where.shape, readings.shape) == shapes and len(where) <= min(touches, MOST) and parameters.local
-    if (
-        not fits
-        or not (np.abs(where) <= _MOST_WHERE).all()
-        or not (np.abs(readings) <= 4.0 * parameters.channels.most).all()
-    ):
+    fits = (where.shape, readings.shape) == shapes and len(where) <= min(touches, MOST)
+    if not fits or not np.isfinite(where).all() or not (np.abs(readings) <= 4.0 * parameters.channels.most).all():
         raise ModelError("where, where_readings: hold what touches of the object cannot give")
     return SimilarTouches(parameters, where.astype(np.float64), readings.astype(np.float64))
 

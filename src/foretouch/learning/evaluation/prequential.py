@@ -186,8 +186,7 @@ def predict_after(calibration: Calibration, touched: Recording, asked: Recording
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
         if tracker.touches:
             level = tracker.level(stamp, known=asked.is_known(k), tdc=asked.tdc_before(k))
-            where = None if asked.where is None else asked.where[k : k + 1]
-            (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1], where)
+            (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1])
         else:
             half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]
     return counts, half

@@ -221,13 +221,12 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
 
 def fit_places(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
     """The same parameters with the most likely length and ratios of the features of grasps."""
-    assert recording.where is not None  # noqa: S101  checked by the caller
-    channels, runs = parameters.channels, recording.runs()
-    deviation = np.sqrt(np.mean([recording.where[runs == run].var(axis=0) for run in np.unique(runs)], axis=0))
+    where, runs = np.asarray(recording.where), recording.runs()
+    deviation = np.sqrt(np.mean([where[runs == run].var(axis=0) for run in np.unique(runs)], axis=0))
     unit = np.maximum(deviation, _LEAST_SCALE) * np.sqrt(len(deviation))
     recording = recording.take(np.arange(len(runs))[-_MOST_READINGS:])
     patient = replace(parameters, alarm=np.full_like(parameters.alarm, 1e6))
-    count = np.array([min(own.size, _EFFECTIVE_VALUES) for own in channels.modality_columns.values()])
+    count = np.array([min(own.size, _EFFECTIVE_VALUES) for own in parameters.channels.modality_columns.values()])
     none = np.zeros(len(count))
     nowhere = count * _likelihood(patient, recording)
     best, highest = parameters, -np.inf
