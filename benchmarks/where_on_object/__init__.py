@@ -30,7 +30,7 @@ from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.noise_ceiling import CAUSES, Repeater
 from foretouch.experiments.shared.scores import labelled
 from foretouch.experiments.shared.simulated_data import SimulatedSettings, load_simulated
-from foretouch.learning.data import Dataset, labels_of, load_dataset
+from foretouch.learning.data import labels_of, load_dataset
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
@@ -78,12 +78,11 @@ def _load(_settings: WhereSettings, path: Path) -> Grasps:
     data, scene = load_dataset(path), None
     if is_store(path) and "scene" in Store(path).manifest.get("about", {}):
         scene = load_simulated(SimulatedSettings(), path).scene
-    return Grasps(in_order(data), scene, data.sha256)
+    return Grasps(in_order(labelled(data)), scene, data.sha256)
 
 
-def in_order(data: Dataset) -> list[GraspSample]:
-    """Labelled samples in order of time; object by object, a minute apart, where none has a stamp."""
-    samples = labelled(data)
+def in_order(samples: Sequence[GraspSample]) -> list[GraspSample]:
+    """Samples in order of time; object by object, a minute apart, where none has a stamp."""
     if any(sample.stamp_ns for sample in samples):
         return sorted(samples, key=lambda sample: sample.stamp_ns)
     samples = sorted(samples, key=lambda sample: sample.object)

@@ -20,8 +20,7 @@ _LEVEL: Final = "level"
 CEILING: Final = "ceiling"
 REGIMES: Final[Mapping[str, tuple[int, int]]] = {"first three": (0, 2), "later": (3, 10**9)}
 CURVE: Final[Mapping[str, tuple[int, int]]] = {
-    **{str(n): (n, n) for n in range(3)},
-    **{f"{low}-{high}": (low, high) for low, high in ((3, 5), (6, 10), (11, 20), (21, 35), (36, 49))},
+    f"{low}-{high}": (low, high) for low, high in ((0, 2), (3, 5), (6, 10), (11, 20), (21, 35), (36, 49))
 }
 """Ranges of the number of touches of the object before a grasp, both ends included, by name."""
 
@@ -38,7 +37,8 @@ def where_rows(cells: Sequence[Row], config: BootstrapConfig) -> list[Row]:
     rows: list[Row] = []
     for regime, (low, high) in {**REGIMES, **CURVE}.items():
         for name, scored in scores.items():
-            rows += scored.rows(scores[_LEVEL], name, regime, scored.between(low, high), config)
+            if (chosen := scored.between(low, high)).any():
+                rows += scored.rows(scores[_LEVEL], name, regime, chosen, config)
     if repeated := select(cells, what="repeat"):
         rows += scores[_LEVEL].ceiling(np.array([row["variance"] for row in repeated]))
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
@@ -203,12 +203,15 @@ def draw_where(rows: Rows, folder: Path) -> list[Path]:
             axes.axhline(ceilings[own[0]["modality"]], color="black", linestyle="--", linewidth=0.9, label="ceiling")
 
     def gain(axes: Any, own: Rows) -> None:
-        draw_series(
-            axes, own, "regime", "variant", ["", "where", "shuffled"], values="gain", places=list(CURVE), spread=0.15
-        )
+        names = ["", "where", "shuffled"]  # in the colours of the line above
+        draw_series(axes, own, "regime", "variant", names, values="gain", places=list(CURVE), spread=0.15)
+        axes.tick_params("x", rotation=45, labelsize=8)
+        axes.set_ylim(-0.15, 0.2)
 
     lines = [
-        Line(2.6, plain, draw, "", "", "skill", "upper center"),
+        Line(2.6, plain, draw, "", "", "skill", "right upper"),
         Line(2.6, [row for row in curve if row["gain"] is not None], gain, "", "touches of the object before", "gain"),
     ]
-    return save_panels(folder / "touches.png", 2.6 * len(modalities), lines, modalities=modalities, sharex=True)
+    return save_panels(
+        folder / "touches.png", 2.4 * len(modalities), lines, modalities=modalities, sharex=True, sharey="row"
+    )
