@@ -132,19 +132,13 @@ def summarise_where(rows: Sequence[Row]) -> list[Table]:
     tables.append(Table("Over touches of the object", ["touches", "where", *names], body))
     scored = [row for row in together if row["regime"] in REGIMES and row["coverage"] is not None]
     body = [
-        [
-            f"{regime}, {name}",
-            *(
-                _numbers(part, key, digits)
-                for key, digits in (("coverage", 2), ("half_width", 3), ("interval_score", 3))
-            ),
-        ]
+        [f"{regime}, {name}", *(_numbers(part, key) for key in ("coverage", "half_width", "interval_score"))]
         for (regime, name), part in grouped(scored, "regime", "variant")
     ]
     tables.append(Table("90 % intervals", ["where", "coverage", "half width", "score"], body))
     single = [row for row in select(rows, regime="later", variant="where") if row["object"] != ALL_OBJECTS]
     body = [
-        [name, listed(part, "gain"), _numbers([row for row in part if row["coverage"] is not None], "coverage", 2)]
+        [name, listed(part, "gain"), _numbers([row for row in part if row["coverage"] is not None], "coverage")]
         for name, part in grouped(single, "object")
     ]
     tables.append(Table("Each object, later, with where", ["object", "gain", "coverage"], body))
@@ -185,8 +179,9 @@ def _cell(row: Mapping[str, Any]) -> str:
     return f"{short(row['skill'])} {SIGNS.get(row['gain_verdict'], '')} {_gain(row)}"
 
 
-def _numbers(rows: Sequence[Mapping[str, Any]], column: str, digits: int) -> str:
-    return " ".join(f"{row[column]:.2f}" if digits == 2 else f"{row[column]:.{digits}g}" for row in rows)
+def _numbers(rows: Sequence[Mapping[str, Any]], column: str) -> str:
+    digits = 2 if column == "coverage" else 0
+    return " ".join(f"{row[column]:.{digits}f}" for row in rows)
 
 
 def draw_where(rows: Rows, folder: Path) -> list[Path]:
@@ -196,6 +191,7 @@ def draw_where(rows: Rows, folder: Path) -> list[Path]:
     modalities = list(dict.fromkeys(row["modality"] for row in curve))
     ceilings = {row["modality"]: row["skill"] for row in select(together, variant=CEILING)}
     plain = [{**row, "skill_low": None} for row in curve]
+    largest = max((row["gain"] for row in curve if row["gain"] is not None), default=0.0)
 
     def draw(axes: Any, own: Rows) -> None:
         draw_series(axes, own, "regime", "variant", ["level", "where", "shuffled"], places=list(CURVE))
@@ -206,7 +202,7 @@ def draw_where(rows: Rows, folder: Path) -> list[Path]:
         names = ["", "where", "shuffled"]  # in the colours of the line above
         draw_series(axes, own, "regime", "variant", names, values="gain", places=list(CURVE), spread=0.15)
         axes.tick_params("x", rotation=45, labelsize=8)
-        axes.set_ylim(-0.15, 0.2)
+        axes.set_ylim(-0.15, max(0.2, 1.1 * largest))
 
     lines = [
         Line(2.6, plain, draw, "", "", "skill", "right upper"),
