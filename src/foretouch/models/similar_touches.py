@@ -22,7 +22,6 @@ from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from foretouch.models.state_space import TrackerParameters
 from foretouch.types import Float64
@@ -71,6 +70,8 @@ class SimilarTouches:
 
     def _kernel(self, where: Float64) -> Float64:
         """(K, n) k of eq. 1."""
+        from scipy.spatial.distance import cdist  # for `--help` without SciPy
+
         distance = cdist(where / self.parameters.where_scale, self.where / self.parameters.where_scale)
         return np.asarray((1.0 + distance) * np.exp(-distance), np.float64)
 
