@@ -249,9 +249,8 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    flags: tuple[
-        str, ...
-    ] = ()  # `out_of_range`, `unfamiliar`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
+    # `out_of_range`, `unfamiliar`, `similar_touches`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
+    flags: tuple[str, ...] = ()
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
     evidence: Evidence = Evidence()  # the readings behind `reference`
