@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Labelled scenes: those of the Object Segmentation Database, and our piles.
+
+A file of either holds a cloud and the object of each pixel. The database has `depth_100um` (H, W) uint16 and `K` (f, fy, cx,
+cy), or `xyz` (H, W, 3) [m], and `label` with object × 10 + part, 0 to 9 the background. Piles have `xyz`, `labels` (H, W)
+int32 with 1 and up for objects, and `kind`.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from foretouch.types import Cloud, Float32, Int32
+
+# The database lists its scenes by kind: the first number of each, of the scenes for learning and for testing.
+_KINDS: Final = {
+    "learn": ((0, "boxes"), (17, "stacked"), (25, "occluded"), (35, "cylinders")),
+    "test": ((0, "boxes"), (16, "stacked"), (25, "occluded"), (35, "cylinders"), (43, "mixed"), (55, "complex")),
+}
+_BACKGROUND: Final = 10  # labels below are no object
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledCloud:
+    """An organised cloud with its truth."""
+
+    name: str  # of the file
+    kind: str  # of scene
+    cloud: Cloud  # organised
+    labels: Int32  # (H, W) int32, 1 and up for objects, 0 for everything else
+
+
+def load_scenes(folder: Path) -> Iterator[LabelledCloud]:
+    """All scenes of a folder of .npz files, by name and number."""
+    for path in sorted(folder.glob("*.npz"), key=lambda path: _numbered(path.stem)):
+        with np.load(path) as arrays:
+            fields = {name: arrays[name] for name in arrays}
+        xyz = fields["xyz"] if "xyz" in fields else _points(fields["depth_100um"], fields["K"])
+        if "labels" in fields:
+            labels = fields["labels"].astype(np.int32)
+        else:
+            whole = fields["label"].astype(np.int32)
+            labels = np.where(whole < _BACKGROUND, 0, whole // 10)
+        kind = str(fields["kind"]) if "kind" in fields else _kind(path.stem)
+        yield LabelledCloud(path.stem, kind, Cloud(np.ascontiguousarray(xyz, np.float32)), labels)
+
+
+def _points(depth_100um: np.ndarray, K: np.ndarray) -> Float32:
+    f, fy, cx, cy = K
+    z = np.where(depth_100um > 0, depth_100um * 1e-4, np.nan)
+    v, u = np.indices(z.shape)
+    return np.stack([(u - cx) * z / f, (v - cy) * z / fy, z], axis=-1).astype(np.float32)
+
+
+def _numbered(stem: str) -> tuple[str, int]:
+    name, number = re.fullmatch(r"(.*?)(\d*)", stem).groups()
+    return name, int(number or 0)
+
+
+def _kind(stem: str) -> str:
+    name, number = _numbered(stem)
+    kinds = [kind for first, kind in _KINDS.get(name, ()) if first <= number]
+    return kinds[-1] if kinds else "other"
