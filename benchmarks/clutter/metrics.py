@@ -9,7 +9,7 @@ Ramanan: Towards Segmenting Anything That Moves, 2019). An object is found if it
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -41,19 +41,26 @@ class SceneScore:
 
 def score(predicted: Int32, true: Int32) -> SceneScore:
     """Compare two label images (H, W) of the same size, 0 where there is no object; other values need not agree."""
-    common, n_predicted, n_true, dense_predicted, dense_true = _overlaps(predicted, true)
-    f = 2.0 * common / (n_true[:, None] + n_predicted[None])
-    rows, columns = linear_sum_assignment(f, maximize=True)
-    kept = common[rows, columns].sum()
-    near_true, near_predicted, edge_true, edge_predicted = _outlines(dense_predicted, dense_true, rows, columns)
-    precision, recall = _ratio(kept, n_predicted.sum()), _ratio(kept, n_true.sum())
+    overlap = _Overlap.of(predicted, true)
+    rows, columns, f = overlap.matched()
+    kept = overlap.common[rows, columns].sum()
+    precision, recall = _ratio(kept, overlap.n_predicted.sum()), _ratio(kept, overlap.n_true.sum())
+    near_true, near_predicted, edge_true, edge_predicted = _outlines(overlap, rows, columns)
     boundary = _ratio(near_true, edge_predicted), _ratio(near_predicted, edge_true)
-    merged, cut = merged_and_cut(common, n_true)
+    merged, cut = merged_and_cut(overlap.common, overlap.n_true)
     return SceneScore(
         *(precision, recall, _harmonic(precision, recall)),
         *(*boundary, _harmonic(*boundary)),
-        *(len(n_true), int((f[rows, columns] >= FOUND).sum()), merged, cut),
+        *(len(overlap.n_true), int((f >= FOUND).sum()), merged, cut),
     )
+
+
+def pairs(predicted: Int32, true: Int32) -> dict[int, int]:
+    """The true object (its label) that each predicted one (its label) is paired with; those with nothing in common are not."""
+    overlap = _Overlap.of(predicted, true)
+    rows, columns, f = overlap.matched()
+    names = np.unique(predicted[predicted != 0]), np.unique(true[true != 0])
+    return {int(names[0][j]): int(names[1][i]) for i, j, one in zip(rows, columns, f, strict=True) if one > 0.0}
 
 
 def merged_and_cut(common: Int64, n_true: Int64) -> tuple[int, int]:
@@ -79,31 +86,49 @@ def summary(scores: Iterable[SceneScore]) -> dict[str, float]:
     return {name: float(np.mean([getattr(one, name) for one in scores])) for name in names} | rates
 
 
-def _overlaps(predicted: Int32, true: Int32) -> tuple[Int64, Int64, Int64, Int32, Int32]:
-    """Common pixels (T, P), sizes (P,) and (T,), and both images with labels 1, 2, ... without gaps."""
-    values, dense = np.unique(np.append(predicted, 0), return_inverse=True)
-    names, image = np.unique(np.append(true, 0), return_inverse=True)
-    dense, image = dense[:-1].reshape(predicted.shape), image[:-1].reshape(true.shape)
-    table = np.bincount((image * len(values) + dense).ravel(), minlength=len(names) * len(values))
-    table = table.reshape(len(names), len(values))
-    return (
-        *(table[1:, 1:], table.sum(axis=0)[1:], table.sum(axis=1)[1:]),
-        *(dense.astype(np.int32), image.astype(np.int32)),
-    )
+@dataclass(frozen=True, eq=False)
+class _Overlap:
+    """Pixels that T true and P predicted objects have in common."""
+
+    common: Int64  # (T, P) int64
+    n_predicted: Int64  # (P,) int64, their sizes
+    n_true: Int64  # (T,) int64
+    predicted: Int32  # (H, W) int32, labels 1 to P
+    true: Int32  # (H, W) int32, labels 1 to T
+
+    @classmethod
+    def of(cls, predicted: Int32, true: Int32) -> Self:
+        """Of two label images."""
+        (p_names, p_image), (t_names, t_image) = (_without_gaps(labels) for labels in (predicted, true))
+        flat = (t_image * len(p_names) + p_image).ravel()
+        table = np.bincount(flat, minlength=len(t_names) * len(p_names)).reshape(len(t_names), len(p_names))
+        return cls(table[1:, 1:], table.sum(axis=0)[1:], table.sum(axis=1)[1:], p_image, t_image)
+
+    def matched(self) -> tuple[Int64, Int64, Float64]:
+        """True and predicted object of each pair, and its F."""
+        f = 2.0 * self.common / (self.n_true[:, None] + self.n_predicted[None])
+        rows, columns = linear_sum_assignment(f, maximize=True)
+        return rows, columns, f[rows, columns]
 
 
-def _outlines(predicted: Int32, true: Int32, rows: Int64, columns: Int64) -> tuple[int, int, int, int]:
+def _without_gaps(labels: Int32) -> tuple[Int64, Int32]:
+    """The labels there are, 0 in any case, and the image of their places in that list."""
+    names, places = np.unique(np.append(labels, 0), return_inverse=True)
+    return names, places[:-1].reshape(labels.shape).astype(np.int32)
+
+
+def _outlines(overlap: _Overlap, rows: Int64, columns: Int64) -> tuple[int, int, int, int]:
     """Predicted pixels near the paired true outline, true ones near the predicted one, and the sizes of all outlines."""
-    reach = np.ceil(BOUNDARY * np.hypot(*true.shape))
-    edges_true = [outline(true == k) for k in range(1, int(true.max(initial=0)) + 1)]
-    edges_predicted = [outline(predicted == k) for k in range(1, int(predicted.max(initial=0)) + 1)]
+    reach = float(np.ceil(BOUNDARY * np.hypot(*overlap.true.shape)))
+    edges_true = [outline(overlap.true == k) for k in range(1, len(overlap.n_true) + 1)]
+    edges_predicted = [outline(overlap.predicted == k) for k in range(1, len(overlap.n_predicted) + 1)]
     near_true = near_predicted = 0
     for row, column in zip(rows, columns, strict=True):
         mine, theirs = edges_predicted[column], edges_true[row]
         near_true += int((mine & _within(theirs, reach)).sum())
         near_predicted += int((theirs & _within(mine, reach)).sum())
-    sizes = (sum(int(edge.sum()) for edge in edges) for edges in (edges_true, edges_predicted))
-    return near_true, near_predicted, *sizes
+    size_true, size_predicted = (sum(int(edge.sum()) for edge in edges) for edges in (edges_true, edges_predicted))
+    return near_true, near_predicted, size_true, size_predicted
 
 
 def outline(mask: Bool) -> Bool:

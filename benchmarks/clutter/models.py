@@ -8,6 +8,7 @@ profiles cut into convex parts. Objects of the YCB set come from the convex part
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -82,7 +83,7 @@ def _turned() -> Iterator[Model]:
 def turned(profile: list[tuple[float, float]]) -> list[Float64]:
     """A solid of revolution as truncated cones, from (radius, height) bottom to top [m]."""
     rings = [_ring(radius, height, 2 * _SECTORS) for radius, height in profile]
-    return [np.concatenate(pair) for pair in zip(rings[:-1], rings[1:], strict=True)]
+    return [np.concatenate(pair) for pair in pairwise(rings)]
 
 
 def hollow(outer: Float64, wall_m: float) -> list[Float64]:
