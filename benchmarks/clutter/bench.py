@@ -4,20 +4,21 @@
 import argparse
 import hashlib
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import lccp, piles
+from benchmarks.clutter import lccp, models, physics, piles
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.picture import Shown, draw
 from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
-from foretouch.types import Int32
+from foretouch.types import Float64, Int32
 
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
@@ -80,19 +81,19 @@ def _measured(scene: LabelledCloud, labels: Int32) -> Int32:
     return np.where(np.isfinite(scene.cloud.xyz[..., 2]), labels, 0).astype(np.int32)
 
 
-def _times(scenes: Sequence[LabelledCloud], plain: SegmentationConfig) -> tuple[np.ndarray, np.ndarray]:
+def _times(scenes: Sequence[LabelledCloud], plain: SegmentationConfig) -> tuple[Float64, Float64]:
     """Least CPU times of each scene [ms]: with and without splitting, in turn."""
-    pairs = [
-        [min(cpu_ms(job, 1, least=True) for _ in range(_REPEATS)) for job in _jobs(scene, plain)] for scene in scenes
-    ]
-    both = np.array(pairs)
+    rows = []
+    for scene in scenes:
+        jobs = [partial(_again, scene, config) for config in (None, plain)]
+        rows.append(np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0))
+    both = np.array(rows)
     return both[:, 0], both[:, 1]
 
 
-def _jobs(scene: LabelledCloud, plain: SegmentationConfig) -> Iterator[Callable[[], object]]:
-    """Both segmentations of a new copy of the cloud, as from a camera."""
-    for config in (None, plain):
-        yield lambda config=config: segment(replace(scene.cloud, xyz=scene.cloud.xyz.copy()), config)
+def _again(scene: LabelledCloud, config: SegmentationConfig | None) -> None:
+    """Segment a new copy of the cloud, as from a camera."""
+    segment(replace(scene.cloud, xyz=scene.cloud.xyz.copy()), config)
 
 
 def table(name: str, scenes: Sequence[LabelledCloud], found: Answers) -> list[dict[str, Any]]:
@@ -131,7 +132,7 @@ def pieces(name: str, scenes: Sequence[LabelledCloud]) -> dict[str, Any]:
 
 def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
     """A folder of scenes that are made once for each version of what makes them."""
-    sources = [Path(module.__file__ or "").read_bytes() for module in (piles, piles.models, piles.physics)]
+    sources = [Path(module.__file__ or "").read_bytes() for module in (piles, models, physics)]
     name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
     folder = lccp.cache() / f"{kind}-{name}"
     if not folder.is_dir():

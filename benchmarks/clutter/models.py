@@ -113,7 +113,7 @@ def _handle(radius: float, middle: float, reach: float) -> list[Float64]:
 
 
 def _ring(radius: float, height: float, count: int) -> Float64:
-    return _arc(np.array([[radius, height]]), np.arange(count) * (2.0 * np.pi / count))
+    return _arc(np.array([[radius, height]]), np.linspace(0.0, 2.0 * np.pi, count, endpoint=False))
 
 
 def _arc(profile: Float64, angle: Float64) -> Float64:

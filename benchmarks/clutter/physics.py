@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.clutter.models import SOLIDS, Model
-from foretouch.types import Float64
+from foretouch.types import Bool, Float64
 
 PULL_M_S2: Final = 3.0  # acceleration towards the middle that brings objects together
 _PULLED_S: Final = 0.8
@@ -40,7 +40,7 @@ class Pile:
     """
 
     objects: tuple[Placed, ...]
-    touching: np.ndarray
+    touching: Bool
     deepest_m: float
     still: bool
 
@@ -53,7 +53,7 @@ def settle(start: Sequence[Placed], friction: float, *, pulled: bool = False) ->
         friction: Coefficient between all surfaces.
         pulled: Whether they slide to the middle first, over a slippery table.
     """
-    import mujoco
+    import mujoco  # type: ignore[import-untyped, unused-ignore]
 
     physics = mujoco.MjModel.from_xml_string(_xml(start))
     data = mujoco.MjData(physics)
@@ -81,7 +81,7 @@ def settle(start: Sequence[Placed], friction: float, *, pulled: bool = False) ->
     return Pile(rested, touching, deepest, bool(np.abs(data.qvel).max() < _STILL))
 
 
-def _contacts(physics: Any, data: Any, count: int) -> tuple[np.ndarray, float]:
+def _contacts(physics: Any, data: Any, count: int) -> tuple[Bool, float]:
     touching = np.zeros((count + 1, count + 1), np.bool_)
     deepest = 0.0
     for contact in data.contact:

@@ -24,7 +24,7 @@ from foretouch.simulation.effects.view import FRAME_EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.solids import LYING, Body, about_z
 from foretouch.simulation.world import SampleKey
-from foretouch.types import Float32, Float64, Int32
+from foretouch.types import Bool, Float32, Float64, Int32
 
 _ATTEMPTS: Final = 200  # at one pile
 _REACH_M: Final = 0.30  # of a pile around the middle of the table
@@ -116,7 +116,7 @@ def _cluttered(models: Models, rng: Rng) -> Pile:
     return settle(start, _FRICTION, pulled=True)
 
 
-def _connected(touching: np.ndarray, count: int) -> int:
+def _connected(touching: Bool, count: int) -> int:
     """The most objects that touch each other, directly or through others; the table, the last, joins none."""
     from scipy.sparse.csgraph import connected_components
 

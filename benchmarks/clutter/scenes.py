@@ -6,7 +6,6 @@ cy), or `xyz` (H, W, 3) [m], and `label` with object × 10 + part, 0 to 9 the ba
 int32 with 1 and up for objects, and `kind`.
 """
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,8 +59,8 @@ def _points(depth_100um: AnyArray, lens: AnyArray) -> Float32:
 
 
 def _numbered(stem: str) -> tuple[str, int]:
-    name, number = re.fullmatch(r"(.*?)(\d*)", stem).groups()
-    return name, int(number or 0)
+    name = stem.rstrip("0123456789")
+    return name, int(stem[len(name) :] or 0)
 
 
 def _kind(stem: str) -> str:
@@ -92,4 +91,5 @@ def recorded_objects(folder: Path) -> Iterator[LabelledCloud]:
 def _pixels(slope: Float64, centre: float) -> Int64:
     """Columns or rows of points by their slope from the optical axis: the centre's fraction of a pixel fits them all."""
     fraction = np.angle(np.exp(2j * np.pi * slope * _FOCAL_PX).mean()) / (2.0 * np.pi)
-    return np.rint(slope * _FOCAL_PX - fraction + centre).astype(np.int64)
+    pixels: Int64 = np.rint(slope * _FOCAL_PX - fraction + centre).astype(np.int64)
+    return pixels
