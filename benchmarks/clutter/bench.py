@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -166,6 +167,8 @@ def main() -> None:
     osd = [data / "osd"] if data is not None and (data / "osd").is_dir() else []
     sets = {f"OSD ({folder.name})" if folder in osd else folder.name: folder for folder in [*osd, *options.scenes]}
     identity = options.seed, str(data)
+    if find_spec("mujoco") is None:
+        raise SystemExit("piles need MuJoCo: pip install 'foretouch[physics]'")
     sets["piles"] = made("piles", lambda out: piles.write_piles(out, options.count, options.seed, data), options.count, *identity)  # fmt: skip
     single = made("single", lambda out: piles.write_singles(out, options.seed, data), *identity)
     if lccp.program() is None:

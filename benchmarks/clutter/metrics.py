@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from foretouch.types import Bool, Float64, Int32, Int64
 
 FOUND: Final = 0.75  # F from which an object is found
-MAJORITY: Final = 0.5  # share that one part must have to count as the whole
+MAJORITY: Final = 0.5  # a prediction with a larger share of a true object holds it
 TINY: Final = 0.05  # smaller shares are outlines, not parts
 BOUNDARY: Final = 0.003  # of the image's diagonal: distance within which outlines agree
 
@@ -35,8 +35,8 @@ class SceneScore:
     boundary_f: float
     n_true: int  # true objects
     n_found: int  # of them found
-    n_merged: int  # of them most visible pixels lie in a prediction that also has the most of another one
-    n_cut: int  # of them two predictions or more hold a part each
+    n_merged: int  # of them held, with more than half of their pixels, by a prediction that holds another one too
+    n_cut: int  # of them with parts, of at least a twentieth of their pixels, in two predictions or more
 
 
 def score(predicted: Int32, true: Int32) -> SceneScore:
@@ -56,25 +56,23 @@ def score(predicted: Int32, true: Int32) -> SceneScore:
 
 
 def pairs(predicted: Int32, true: Int32) -> dict[int, int]:
-    """The true object (its label) that each predicted one (its label) is paired with; those with nothing in common are not."""
+    """The true object (its label) that each predicted one (its label) is paired with."""
     overlap = _Overlap.of(predicted, true)
-    rows, columns, f = overlap.matched()
+    rows, columns, _ = overlap.matched()
     names = np.unique(predicted[predicted != 0]), np.unique(true[true != 0])
-    return {int(names[0][j]): int(names[1][i]) for i, j, one in zip(rows, columns, f, strict=True) if one > 0.0}
+    return {int(names[0][j]): int(names[1][i]) for i, j in zip(rows, columns, strict=True)}
 
 
 def merged_and_cut(common: Int64, n_true: Int64) -> tuple[int, int]:
-    """True objects that share a prediction, and those that several predictions hold parts of.
+    """How many true objects share a prediction (under-segmentation), and how many are in parts (over-segmentation).
 
     Args:
         common: (T, P) int64, pixels that a true and a predicted object have in common.
         n_true: (T,) int64, pixels of the true objects.
     """
     share = common / n_true[:, None]
-    holder = np.where(share.max(axis=1, initial=0.0) >= MAJORITY, np.argmax(share, axis=1) if share.size else -1, -1)
-    held = holder[holder >= 0]
-    shared = np.isin(holder, np.flatnonzero(np.bincount(held, minlength=1) > 1)) & (holder >= 0)
-    return int(shared.sum()), int(((share >= TINY).sum(axis=1) > 1).sum())
+    held = (share > MAJORITY).sum(axis=0)  # by each prediction; at most one holds an object
+    return int(held[held > 1].sum()), int(((share >= TINY).sum(axis=1) > 1).sum())
 
 
 def summary(scores: Iterable[SceneScore]) -> dict[str, float]:
@@ -105,9 +103,11 @@ class _Overlap:
         return cls(table[1:, 1:], table.sum(axis=0)[1:], table.sum(axis=1)[1:], p_image, t_image)
 
     def matched(self) -> tuple[Int64, Int64, Float64]:
-        """True and predicted object of each pair, and its F."""
+        """True and predicted object of each pair that has pixels in common, and its F."""
         f = 2.0 * self.common / (self.n_true[:, None] + self.n_predicted[None])
         rows, columns = linear_sum_assignment(f, maximize=True)
+        shared = f[rows, columns] > 0.0
+        rows, columns = rows[shared], columns[shared]
         return rows, columns, f[rows, columns]
 
 
