@@ -164,8 +164,8 @@ def main() -> None:
     add_data(parser)
     options = parser.parse_args()
     data = None if options.data is None else Path(options.data)
-    osd = [data / "osd"] if data is not None and (data / "osd").is_dir() else []
-    sets = {f"OSD ({folder.name})" if folder in osd else folder.name: folder for folder in [*osd, *options.scenes]}
+    sets = {"OSD": data / "osd"} if data is not None and (data / "osd").is_dir() else {}
+    sets |= {folder.name: folder for folder in options.scenes}
     identity = options.seed, str(data)
     if find_spec("mujoco") is None:
         raise SystemExit("piles need MuJoCo: pip install 'foretouch[physics]'")
@@ -180,7 +180,8 @@ def main() -> None:
         rows += table(name, scenes, found)
         shown += _shown(scenes, found)
     print_rows(rows)
-    alone = [pieces("rendered", list(load_scenes(single)))]
+    rendered = list(load_scenes(single))  # views in turn
+    alone = [pieces("rendered, obliquely", rendered[::2]), pieces("rendered, from above", rendered[1::2])]
     if data is not None and (data / "vision2tactile").is_dir():
         alone.append(pieces("recorded", list(recorded_objects(data / "vision2tactile"))))
     print()
