@@ -63,11 +63,11 @@ def _not_supported(*_: Any) -> Any:
 class DatasetFormat:
     """The functions of one format; its module holds them as `DATASET_FORMAT`.
 
-    `export` writes to a folder that does not exist yet, adds to the counts, and reports progress once a sample.
+    `open` is given whether recordings that were cut off, and, only to convert them, samples of an older version are read. `export` writes to a folder that does not exist yet, adds to the counts, and reports progress once a sample.
     """
 
     recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
-    open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
+    open: Callable[[Path, bool, bool], SampleSet] = _not_supported  # for reading
     export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
 
 
@@ -86,7 +86,7 @@ def is_sample_set(path: str | Path) -> bool:
     return _format_of(Path(path)) is not None
 
 
-def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
+def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = False) -> SampleSet:
     """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
 
     Raises:
@@ -96,7 +96,7 @@ def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
     found = _format_of(path)
     if found is None:
         raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    return found.open(path, unfinished)
+    return found.open(path, unfinished, convert)
 
 
 def only_finite(sample: GraspSample) -> GraspSample:

@@ -5,7 +5,7 @@ from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig, SceneGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
-from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw
+from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw, surely_closing
 
 __all__ = [
     "GeoGraspConfig",
@@ -20,4 +20,5 @@ __all__ = [
     "object_axis",
     "plan_grasps",
     "quaternion_xyzw",
+    "surely_closing",
 ]

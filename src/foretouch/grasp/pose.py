@@ -2,12 +2,13 @@
 """Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from foretouch.errors import GraspError
 from foretouch.tactile.layout import Layout
-from foretouch.types import SQUARABLE, Bool, Float64, Grasp
+from foretouch.types import SQUARABLE, Bool, Float64, Grasp, stacked
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 _IDENTITY = np.eye(3)
@@ -108,6 +109,15 @@ def check_closing(grasp: Grasp) -> None:
     angle_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
     if angle_deg > _TILTED_DEG:
         raise GraspError(f"pose: its Z is {angle_deg:.0f} degrees from g1 - g2, more than {_TILTED_DEG:g}")
+
+
+def surely_closing(grasps: Sequence[Grasp]) -> Bool:
+    """(K,) whether `check_closing` accepts each grasp; false where it has to decide, close to its limit."""
+    g1, g2, rotations = stacked(grasps)
+    along = g1 - g2
+    with np.errstate(all="ignore"):
+        cosine = (along * rotations[:, :, 2]).sum(axis=1) / np.sqrt((along**2).sum(axis=1))
+    return np.asarray(cosine > math.cos(math.radians(0.999 * _TILTED_DEG)), np.bool_)
 
 
 def fast_accept_rotations(rotations: Float64) -> Bool:
