@@ -11,6 +11,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.wait_for_message import wait_for_message
 from sensor_msgs.msg import PointCloud2
 
+from foretouch import reading
 from foretouch_msgs.msg import Grasp, Status, TablePlane
 from foretouch_msgs.srv import PredictTouch
 
@@ -69,10 +70,12 @@ def main() -> None:
     predicted = [p for p in response.result().touch.predictions if p.status == Status.OK]
     if not predicted:
         raise SystemExit(f"no prediction: {response.result().touch.reason}")
-    best = min(predicted, key=lambda p: p.pdc_th.value + p.pdc_mf.value)
+    best = min(predicted, key=lambda p: reading(p)["PDC"][0] + reading(p)["PDC"][1])
     number = best.grasp.id.rpartition("/")[2]
     print(f"{len(predicted)} of {CANDIDATES} grasps predicted; the gentlest is {number}:")
-    print(f"PDC thumb {best.pdc_th.value:.0f}, middle finger {best.pdc_mf.value:.0f} counts, flags {list(best.flags)}")
+    print(
+        f"PDC thumb {reading(best)['PDC'][0]:.0f}, middle finger {reading(best)['PDC'][1]:.0f} counts, flags {list(best.flags)}"
+    )
     for name, point in (("g1", best.grasp.g1), ("g2", best.grasp.g2)):
         print(f"{name} = ({point.x:.3f}, {point.y:.3f}, {point.z:.3f}) m in {best.header.frame_id}")
     print(f"report its execution as grasp {best.grasp.id}")  # as examples/report_grasp.py does

@@ -30,6 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch import reading
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
@@ -124,10 +125,12 @@ class Log:
     def add_answer(self, message: Any) -> None:
         """A message of `touch`: the prediction of the best grasp."""
         for one in message.predictions[:1]:
-            interval = one.e_mf[ELECTRODE - 1]
-            half = (interval.upper - interval.lower) / 2.0
+            electrodes = reading(one)["E"]
+            value, low, high = (
+                float(each[1, ELECTRODE - 1]) for each in (electrodes, electrodes.lower, electrodes.upper)
+            )
             at_ns = stamp_ns(message.header.stamp)
-            self.add("prediction", at_ns, interval.value, half, touches=one.touches, readings=one.readings)
+            self.add("prediction", at_ns, value, (high - low) / 2.0, touches=one.touches, readings=one.readings)
 
     def add_executed(self, executed: Any) -> None:
         """The last executed grasp, if it is another than before."""

@@ -175,7 +175,8 @@ class Graph(Client):
 
 def numbers_of(one: Any) -> list[Any]:
     """All numbers of a prediction, as they were sent."""
-    intervals = [(i.value, i.lower, i.upper) for i in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)]
+    ends = (one.scalars, one.values, one.scalars_lower, one.lower, one.scalars_upper, one.upper)
+    intervals = [list(end) for end in ends]
     texts = repr(valid.contacts(one.grasp)), repr(list(one.grasp.rotation))
     return [one.status, *texts, one.grasp.score, repr(intervals)]
 

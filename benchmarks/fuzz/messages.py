@@ -252,7 +252,7 @@ def check_predictions(message: Any) -> None:
     for one in message.predictions:
         named(one.status, one.reason)
         if one.status == 0:
-            finite("prediction", [row.value for row in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)])
+            finite("prediction", [*one.scalars, *one.values])
 
 
 def predicted() -> Reader:

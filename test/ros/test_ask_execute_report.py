@@ -15,6 +15,7 @@ from robot_builders import FRAME, MS, QUICK, Robot
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from foretouch import reading
 from foretouch.dataset.messages import decode_cloud, decode_grasp
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -69,7 +70,7 @@ class Planner(Robot):
         request = PredictTouch.Request(cloud=cloud, table=table, grasps=self.candidates())
         *answered, far = self.graph.call(PredictTouch, "predict_touch", request).touch.predictions
         assert [one.status for one in (*answered, far)] == [Status.OK] * 3 + [Status.BAD_GRASP]
-        best = min(answered, key=lambda one: one.pdc_th.value).grasp
+        best = min(answered, key=lambda one: reading(one)["PDC"][0]).grasp
         decoded = decode_grasp(best)  # has the pose that was computed
         along = (decoded.g1 - decoded.g2) / np.linalg.norm(decoded.g1 - decoded.g2)
         np.testing.assert_allclose(decoded.rotation[:, 2], along, atol=1e-9)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answer_builders import touch_message
 from message_package import use_package
 from pair_builders import REST
 from rich.console import Console
@@ -25,7 +26,8 @@ from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.tactile.description import packaged_sensor
-from foretouch_msgs.msg import Grasp, TactilePrediction, TactilePredictionArray
+from foretouch.types import Touch, TouchPrediction
+from foretouch_msgs.msg import Grasp, TouchPredictionArray
 
 pytestmark = [
     pytest.mark.ros,
@@ -50,23 +52,16 @@ class UskinHand(Robot):
         self.kinds = {"Taxel": Taxel, "SensorFull": SensorFull, "SensStream": SensStream}
         self.tactile = SensStream
         super().__init__(graph)
-        self.predicted = graph.talk_matched(TactilePredictionArray, "tactile")
+        self.predicted = graph.talk_matched(TouchPredictionArray, "touch")
 
     def see(self, name: str) -> None:
         """Its cloud and grasps, and what is predicted for them."""
         super().see(name)
-        header, touch = header_to_msg(FRAME, self.now), xela_counts(100).ravel().astype(np.float32).tolist()
-        one = TactilePrediction(
-            header=header,
-            grasp=Grasp(id=name),
-            sensor="xela_uskin_4x4",
-            sensor_sha256=packaged_sensor("xela_uskin_4x4").sha256,
-            values=touch,
-            lower=touch,
-            upper=touch,
-        )
-        self.predicted.publish(TactilePredictionArray(header=header, predictions=[one]))
-        self.sent["tactile"] = self.sent.get("tactile", 0) + 1
+        sensor, header = packaged_sensor("xela_uskin_4x4"), header_to_msg(FRAME, self.now)
+        touch = Touch(xela_counts(100).transpose(2, 0, 1).ravel().astype(np.float64), sensor.channels)
+        one = touch_message(TouchPrediction(None, touch, touch, touch), Grasp(id=name), header, sensor=sensor)
+        self.predicted.publish(TouchPredictionArray(header=header, predictions=[one]))
+        self.sent["touch"] = self.sent.get("touch", 0) + 1
 
     def feel(self, counts: np.ndarray, readings: int) -> None:
         self.pressed = round(counts[0] - REST[0])
@@ -104,7 +99,7 @@ def test_its_grasps_are_recorded_and_built_to_a_store(graph: Any, tmp_path: Path
     assert dict(zip(status.sensors, status.sensor_states, strict=True)) == dict.fromkeys(
         ("TH", "FF", "camera"), "alive"
     )
-    assert status.topics[4].topic == "/foretouch/tactile"
+    assert status.topics[4].topic == "/foretouch/touch"
     shown = Console(width=200, record=True, file=io.StringIO())
     shown.print(record_panel(status, "title", node.session_status(), sensor=node.reader.sensor))
     text = shown.export_text()

@@ -14,6 +14,7 @@ from every_case import every_case
 from geometry_msgs.msg import Point, Quaternion
 from sensor_msgs.msg import PointCloud2
 
+from foretouch import reading
 from foretouch.grasp import GeoGraspConfig
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -85,14 +86,14 @@ def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_
     assert answer.header.frame_id == "cam"
     for message, prediction in zip(answer.predictions, expected, strict=True):
         assert message.status == Status.OK
-        assert message.pdc_th.value == np.float32(prediction.value["PDC_TH"][0])
-        np.testing.assert_array_equal([i.value for i in message.e_mf], prediction.value["E_MF"].astype(np.float32))
+        assert reading(message)["PDC"][0] == np.float32(prediction.value["PDC_TH"][0])
+        np.testing.assert_array_equal(reading(message)["E"][1].tolist(), prediction.value["E_MF"].astype(np.float32))
     request = planner.request()
     without_orientation(request.grasps[0])
     (posed,) = planner.ask(request).predictions
     grasp = Pipeline().grasp_between(planner.target, planner.grasps[0].g1, planner.grasps[0].g2)
     (expected,) = load_model(model_card).predict(planner.target.cloud, [grasp])
-    assert posed.pdc_mf.value == np.float32(expected.value["PDC_MF"][0])
+    assert reading(posed)["PDC"][1] == np.float32(expected.value["PDC_MF"][0])
     request.table[0].coef = [0.0, 0.0, 1.0, 1.0]
     answer = planner.ask(request)
     assert (answer.status, "is behind the camera" in answer.reason) == (Status.BAD_PLANE, True)
@@ -149,7 +150,7 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         answer = planner.ask(request)
         assert [answer.status, *(p.status for p in answer.predictions)] == [0, Status.OK, Status.BAD_GRASP, Status.OK]
         assert reason in answer.predictions[1].reason
-        assert math.isnan(answer.predictions[1].pdc_th.value)
+        assert math.isnan(reading(answer.predictions[1])["PDC"][0])
 
 
 def test_a_damaged_model_is_named_and_the_fallback_used(graph, model_card, tmp_path, target, grasps):
@@ -192,7 +193,7 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(graph, planner
     for pose, grasp in zip(result.grasp_candidates, result.grasps, strict=True):
         assert (pose.pose, pose.header.frame_id) == (grasp.pose, "cam")
     first = result.predictions[0]
-    share = ((first.pdc_th.value - 2500) / 900 + (first.pdc_mf.value - 1600) / 700) / 2
+    share = ((reading(first)["PDC"][0] - 2500) / 900 + (reading(first)["PDC"][1] - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
     by_score = planner.sample(planner.goal(cost=SampleGrasps.Goal.SCORE))
