@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     monitor: dict[str, Any] = {
         "sensor": sensor,
         "with_clouds": arguments.picture is not None,
-        "hand": _hand_of(nodes),
+        "hand": _hand_of(nodes, sensor),
         "count": arguments.count,
     }
     if arguments.json:
@@ -165,7 +165,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if scene and not arguments.model and not any("model" in parameters for _, parameters in given):
         nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
     serial = {"camera.serial": arguments.serial} if arguments.serial else {}
-    return nodes | (_scene_nodes(arguments) if scene else {"camera": serial})
+    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": serial}).items():
+        nodes.setdefault(name, {}).update(parameters)
+    return nodes
 
 
 def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:
@@ -182,13 +184,12 @@ def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]
         return BIOTAC_SP
 
 
-def _hand_of(nodes: Mapping[str, Mapping[str, Any]]) -> TactileConfig | None:
-    """How the messages of the simulated hand are read; None without one."""
+def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileConfig | None:
+    """How the messages of the simulated hand are read; None without one that has the sensor of the model."""
     from foretouch.tactile.messages.table import TactileConfig
 
-    if "hand" not in nodes:
-        return None
-    return TactileConfig(sensor=nodes["touch_predictor"].get("tactile.sensor", ""))
+    config = TactileConfig(sensor=nodes["touch_predictor"].get("tactile.sensor", ""))
+    return config if "hand" in nodes and config.described.sha256 == sensor.sha256 else None
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -202,7 +203,9 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     # Few, so that a small computer has time for the rest of the graph.
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
+    sensor = scene.fingers.sensor
     nodes: dict[str, dict[str, Any]] = {
+        "touch_predictor": {"tactile.sensor": sensor} if sensor else {},
         "hand": shown,
         "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown},
     }

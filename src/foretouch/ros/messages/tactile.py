@@ -1,24 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`BiotacAll` as the Shadow Hand's driver sends it, and the topic and classes of the supported tactile messages.
+"""Tactile messages as drivers send them: `BiotacAll`, and those of a described sensor; their topic and classes.
 
 Tactile messages are decoded in `foretouch.tactile.messages`.
 """
 
 import array
 import importlib
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import MissingDependencyError
-from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.messages.conversions import header_to_msg, stamp_to_msg
 from foretouch.tactile import ELECTRODES
+from foretouch.tactile.description import STAMP_UNITS, Sensor
+from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, OTHERS
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import TACTILE_TOPIC
+from foretouch.types import Float64
 from foretouch_msgs.msg import Biotac, BiotacAll
 
 Counts = npt.NDArray[np.int16]
@@ -50,6 +55,84 @@ def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds:
         for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER)
     ]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)
+
+
+def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanoseconds: int) -> Any:
+    """A message that the decoder of a described sensor reads (`foretouch.tactile.messages.described`).
+
+    Args:
+        kind: Class of the message (see `tactile_class`).
+        sensor: The description, by whose field paths the message is filled.
+        readings: (V,) values of each grasping finger, in the order of the channels of a touch.
+        nanoseconds: Stamp [ns].
+
+    Other scalars are 0, or as near to it as their range allows.
+    """
+    message, config = kind(), sensor.config
+    for finger, values in zip(config.chosen_fingers(), readings, strict=True):
+        ends = np.cumsum([size for _, size in sensor.predicted])
+        parts = {one.name: part for (one, _), part in zip(sensor.predicted, np.split(values, ends), strict=False)}
+        for channel in (*config.scalars, *config.values):
+            path = ".".join(filter(None, (finger.field, channel.field))).replace(".[", "[")
+            size = sensor.size if channel in config.values else 1
+            absent = np.full(size, np.clip(0.0, *channel.limits))
+            _write(message, FieldPath(path).steps, parts.get(channel.name, absent).tolist())
+    if config.source.stamp:
+        _write(message, FieldPath(config.source.stamp).steps, nanoseconds, STAMP_UNITS[config.source.stamp_unit])
+    return message
+
+
+def _write(owner: Any, steps: Sequence[Any], data: Any, unit: int = 0) -> None:
+    """Write numbers, or a stamp [ns] in some unit [ns], where a field path leads to; elements that are missing are made."""
+    name, *rest = steps
+    kind = owner.get_fields_and_field_types()[name]
+    if not rest:
+        if unit:
+            data = stamp_to_msg(data) if "/" in kind else data // unit if "int" in kind else data / unit
+        elif isinstance(data, list) and not (kind.startswith("sequence") or kind.endswith("]")):
+            (data,) = data
+        setattr(owner, name, data if unit else _cast(kind, data))
+    elif isinstance(rest[0], str):
+        _write(getattr(owner, name), rest, data, unit)
+    else:
+        setattr(owner, name, _with_elements(list(getattr(owner, name)), kind, rest, data, unit))
+
+
+def _with_elements(items: list[Any], kind: str, steps: Sequence[Any], data: Any, unit: int) -> list[Any]:
+    """The elements of a list after numbers were written into some of them."""
+    step, *rest = steps
+    if isinstance(step, slice):
+        start, stride = step.start or 0, step.step or 1
+        places = range(start, start + stride * len(data), stride)
+    elif isinstance(step, int):
+        places, data = range(step, step + 1), [data]
+    else:
+        key, wanted = step
+        known = [str(getattr(one, key)) for one in items]
+        at = known.index(wanted) if wanted in known else len(items)
+        places, data = range(at, at + 1), [data]
+    while len(items) <= places[-1]:
+        items.append(_new(kind))
+    for place, one in zip(places, data, strict=True):
+        if not isinstance(step, slice | int):
+            setattr(items[place], key, _cast(items[place].get_fields_and_field_types()[key], wanted))
+        if rest:
+            _write(items[place], rest, one, unit)
+        else:
+            items[place] = _cast(kind, one)
+    return items
+
+
+def _new(kind: str) -> Any:
+    """An element of a list of messages or numbers, by the type of the list, such as `sequence<std_msgs/Header>`."""
+    element = re.sub(r"^sequence<([^,>]*).*|\[\d+\]$", r"\1", kind)
+    return tactile_class(element)() if "/" in element else _cast(element, 0)
+
+
+def _cast(kind: str, data: Any) -> Any:
+    if isinstance(data, list):
+        return [_cast(kind, one) for one in data]
+    return int(data) if "int" in kind else str(data) if "string" in kind else float(data)
 
 
 def tactile_class(type_name: str) -> type:
