@@ -82,6 +82,16 @@ class Planner(Robot):
     def service_with_a_header(self):
         return self.service(PointCloud2(header=Header(frame_id=FRAME)))
 
+    def service_with_arrays(self):
+        grasps = self.candidates()[:3]
+        contacts = [value for one in grasps for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+        name, table = f"mine {next(self.numbers)}", [self.heard["table"][-1].plane]
+        cloud = self.heard["object_cloud"][-1]
+        request = PredictTouch.Request(cloud=cloud, table=table, contacts=contacts, id=name)
+        batch = self.graph.call(PredictTouch, "predict_touch", request).batch
+        assert list(batch.statuses) == [Status.OK] * 3
+        return f"{name}/{reading(batch)['PDC'][:, 0].argmin()}"
+
     def action(self, **fields):
         _, result, _ = self.graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=3, **fields))
         planned = {one.id for array in self.heard["grasps"] for one in array.grasps}
@@ -105,6 +115,7 @@ class Planner(Robot):
 WAYS = (
     Planner.service_with_the_received_cloud,
     Planner.service_with_a_header,
+    Planner.service_with_arrays,
     Planner.action,
     Planner.action_with_the_received_cloud,
     Planner.topic,

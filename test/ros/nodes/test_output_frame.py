@@ -153,6 +153,16 @@ def test_requests_and_goals_from_either_frame_are_answered_in_that_of_the_robot(
             assert_allclose(reading(found)["PDC"][0], one.value["PDC_TH"][0], rtol=tolerance)
     contents = [[(one.g1, one.g2, one.pose) for one in found] for found in (moved, [p.grasp for p in here.predictions])]
     assert contents[0] == contents[1]
+    contacts = [value for one in moved for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+    fields = {"cloud": request["cloud"], "contacts": contacts}
+    arrays = PredictTouch.Request(**fields, rotations=np.concatenate([one.rotation for one in moved]))
+    batch = graph.call(PredictTouch, "predict_touch", arrays).batch
+    assert (batch.status, batch.reason, batch.header) == (Status.OK, "", here.header)
+    assert_allclose(reading(batch)["PDC"], [reading(one)["PDC"] for one in here.predictions], rtol=1e-6)
+    arrays = PredictTouch.Request(**fields, table=request["table"])
+    computed = np.reshape(graph.call(PredictTouch, "predict_touch", arrays).batch.rotations, (-1, 3, 3))
+    along = np.subtract(*np.moveaxis(np.reshape(contacts, (-1, 2, 3)), 1, 0))
+    assert_allclose(computed[:, :, 2], along / np.linalg.norm(along, axis=1)[:, None], atol=1e-6)
     moved[0].rotation = np.zeros(9)
     for axis in "xyzw":
         setattr(moved[0].pose.orientation, axis, 0.0)

@@ -95,7 +95,7 @@ class FrameTransform:
         if not isinstance(grasps, GraspArrays):
             return [self.grasp(one) for one in grasps]
         rotations = None if grasps.rotations is None else self.rotation @ grasps.rotations
-        return grasps._replace(contacts=self.points(grasps.contacts), rotations=rotations)
+        return replace(grasps, contacts=self.points(grasps.contacts), rotations=rotations)
 
     def plane(self, plane: PlaneMsg) -> PlaneMsg:
         """A plane; four zeros, which stand for none, stay."""

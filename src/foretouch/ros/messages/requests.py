@@ -3,7 +3,8 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -38,7 +39,8 @@ def status_name(code: int) -> str:
     return _NAMES.get(code, f"status {code}")
 
 
-class GraspArrays(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class GraspArrays:
     """Grasps of a request that holds arrays."""
 
     contacts: Float64  # (K, 2, 3) float64 [m], g1 and g2
