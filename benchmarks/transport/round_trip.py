@@ -29,7 +29,8 @@ def scene(points: int = 3000) -> tuple[Any, Any]:
     xyz = np.column_stack([_RADIUS_M * np.cos(angle), height, _DISTANCE_M - _RADIUS_M * np.sin(angle)])
     contacts = np.zeros((max(COUNTS), 2, 3))
     contacts[:, 0, 0], contacts[:, 1, 0] = _RADIUS_M, -_RADIUS_M
-    contacts += rng.normal(0.0, 0.002, contacts.shape) + [0.0, 0.0, _DISTANCE_M]
+    contacts += rng.normal(0.0, 0.002, contacts.shape)
+    contacts[:, :, 2] += _DISTANCE_M
     contacts[:, :, 1] += rng.uniform(-0.05, 0.05, (len(contacts), 1))
     return xyz.astype(np.float32), contacts.reshape(-1, 6)
 
@@ -61,7 +62,9 @@ class _Requests:
         self._node = rclpy.create_node("round_trip", namespace="/foretouch")
         self._client = self._node.create_client(PredictTouch, "predict_touch")
         xyz, self._contacts = scene()
-        fields = [PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, name in enumerate("xyz")]
+        fields = [
+            PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, name in enumerate("xyz")
+        ]
         self._cloud = PointCloud2(
             height=1, width=len(xyz), fields=fields, point_step=12, row_step=12 * len(xyz), data=xyz.tobytes()
         )
@@ -126,7 +129,9 @@ class _Version:
 
     def __init__(self, root: Path, domain: int, stack: ExitStack) -> None:
         python = root / ".venv/bin/python"
-        kept = {name: os.environ[name] for name in ("PATH", "HOME") if name in os.environ}  # nothing of this environment
+        kept = {
+            name: os.environ[name] for name in ("PATH", "HOME") if name in os.environ
+        }  # nothing of this environment
         environment = kept | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         code = "import sys; from foretouch.ros.executables import run; n = sys.argv.index('--ros-args'); "
         code += "sys.exit(run(*sys.argv[1:n], args=[sys.argv[0], *sys.argv[n:]]))"

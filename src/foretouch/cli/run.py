@@ -205,7 +205,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
     sensor = scene.fingers.sensor
     nodes: dict[str, dict[str, Any]] = {
-        "touch_predictor": {"tactile.sensor": sensor} if sensor else {},
+        **{name: {"tactile.sensor": sensor} for name in ("touch_predictor", "bridge") if sensor},
         "hand": shown,
         "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown},
     }

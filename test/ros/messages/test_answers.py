@@ -18,7 +18,7 @@ from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, prediction_from_msg
 from foretouch.tactile.description import packaged_sensor, sensor_files
-from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
+from foretouch.types import Evidence, Grasp, Touch, TouchPrediction, TouchPredictions
 from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatch
 
 pytestmark = pytest.mark.ros
@@ -123,6 +123,22 @@ def test_a_reading_needs_no_ros_and_arrays_that_do_not_fit_are_refused():
             foretouch.reading(SimpleNamespace(**{**fields, name: [1.0, 2.0, 3.0]}))
     with pytest.raises(ModelError, match=r"sensor: biotac_sp \(\w+\) is not xela_uskin_4x4"):
         prediction_from_msg(message, packaged_sensor("xela_uskin_4x4"))
+
+
+def test_columns_of_predictions_are_sent_as_their_objects():
+    sensor, rng = packaged_sensor("biotac_sp"), np.random.default_rng(0)
+    one = answer(sensor, 1)
+    grasps = [outcome.grasp for outcome in one.outcomes] * 3
+    values = rng.normal(2000.0, 100.0, (3, 50))
+    for bounds in (None, (values - 10.0, values + 10.0)):
+        flags = [("late",), (), ("unfamiliar",)]
+        columns = TouchPredictions(grasps, sensor.channels, values, bounds, flags, "touches", EVIDENCE, {})
+        for made in ("message", "batch"):
+            sent_as = [
+                getattr(TouchAnswer(one.header, [*one.grasps] * 3, outcomes, sensor=sensor), made)
+                for outcomes in (columns, list(columns))
+            ]
+            assert str(sent_as[0]) == str(sent_as[1])
 
 
 def test_without_a_model_every_grasp_has_the_reason_and_no_numbers():

@@ -4,7 +4,7 @@
 import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 
 from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Evidence, Float32, Float64, Grasp, TouchPrediction
+from foretouch.types import Evidence, Float32, Float64, Grasp, Index, TouchPrediction, TouchPredictions
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatch
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -28,13 +28,16 @@ class Refusal(NamedTuple):
     reason: str
 
 
+_OK = Refusal(Status.OK, "")
+
+
 @dataclass(eq=False)
 class TouchAnswer:
     """What is known of the grasps of a request, in their order."""
 
     header: Header  # of the cloud
     grasps: Sequence[GraspMsg | Grasp | Refusal]  # messages; of a request that holds arrays what was read from them
-    outcomes: Sequence[TouchPrediction | Refusal]  # predictions have a value
+    outcomes: Sequence[TouchPrediction | Refusal]  # predictions have a value; `TouchPredictions` are never made objects
     flags: tuple[str, ...] = ()  # of all, beside those of each
     age: Duration = field(default_factory=Duration)  # of the cloud
     model: str = ""  # its name
@@ -46,14 +49,20 @@ class TouchAnswer:
     @cached_property
     def summary(self) -> Refusal:
         """OK without a reason if any prediction is, else the refusal of the first."""
-        refused = [one for one in self.outcomes if isinstance(one, Refusal)]
-        return refused[0] if refused and len(refused) == len(self.outcomes) else Refusal(Status.OK, "")
+        refused = [refusal for refusal, _ in self._states if refusal.status != Status.OK]
+        return refused[0] if refused and len(refused) == len(self.outcomes) else _OK
 
     @property
     def answered(self) -> list[Any]:
         """The grasps that have a prediction."""
-        pairs = zip(self.grasps, self.outcomes, strict=True)
-        return [grasp for grasp, outcome in pairs if not isinstance(outcome, Refusal)]
+        return [grasp for grasp, (refusal, _) in zip(self.grasps, self._states, strict=True) if refusal is _OK]
+
+    @property
+    def _states(self) -> list[tuple[Refusal, tuple[str, ...]]]:
+        """Refusal, or `_OK`, and flags of each grasp."""
+        if isinstance(self.outcomes, TouchPredictions):
+            return [(_OK, flags) for flags in self.outcomes.flags]
+        return [(one, ()) if isinstance(one, Refusal) else (_OK, one.flags) for one in self.outcomes]
 
     @property
     def message(self) -> TouchPredictionArray:
@@ -61,8 +70,7 @@ class TouchAnswer:
         shared, numbers = self._shared, self._numbers
         rows = {name: [array.array("f", row.tobytes()) for row in table] for name, table in numbers.items()}
         made = []
-        for k, (grasp, outcome) in enumerate(zip(self.grasps, self.outcomes, strict=True)):
-            (status, reason), flags = _refusal_and_flags(outcome)
+        for k, (grasp, ((status, reason), flags)) in enumerate(zip(self.grasps, self._states, strict=True)):
             made.append(
                 TouchPredictionMsg(
                     header=self.header,
@@ -70,7 +78,7 @@ class TouchAnswer:
                     status=status,
                     reason=reason,
                     flags=[*flags, *self.flags],
-                    **_adapted(outcome),
+                    **_adapted(self.outcomes[k]),
                     **shared,
                     **{name: table[k] for name, table in rows.items()},
                 )
@@ -80,12 +88,11 @@ class TouchAnswer:
     @property
     def batch(self) -> TouchPredictionBatch:
         """All grasps of a request that holds arrays."""
-        found = [_refusal_and_flags(one) for one in self.outcomes]
-        refusals, flags = [one for one, _ in found], [(*own, *self.flags) for _, own in found]
+        refusals, flags = [one for one, _ in self._states], [(*own, *self.flags) for _, own in self._states]
         names = list(dict.fromkeys(flag for one in set(flags) for flag in sorted(one)))
         flagged = np.array([[name in one for name in names] for one in flags], np.uint8)
         rotations = np.zeros(0) if self.rotations is None else self.rotations
-        first = next((one for one in self.outcomes if not isinstance(one, Refusal)), refusals[0])
+        first = next((k for k, one in enumerate(refusals) if one is _OK), 0)
         return TouchPredictionBatch(
             header=self.header,
             rotations=array.array("d", rotations.tobytes()),
@@ -94,7 +101,7 @@ class TouchAnswer:
             flags=names,
             flagged=array.array("B", flagged.tobytes()),
             **self.summary._asdict(),
-            **_adapted(first),
+            **_adapted(self.outcomes[first]),
             **self._shared,
             **{name: array.array("f", table.tobytes()) for name, table in self._numbers.items()},
         )
@@ -103,38 +110,44 @@ class TouchAnswer:
     def _shared(self) -> dict[str, Any]:
         """Fields that are the same for all grasps."""
         fields = {"model": self.model, "model_sha256": self.model_sha256, "input_age": self.age}
-        if (sensor := self.sensor) is None:
-            return fields
-        return {
-            **fields,
-            "sensor": sensor.config.name,
-            "sensor_sha256": sensor.sha256,
-            "fingers": list(sensor.channels.fingers),
-            "channels": [one.name for one in sensor.taxel_channels],
-            "valid": array.array("B", sensor.valid.tobytes()),
-            "scalar_channels": [one.name for one in sensor.scalar_channels],
-        }
+        return fields if self.sensor is None else fields | _sensor_fields(self.sensor)
 
     @property
     def _numbers(self) -> dict[str, Float32]:
         """(K, F N C) and (K, F S) float32 by field: values, scalars and their bounds; NaN where there is none."""
-        if (sensor := self.sensor) is None:
+        if self.sensor is None or not self.outcomes:
             return {}
-        found: dict[str, AnyArray] = {}
-        known = [(k, one) for k, one in enumerate(self.outcomes) if not isinstance(one, Refusal)]
-        for end, names in _ENDS.items():
-            table = np.full((len(self.outcomes), sensor.channels.size), np.nan, np.float32)
-            rows = [(k, touch.values) for k, one in known if (touch := getattr(one, end)) is not None]
-            if rows:
-                with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
-                    table[[k for k, _ in rows]] = np.concatenate([row for _, row in rows]).reshape(len(rows), -1)
-            for name, columns in zip(names, (sensor.taxel_columns, sensor.scalar_columns), strict=True):
-                found[name] = table[:, columns.ravel()]
-        return found
+        shape = (len(self.outcomes), self.sensor.channels.size)
+        if isinstance(self.outcomes, TouchPredictions):
+            rows = np.array([self.outcomes.values, *(self.outcomes.bounds or [np.full(shape, np.nan)] * 2)])
+        else:
+            none = np.full(shape[1], np.nan)
+            touches = [getattr(one, end, None) for end in _ENDS for one in self.outcomes]
+            rows = np.concatenate([none if touch is None else touch.values for touch in touches])
+        with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
+            table = rows.astype(np.float32).reshape(len(_ENDS), *shape)
+        taxels, scalars = (table[..., columns] for columns in _columns(self.sensor))
+        ends = zip(_ENDS.values(), taxels, scalars, strict=True)
+        return {name: part for names, *parts in ends for name, part in zip(names, parts, strict=True)}
 
 
-def _refusal_and_flags(outcome: TouchPrediction | Refusal) -> tuple[Refusal, tuple[str, ...]]:
-    return (outcome, ()) if isinstance(outcome, Refusal) else (Refusal(Status.OK, ""), outcome.flags)
+@cache
+def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
+    """The fields that describe the arrays."""
+    return {
+        "sensor": sensor.config.name,
+        "sensor_sha256": sensor.sha256,
+        "fingers": list(sensor.channels.fingers),
+        "channels": [one.name for one in sensor.taxel_channels],
+        "valid": array.array("B", sensor.valid.tobytes()),
+        "scalar_channels": [one.name for one in sensor.scalar_channels],
+    }
+
+
+@cache
+def _columns(sensor: Sensor) -> tuple[Index, Index]:
+    """Columns of a touch in the order of a message: (F N C,) of the taxels, (F S,) of the scalars."""
+    return sensor.taxel_columns.ravel(), sensor.scalar_columns.ravel()
 
 
 def _adapted(outcome: TouchPrediction | Refusal) -> dict[str, Any]:

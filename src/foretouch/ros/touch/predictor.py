@@ -23,7 +23,7 @@ from foretouch.ros.messages.requests import GraspArrays, RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp
+from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp, TouchPredictions
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
@@ -204,7 +204,10 @@ class Predictor:
                 found = model.predict(cloud, usable, **options)
         except (CloudError, ModelError) as err:
             return [one if isinstance(one, Refusal) else _refusal_of(err) for one in posed]
-        predicted = iter(_outcomes(found))
+        outcomes = _outcomes(found)
+        if len(usable) == len(posed):
+            return outcomes
+        predicted = iter(outcomes)
         return [one if isinstance(one, Refusal) else next(predicted) for one in posed]
 
 
@@ -272,10 +275,15 @@ def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> 
     return object_axis(target.cloud, target.plane, config)[0]
 
 
-def _outcomes(predictions: Sequence[Prediction]) -> list[Prediction | Refusal]:
+def _outcomes(predictions: Sequence[Prediction]) -> Sequence[Prediction | Refusal]:
     """The predictions that have a value and whose fingers close along the line of the contacts; else why there is none."""
-    grasps = [one.grasp for one in predictions]
-    return [_outcome(*pair) for pair in zip(predictions, surely_closing(grasps).tolist(), strict=True)]
+    if isinstance(predictions, TouchPredictions):
+        closing = surely_closing(predictions.grasps)
+        if closing.all() and not predictions.refused:
+            return predictions
+    else:
+        closing = surely_closing([one.grasp for one in predictions])
+    return [_outcome(*pair) for pair in zip(predictions, closing.tolist(), strict=True)]
 
 
 def _outcome(prediction: Prediction, closing: bool) -> Prediction | Refusal:
