@@ -65,6 +65,11 @@ class TouchAnswer:
         return [(one, ()) if isinstance(one, Refusal) else (_OK, one.flags) for one in self.outcomes]
 
     @property
+    def reply(self) -> TouchPredictionArray | TouchPredictionBatch:
+        """The answer in the form of the request."""
+        return self.batch if self.arrays else self.message
+
+    @property
     def message(self) -> TouchPredictionArray:
         """A message for each grasp."""
         shared, numbers = self._shared, self._numbers

@@ -7,8 +7,9 @@ Tactile messages are decoded in `foretouch.tactile.messages`.
 import array
 import importlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,73 +67,62 @@ def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanos
         readings: (V,) values of each grasping finger, in the order of the channels of a touch.
         nanoseconds: Stamp [ns].
 
-    Other scalars are 0, or as near to it as their range allows.
+    Other numbers of a finger are 0, or as near to it as their range allows.
     """
     message, config = kind(), sensor.config
+    ends = np.cumsum([size for _, size in sensor.predicted])
     for finger, values in zip(config.chosen_fingers(), readings, strict=True):
-        ends = np.cumsum([size for _, size in sensor.predicted])
-        parts = {one.name: part for (one, _), part in zip(sensor.predicted, np.split(values, ends), strict=False)}
+        known = dict(zip((one.name for one, _ in sensor.predicted), np.split(values, ends), strict=False))
         for channel in (*config.scalars, *config.values):
-            path = ".".join(filter(None, (finger.field, channel.field))).replace(".[", "[")
-            size = sensor.size if channel in config.values else 1
-            absent = np.full(size, np.clip(0.0, *channel.limits))
-            _write(message, FieldPath(path).steps, parts.get(channel.name, absent).tolist())
+            path = f"{finger.field}.{channel.field}".strip(".").replace(".[", "[")
+            absent = np.full(sensor.size if channel in config.values else 1, np.clip(0.0, *channel.limits))
+            _write(message, FieldPath(path).steps, known.get(channel.name, absent).tolist(), _number)
     if config.source.stamp:
-        _write(message, FieldPath(config.source.stamp).steps, nanoseconds, STAMP_UNITS[config.source.stamp_unit])
+        unit_ns = STAMP_UNITS[config.source.stamp_unit]
+        _write(message, FieldPath(config.source.stamp).steps, [nanoseconds], partial(_stamp, unit_ns))
     return message
 
 
-def _write(owner: Any, steps: Sequence[Any], data: Any, unit: int = 0) -> None:
-    """Write numbers, or a stamp [ns] in some unit [ns], where a field path leads to; elements that are missing are made."""
+def _write(owner: Any, steps: Sequence[Any], data: Sequence[Any], convert: Callable[[str, Any], Any]) -> None:
+    """Write numbers where a field path leads to, as the type there asks for; elements that are missing are made."""
     name, *rest = steps
     kind = owner.get_fields_and_field_types()[name]
     if not rest:
-        if unit:
-            data = stamp_to_msg(data) if "/" in kind else data // unit if "int" in kind else data / unit
-        elif isinstance(data, list) and not (kind.startswith("sequence") or kind.endswith("]")):
-            (data,) = data
-        setattr(owner, name, data if unit else _cast(kind, data))
-    elif isinstance(rest[0], str):
-        _write(getattr(owner, name), rest, data, unit)
-    else:
-        setattr(owner, name, _with_elements(list(getattr(owner, name)), kind, rest, data, unit))
-
-
-def _with_elements(items: list[Any], kind: str, steps: Sequence[Any], data: Any, unit: int) -> list[Any]:
-    """The elements of a list after numbers were written into some of them."""
-    step, *rest = steps
+        found = [convert(kind, one) for one in data]
+        setattr(owner, name, found if kind[-1] in ">]" else found[0])
+        return
+    if isinstance(rest[0], str):
+        _write(getattr(owner, name), rest, data, convert)
+        return
+    items, step, *rest = list(getattr(owner, name)), *rest
+    places, parts = [step], [data]
     if isinstance(step, slice):
-        start, stride = step.start or 0, step.step or 1
-        places = range(start, start + stride * len(data), stride)
-    elif isinstance(step, int):
-        places, data = range(step, step + 1), [data]
-    else:
-        key, wanted = step
-        known = [str(getattr(one, key)) for one in items]
-        at = known.index(wanted) if wanted in known else len(items)
-        places, data = range(at, at + 1), [data]
+        first, stride = step.start or 0, step.step or 1
+        places, parts = list(range(first, first + stride * len(data), stride)), [[one] for one in data]
+    elif isinstance(step, tuple):
+        places = [next((k for k, one in enumerate(items) if str(getattr(one, step[0])) == step[1]), len(items))]
+    element = re.split("[<>,[]", kind)[1 if "<" in kind else 0]
     while len(items) <= places[-1]:
-        items.append(_new(kind))
-    for place, one in zip(places, data, strict=True):
-        if not isinstance(step, slice | int):
-            setattr(items[place], key, _cast(items[place].get_fields_and_field_types()[key], wanted))
+        items.append(tactile_class(element)() if "/" in element else 0)
+    for place, part in zip(places, parts, strict=True):
+        if isinstance(step, tuple):
+            text = items[place].get_fields_and_field_types()[step[0]] == "string"
+            setattr(items[place], step[0], step[1] if text else int(step[1]))
         if rest:
-            _write(items[place], rest, one, unit)
+            _write(items[place], rest, part, convert)
         else:
-            items[place] = _cast(kind, one)
-    return items
+            items[place] = convert(kind, part[0])
+    setattr(owner, name, items)
 
 
-def _new(kind: str) -> Any:
-    """An element of a list of messages or numbers, by the type of the list, such as `sequence<std_msgs/Header>`."""
-    element = re.sub(r"^sequence<([^,>]*).*|\[\d+\]$", r"\1", kind)
-    return tactile_class(element)() if "/" in element else _cast(element, 0)
+def _number(kind: str, value: float) -> float:
+    return int(value) if "int" in kind else value
 
 
-def _cast(kind: str, data: Any) -> Any:
-    if isinstance(data, list):
-        return [_cast(kind, one) for one in data]
-    return int(data) if "int" in kind else str(data) if "string" in kind else float(data)
+def _stamp(unit_ns: int, kind: str, nanoseconds: int) -> Any:
+    if "/" in kind:
+        return stamp_to_msg(nanoseconds)
+    return nanoseconds // unit_ns if "int" in kind else nanoseconds / unit_ns
 
 
 def tactile_class(type_name: str) -> type:

@@ -106,16 +106,14 @@ class Predictor:
 
         Its predictions are flagged if they miss their budget, of which `answer` is what `LatencyBudget.begin` returned.
         """
-        if self.budget is not None and answer is not None and self.budget.is_over(answer) and LATE not in message.flags:
+        if self.budget is None or answer is None:
+            return message.reply
+        if self.budget.is_over(answer) and LATE not in message.flags:
             message.flags += (LATE,)
-        made = message.batch if message.arrays else message.message
-        if self.budget is None or answer is None or not self.budget.end(answer) or LATE in message.flags:
-            return made
-        message.flags += (LATE,)  # meanwhile
-        if message.arrays:
-            return message.batch
-        for prediction in made.predictions:
-            prediction.flags = [*prediction.flags, LATE]
+        made = message.reply
+        if self.budget.end(answer) and LATE not in message.flags:  # meanwhile
+            message.flags += (LATE,)
+            return message.reply
         return made
 
     def array(
