@@ -44,7 +44,7 @@ from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.tactile import BIOTAC
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileConfig, stamp_ns
 
 SCENE: Final = Path(__file__).parents[1] / "config" / "scenes" / "campaign_day.yaml"
 HAND: Final = "day"
@@ -176,7 +176,7 @@ def parts_of(history: HandHistory) -> dict[str, tuple[float, float]]:
 def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> list[Row]:
     """Run the graph until a time (`time.time`), then stop it."""
     log, path = Log(schedule, load_scene(schedule.path), load_model(card)), out / f"{HAND}.safetensors"
-    with Graph(nodes_of(schedule, out, card), monitor={"with_hand": True, "on_touch": log.add_answer}) as graph:
+    with Graph(nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}) as graph:
         if not graph.started:
             raise SystemExit("a node did not start; see its log")
         while time.time() < end_s:

@@ -226,8 +226,12 @@ def judged(status: int, reason: str) -> str:
 
 def ask_touch(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd `predict_touch`."""
-    message = graph.call(PredictTouch, "predict_touch", change(valid.touch_request(), rng)).touch
-    valid.check_predictions(message)
+    arrays = bool(rng.integers(2))
+    request = change(valid.array_request() if arrays else valid.touch_request(), rng)
+    arrays = bool(len(request.contacts) or len(request.rotations))
+    response = graph.call(PredictTouch, "predict_touch", request)
+    message = response.batch if arrays else response.touch
+    (valid.check_batch if arrays else valid.check_predictions)(message)
     return judged(message.status, message.reason)
 
 

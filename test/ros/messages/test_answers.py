@@ -123,6 +123,9 @@ def test_a_reading_needs_no_ros_and_arrays_that_do_not_fit_are_refused():
             foretouch.reading(SimpleNamespace(**{**fields, name: [1.0, 2.0, 3.0]}))
     with pytest.raises(ModelError, match=r"sensor: biotac_sp \(\w+\) is not xela_uskin_4x4"):
         prediction_from_msg(message, packaged_sensor("xela_uskin_4x4"))
+    message.scalar_channels = ["P"]
+    with pytest.raises(ModelError, match="channels: PDC of biotac_sp is missing"):
+        prediction_from_msg(message)
 
 
 def test_columns_of_predictions_are_sent_as_their_objects():

@@ -112,8 +112,10 @@ def values_from_msg(message: TouchPredictionMsg, sensor: Sensor) -> Float64:
         return np.full((3, sensor.channels.size), np.nan)
     if message.sensor_sha256 != sensor.sha256:
         raise ModelError(f"sensor: {message.sensor} ({message.sensor_sha256[:8]}) is not {sensor.config.name}")
-    parts = read_prediction(message)
-    found = [parts[one.name] for one in sensor.channels.channels]
+    parts, names = read_prediction(message), [one.name for one in sensor.channels.channels]
+    if unknown := [name for name in names if name not in parts]:
+        raise ModelError(f"channels: {unknown[0]} of {sensor.config.name} is missing")
+    found = [parts[name] for name in names]
     ends = ([one.ravel() for one in end] for end in (found, [p.lower for p in found], [p.upper for p in found]))
     return np.array([np.concatenate(end) for end in ends], np.float64)
 
