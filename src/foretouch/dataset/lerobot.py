@@ -254,7 +254,7 @@ def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]
     }
 
 
-def _open(path: Path, unfinished: bool, *_: bool) -> SampleSet:
+def _open(path: Path, unfinished: bool) -> SampleSet:
     if not (path / _SAMPLES).is_dir():
         raise FileError(path, f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has")
     return replace(open_samples(path / _SAMPLES, unfinished=unfinished), path=path, kind="lerobot")

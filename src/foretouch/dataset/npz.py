@@ -176,7 +176,7 @@ def _recognise(path: Path) -> bool:
         return False
 
 
-def _open(path: Path, *_: bool) -> SampleSet:
+def _open(path: Path, _: bool) -> SampleSet:
     files = _files(path)
     identity, sensor = _read(files[0])[1:]
 

@@ -63,11 +63,12 @@ def _not_supported(*_: Any) -> Any:
 class DatasetFormat:
     """The functions of one format; its module holds them as `DATASET_FORMAT`.
 
-    `open` is given whether recordings that were cut off, and, only to convert them, samples of an older version are read. `export` writes to a folder that does not exist yet, adds to the counts, and reports progress once a sample.
+    `export` writes to a folder that does not exist yet, adds to the counts, and reports progress once a sample.
     """
 
     recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
-    open: Callable[[Path, bool, bool], SampleSet] = _not_supported  # for reading
+    open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
+    convert: Callable[[Path], SampleSet] | None = None  # as `open`, also of versions that are only read to convert them
     export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
 
 
@@ -89,6 +90,8 @@ def is_sample_set(path: str | Path) -> bool:
 def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = False) -> SampleSet:
     """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
 
+    With `convert`, those of versions are read, too, that everything else refuses.
+
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
@@ -96,7 +99,7 @@ def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = 
     found = _format_of(path)
     if found is None:
         raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    return found.open(path, unfinished, convert)
+    return found.convert(path) if convert and found.convert is not None else found.open(path, unfinished)
 
 
 def only_finite(sample: GraspSample) -> GraspSample:

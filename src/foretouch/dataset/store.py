@@ -365,7 +365,7 @@ def _numbers(text: str) -> dict[str, float]:
     return numbers
 
 
-def _open_samples(path: Path, *_: bool) -> SampleSet:
+def _open_samples(path: Path, _: bool) -> SampleSet:
     store = Store(path)
     about = store.manifest.get("about", {})
     return SampleSet(

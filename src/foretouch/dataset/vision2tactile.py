@@ -135,7 +135,7 @@ def _read_numbers(path: Path, count: int) -> Float64:
     return numbers
 
 
-def _open_samples(path: Path, *_: bool) -> SampleSet:
+def _open_samples(path: Path, _: bool) -> SampleSet:
     folders = sorted(_folders_in(path))
     return SampleSet(
         path=path,

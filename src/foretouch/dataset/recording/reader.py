@@ -6,6 +6,7 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -192,7 +193,7 @@ def _id_of(path: Path, data: FileBytes, sample: RecordedMessage) -> str:
         raise FileError(path, rule, field=f"byte {sample.start}") from err
 
 
-def _open_samples(path: Path, unfinished: bool, convert: bool) -> SampleSet:
+def _open_samples(path: Path, unfinished: bool, *, convert: bool = False) -> SampleSet:
     dataset = RecordedDataset(path, convert=convert)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
@@ -212,4 +213,6 @@ def _open_samples(path: Path, unfinished: bool, convert: bool) -> SampleSet:
     )
 
 
-DATASET_FORMAT = DatasetFormat(recognise=_holds_samples, open=_open_samples)
+DATASET_FORMAT = DatasetFormat(
+    recognise=_holds_samples, open=_open_samples, convert=partial(_open_samples, unfinished=False, convert=True)
+)
