@@ -211,7 +211,11 @@ def test_arrays_that_cannot_be_answered_are_refused_with_the_reason(planner):
         ("is not finite", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [math.nan] * 6)),
         ("both contacts are at", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [0.7] * 6)),
         ("degrees from g1 - g2", Status.BAD_GRASP, lambda r: setattr(r, "rotations", np.eye(3)[[2, 0, 1]].ravel())),
-        ("there is no table", Status.BAD_GRASP, lambda r: (setattr(r, "rotations", []), setattr(r, "table", []))),
+        (
+            "no table to compute it with",
+            Status.BAD_GRASP,
+            lambda r: (setattr(r, "rotations", []), setattr(r, "table", [])),
+        ),
         ("x is missing", Status.BAD_CLOUD, lambda r: setattr(r, "cloud", PointCloud2())),
         ("", Status.OK, lambda _: None),
     ]

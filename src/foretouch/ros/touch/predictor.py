@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
-import math
 import statistics
 import sys
 import time
@@ -11,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from std_msgs.msg import Header
 
-from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation, require_rotation, surely_sound
-from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
-from foretouch.grasp import GeoGraspConfig, check_closing, hand_rotation, object_axis, surely_closing
+from foretouch.dataset.messages import has_orientation
+from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
+from foretouch.grasp import GeoGraspConfig, check_closing, surely_closing
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.answers import Refusal, TouchAnswer
@@ -23,7 +21,8 @@ from foretouch.ros.messages.requests import GraspArrays, RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp, TouchPredictions
+from foretouch.ros.touch.posing import posed_grasps, refusal_of
+from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, TouchPredictions
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
@@ -144,7 +143,7 @@ class Predictor:
             except GraspError as err:
                 outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
-            posed = _posed([grasps[i] for i in members], targets[k], config, posing)
+            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing)
             found = self._on_target(model, targets[k].cloud, posed, config)
             for i, outcome in zip(members, found, strict=True):
                 outcomes[i] = outcome
@@ -167,7 +166,7 @@ class Predictor:
             target = targets[_target_of(grasps.object_id, targets)]
         except GraspError as err:
             raise RefusalError(Status.BAD_GRASP, str(err)) from err
-        posed = _posed_arrays(grasps, target, config, posing)
+        posed = posed_grasps(grasps, target, config, posing)
         outcomes = self._on_target(model, target.cloud, posed, config)
         none, rotations = np.zeros((3, 3)), None
         if grasps.rotations is None:
@@ -201,7 +200,7 @@ class Predictor:
             else:
                 found = model.predict(cloud, usable, **options)
         except (CloudError, ModelError) as err:
-            return [one if isinstance(one, Refusal) else _refusal_of(err) for one in posed]
+            return [one if isinstance(one, Refusal) else refusal_of(err) for one in posed]
         outcomes = _outcomes(found)
         if len(usable) == len(posed):
             return outcomes
@@ -209,68 +208,11 @@ class Predictor:
         return [one if isinstance(one, Refusal) else next(predicted) for one in posed]
 
 
-def _posed(
-    messages: Sequence[GraspMsg], target: FoundObject, config: TouchPredictorConfig, posing: GeoGraspConfig | None
-) -> list[Grasp | Refusal]:
-    """The grasp of each message, posed as by `Pipeline.grasp_between` where it must be, or why there is none."""
-    axis: Float64 | None = None
-    found: list[Grasp | Refusal] = []
-    for decoded, message in zip(decode_grasps(messages), messages, strict=True):
-        grasp = decoded
-        try:
-            if grasp is None and has_orientation(message):
-                grasp = decode_grasp(message)
-            elif grasp is None:
-                if posing is None:
-                    raise GraspError("pose: no orientation, and no table to compute it with")
-                unposed = decode_grasp(message, np.eye(3))
-                axis = _axis(target, config.limits, posing) if axis is None else axis
-                grasp = decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, axis))
-            found.append(grasp)
-        except (GraspError, CloudError, RefusalError) as err:
-            found.append(_refusal_of(err))
-    return found
-
-
-def _posed_arrays(
-    grasps: GraspArrays, target: FoundObject, config: TouchPredictorConfig, posing: GeoGraspConfig | None
-) -> list[Grasp | Refusal]:
-    """As `_posed` of messages with these contacts and rotations."""
-    axis: Float64 | None = None
-    found: list[Grasp | Refusal] = []
-    rotations = np.broadcast_to(np.eye(3), (len(grasps), 3, 3)) if grasps.rotations is None else grasps.rotations
-    sound = surely_sound(grasps.contacts, rotations).tolist()
-    for k, ((g1, g2), rotation) in enumerate(zip(grasps.contacts, rotations, strict=True)):
-        try:
-            if not sound[k]:
-                require_rotation(rotation)
-                Grasp(g1, g2, rotation)
-            if grasps.rotations is None:
-                if posing is None:
-                    raise GraspError("rotations: are empty, and there is no table to compute them with")
-                axis = _axis(target, config.limits, posing) if axis is None else axis
-                rotation = hand_rotation(g1, g2, axis)  # noqa: PLW2901
-            grasp_id = f"{grasps.id}/{k}" if grasps.id else ""
-            found.append(Grasp.checked(g1, g2, rotation, math.nan, grasp_id, grasps.object_id))
-        except (GraspError, CloudError, RefusalError) as err:
-            found.append(_refusal_of(err))
-    return found
-
-
 def _as_predicted(message: GraspMsg, outcome: Prediction | Refusal) -> GraspMsg:
     """The message of a grasp, with the pose that was computed for it."""
     if isinstance(outcome, Refusal) or has_orientation(message):
         return message
     return grasp_to_msg(outcome.grasp, message.status, message.reason)
-
-
-def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:
-    try:
-        check_table(target.plane, limits)
-    except LimitError as err:
-        raise RefusalError(Status.BAD_PLANE, str(err)) from err
-    check_object(target.cloud.xyz, limits)
-    return object_axis(target.cloud, target.plane, config)[0]
 
 
 def _outcomes(predictions: Sequence[Prediction]) -> Sequence[Prediction | Refusal]:
@@ -291,16 +233,8 @@ def _outcome(prediction: Prediction, closing: bool) -> Prediction | Refusal:
         try:
             check_closing(prediction.grasp)
         except GraspError as err:
-            return _refusal_of(err)
+            return refusal_of(err)
     return prediction
-
-
-def _refusal_of(err: ForetouchError) -> Refusal:
-    """What an error keeps from being predicted."""
-    if isinstance(err, RefusalError):
-        return Refusal(err.status, err.reason)
-    statuses = {LimitError: Status.BAD_CLOUD, CloudError: Status.TOO_FEW_POINTS, GraspError: Status.BAD_GRASP}
-    return Refusal(next((code for kind, code in statuses.items() if isinstance(err, kind)), Status.REFUSED), str(err))
 
 
 def _target_of(object_id: str, targets: Sequence[FoundObject]) -> int:
