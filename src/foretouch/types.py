@@ -281,8 +281,8 @@ class TouchPredictions(Sequence[TouchPrediction]):
         evidence: Evidence,
         refused: Mapping[int, TouchPrediction],
     ) -> None:
-        self._grasps, self._values, self._bounds, self._flags = grasps, values, bounds, flags
-        self.channels = channels
+        self.grasps, self.values, self.bounds, self.flags = grasps, values, bounds, flags
+        self.channels, self.refused = channels, refused
         self._shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
         self._made: list[TouchPrediction | None] = [refused.get(number) for number in range(len(grasps))]
 
@@ -309,14 +309,14 @@ class TouchPredictions(Sequence[TouchPrediction]):
         return (self[k] for k in range(len(self)))
 
     def _build(self, part: slice) -> list[TouchPrediction]:
-        values = _touches(self._values[part], self.channels)
+        values = _touches(self.values[part], self.channels)
         lower: Sequence[Touch | None] = [None] * len(values)
         upper = lower
-        if self._bounds is not None:
-            lower, upper = (_touches(bound[part], self.channels) for bound in self._bounds)
+        if self.bounds is not None:
+            lower, upper = (_touches(bound[part], self.channels) for bound in self.bounds)
         built = []
         for grasp, value, low, high, flags in zip(
-            self._grasps[part], values, lower, upper, self._flags[part], strict=True
+            self.grasps[part], values, lower, upper, self.flags[part], strict=True
         ):
             one = TouchPrediction.__new__(TouchPrediction)  # a frozen class sets each field by a call
             one.__dict__.update(self._shared, grasp=grasp, value=value, lower=low, upper=high, flags=flags)
