@@ -23,8 +23,6 @@ as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the origina
 Eq. 3 to the letter compares unrelated pairs of clouds. Its expectation is 2 tr Cov(f), so with w_U = 10 over 1024 features it
 penalises the variance of the features themselves, and all clouds become one (`docs/papers.md`).
 
-With several processes, a loss is that of the batch which they share.
-
 Shapes: B samples, F features, M outputs.
 """
 
@@ -37,7 +35,6 @@ from torch import Tensor
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.learning.training.device import DistributedContext
 
 _LEAST_ROOT: Final = 1e-6
 _OF_MEANS: Final = ("batch_means", "srgan")  # variants that compare the mean features of two batches
@@ -85,9 +82,6 @@ def labeled_loss(
 ) -> Tensor:
     """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
-    Squares and their number are summed over all processes before the root: the mean of each process's own root is a
-    different loss.
-
     Args:
         scaled: (B, M) predictions, floating; half precision is computed in float32.
         target: (B, M) labels on the same scale.
@@ -100,11 +94,8 @@ def labeled_loss(
     """
     if len(scaled) == 0:
         raise DatasetError("losses: there is no sample")
-    means, context = [], DistributedContext.of_process_group()
-    for part in torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1):
-        count = context.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
-        means.append(context.shared_sum(part.square().sum()) / count)
-    stacked = torch.stack(means)
+    parts = torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1)
+    stacked = torch.stack([part.square().sum() / part.numel() for part in parts])
     if kind == "mse":
         return stacked.mean()
     return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else _safe_root(stacked)).mean()
@@ -158,13 +149,12 @@ def gradient_penalty(
     Args:
         features: Maps (B, N, C) clouds to (B, F). Its batch norm must be frozen: in training mode the penalty includes
             the statistics of the batch and starts in the millions.
-        unlabeled: (B, N, C) real clouds of this process.
+        unlabeled: (B, N, C) real clouds.
         fake: (B, N', C) fake clouds; both are cut to the smaller number of points.
         rng: Draws the mixing weight of each pair of clouds.
     """
-    context = DistributedContext.of_process_group()
     points = min(unlabeled.shape[1], fake.shape[1])
-    share = context.shard(torch.rand(len(unlabeled) * context.world_size, 1, 1, generator=rng)).to(unlabeled)
+    share = torch.rand(len(unlabeled), 1, 1, generator=rng).to(unlabeled)
     between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
     between.requires_grad_()
     norms = _safe_root(features(between).square().sum(dim=1))
@@ -187,7 +177,7 @@ def _difference(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b
-    return _mean(a) - _mean(b)
+    return (a.sum(dim=0, keepdim=True) / len(a)) - (b.sum(dim=0, keepdim=True) / len(b))
 
 
 def _wide(values: Tensor) -> Tensor:
@@ -195,10 +185,3 @@ def _wide(values: Tensor) -> Tensor:
     if not values.is_floating_point():
         raise DatasetError(f"losses: dtype {values.dtype} is not floating")
     return values.float() if values.dtype in (torch.bfloat16, torch.float16) else values
-
-
-def _mean(features: Tensor) -> Tensor:
-    """(1, F) mean over the batches of all processes."""
-    context = DistributedContext.of_process_group()
-    count = context.sum(torch.tensor(float(len(features)), dtype=features.dtype, device=features.device))
-    return context.shared_sum(features.sum(dim=0, keepdim=True)) / count

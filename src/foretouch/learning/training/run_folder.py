@@ -94,7 +94,7 @@ class RunFolder:
         self.report = report
         self.resumed = False
 
-    def open(self, resolved: Mapping[str, Any], *, resume: bool) -> bool:
+    def open(self, resolved: Mapping[str, Any], *, resume: bool) -> None:
         """Begin a run, or check that the folder holds this very run.
 
         In a folder without any weights nothing can be lost, and a run begins in it; so a run that was refused
@@ -103,9 +103,6 @@ class RunFolder:
         Args:
             resolved: The settings, and the hash of the data.
             resume: Whether the folder may hold a run.
-
-        Returns:
-            Whether there is a state to resume from.
 
         Raises:
             FileError: If there are weights and `resume` is off, or the folder cannot be written.
@@ -120,9 +117,9 @@ class RunFolder:
                 if before.get(key) != value:
                     text = f"{key}: {before.get(key)!r} is not {value!r}; a run resumes as it began"
                     raise ConfigError(f"{file}: {text}")
-            return (self.path / STATE_FILE).exists()
+            self.resumed = (self.path / STATE_FILE).exists()
+            return
         write_text(file, dump_yaml(resolved))
-        return False
 
     def keep_log(self, epochs: int) -> None:
         """Remove the lines after so many epochs: those whose state was not written before a kill."""
