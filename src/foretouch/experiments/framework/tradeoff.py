@@ -148,7 +148,8 @@ class Area(Experiment[S, D]):
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """What the area summarises, frontiers, and the machine: the idle one if it was idle once."""
-        rows, machine = frontier.best_state(rows), Table("Machine", [], [], frontier.machine_notes(rows))
+        rows = frontier.best_state(rows)
+        machine = Table("Machine", [], [], frontier.machine_notes(rows))
         return [*self.summarise(rows), *frontier.tables(self.panels, rows), machine]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
