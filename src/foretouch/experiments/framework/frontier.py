@@ -98,8 +98,8 @@ def interval(row: Row, name: str) -> str:
     """A skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
     if row.get(name) is None:
         return ""
-    ends = [row.get(f"{name}_low"), row.get(f"{name}_high")]
-    return f"{row[name]:.3f}" + ("" if None in ends else " [{:.2f}, {:.2f}]".format(*ends))
+    low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
+    return f"{row[name]:.3f}" + ("" if low is None or high is None else f" [{low:.2f}, {high:.2f}]")
 
 
 def machine_notes(rows: Sequence[Row]) -> list[str]:
