@@ -149,12 +149,11 @@ def test_springs_are_nearly_right_on_rigid_objects_and_an_effect_left_out_change
     finest = simulated("rigid: finest layer")
     assert finest["pattern_error"] == finest["force_error"] == finest["trained_change"] == 0.0
     assert finest["digits_rigid"] is None
-    springs, spaces = simulated("rigid: winkler 12x12"), simulated("rigid: hertz 24x24")
+    springs, soft = simulated("rigid: winkler 12x12"), simulated("deformables: winkler 12x12")
     assert springs["pattern_error"] < 0.05
-    assert spaces["pattern_error"] > 1.0
+    assert soft["pattern_error"] > 0.1
     assert springs["digits_rigid"] == pytest.approx(-np.log10(springs["pattern_error"]), rel=1e-4)
     assert springs["force_error"] < 1e-6  # the hand closes to a force
-    assert springs["trained_rigid"] > spaces["trained_rigid"]
     assert springs["trained_deformables"] is None
     row = simulated("without noise")
     assert 1.0 < row["counts"] < 20.0  # its deviation is 4 to 5 counts in each of both

@@ -44,10 +44,10 @@ _TIMED: Final = 16  # samples that are timed in turn
 _BOOTSTRAP: Final = BootstrapConfig(draws=500)
 
 _LEVELS: Final = (
-    *(("hertz", 24), ("winkler", 12), ("winkler", 24), ("winkler", 48)),
+    *(("winkler", 12), ("winkler", 24), ("winkler", 48)),
     *(("layer", 8), ("layer", 12), ("layer", 16), ("layer", 24), ("layer", 32), ("layer", 48)),
 )
-_FEW_LEVELS: Final = (("hertz", 24), ("winkler", 12), ("winkler", 24), ("layer", 12), ("layer", 24))
+_FEW_LEVELS: Final = (("winkler", 12), ("winkler", 24), ("layer", 12), ("layer", 24))
 
 _DEPTH_EFFECTS: Final = {
     "clutter": "clutter",
