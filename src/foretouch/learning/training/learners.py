@@ -22,7 +22,7 @@ from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.calibration import calibrate_on_folds
 from foretouch.learning.training.contact import ContactPredictor, describe_objects
 from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import TENSORBOARD_FOLDER, RunFolder
+from foretouch.learning.training.run_folder import RunFolder
 from foretouch.learning.training.srgan import SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer
 from foretouch.learning.training.trainer import Trainer
@@ -217,7 +217,6 @@ class NetworkLearner(Learner):
             if weights:
                 self._best = _Best(facts["epoch"], facts["error"], weights)
         run.keep_log(trainer.epoch)
-        writer = _tensorboard_writer(run.path / TENSORBOARD_FOLDER) if self.config.tensorboard else None
         while trainer.epoch < trainer.epochs and not self._patience_over(trainer):
             losses = trainer.run_epoch()
             record: dict[str, Any] = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
@@ -228,13 +227,6 @@ class NetworkLearner(Learner):
             error = self._best.error if self._best.weights else None  # JSON has no infinity
             run.store(trainer, self._best.weights, {"epoch": self._best.epoch, "error": error})
             run.report(record)
-            if writer is not None:
-                for name, value in losses.items():
-                    writer.add_scalar(f"losses/{name}", value, record["epoch"])
-                if "validation" in record:
-                    writer.add_scalar("validation", record["validation"], record["epoch"])
-        if writer is not None:
-            writer.close()
 
     def _validate(self, trainer: Trainer) -> float:
         """Root mean square of the scaled validation errors; keeps the weights if it is the least so far."""
@@ -250,12 +242,3 @@ class NetworkLearner(Learner):
     def _patience_over(self, trainer: Trainer) -> bool:
         patience, best = self.config.patience, self._best.epoch
         return patience is not None and best >= 0 and trainer.epoch - 1 - best >= patience
-
-
-def _tensorboard_writer(folder: Path) -> Any:
-    """A writer in `folder`, beside the events of an earlier part of the same run; a `ConfigError` without TensorBoard."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as err:
-        raise ConfigError("tensorboard: needs TensorBoard: pip install 'foretouch[tensorboard]'") from err
-    return SummaryWriter(str(folder))

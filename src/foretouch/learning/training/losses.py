@@ -26,7 +26,7 @@ penalises the variance of the features themselves, and all clouds become one (`d
 Shapes: B samples, F features, M outputs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -52,9 +52,6 @@ class SrganLossConfig(Settings):
     weight_labeled: float = setting(1.0, "w_L", bounds=(0.0, 1e6))
     weight_unlabeled: float = setting(10.0, "w_U", bounds=(0.0, 1e6))
     weight_fake: float = setting(0.1, "w_F", bounds=(0.0, 1e6))
-    gradient_penalty: float = setting(
-        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", bounds=(0.0, 1e6)
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,16 +98,13 @@ def labeled_loss(
     return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else _safe_root(stacked)).mean()
 
 
-def discriminator_loss(
-    labeled: Tensor, features: Features, config: SrganLossConfig, penalty: Tensor | None = None
-) -> dict[str, Tensor]:
+def discriminator_loss(labeled: Tensor, features: Features, config: SrganLossConfig) -> dict[str, Tensor]:
     """The parts of eq. 1 by name, before their weights, and their `total`.
 
     Args:
         labeled: Result of `labeled_loss`.
         features: Features of the discriminator; those of the fake clouds detached from the generator.
         config: Variant and weights.
-        penalty: Result of `gradient_penalty`, if it is used.
 
     Raises:
         DatasetError: If samples are compared in pairs and the batches differ in size.
@@ -119,9 +113,6 @@ def discriminator_loss(
     fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
-    if penalty is not None:
-        parts["penalty"] = penalty
-        total = total + config.gradient_penalty * penalty
     return {**parts, "total": total}
 
 
@@ -136,31 +127,6 @@ def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     if config.loss_variant == "batch_means":
         return delta.square().mean()
     return delta.square().sum(dim=1).mean()
-
-
-def gradient_penalty(
-    features: Callable[[Tensor], Tensor], unlabeled: Tensor, fake: Tensor, rng: torch.Generator
-) -> Tensor:
-    """Mean of max(‖∇‖ - 1, 0)², one-sided, of the norm of the features at clouds between real and fake ones.
-
-    After Olmschenk et al. 2019; P2 omits it, as it had no effect and took time. Point k of a real cloud is
-    mixed with point k of a fake one, though neither has an order: any pairing gives clouds in between.
-
-    Args:
-        features: Maps (B, N, C) clouds to (B, F). Its batch norm must be frozen: in training mode the penalty includes
-            the statistics of the batch and starts in the millions.
-        unlabeled: (B, N, C) real clouds.
-        fake: (B, N', C) fake clouds; both are cut to the smaller number of points.
-        rng: Draws the mixing weight of each pair of clouds.
-    """
-    points = min(unlabeled.shape[1], fake.shape[1])
-    share = torch.rand(len(unlabeled), 1, 1, generator=rng).to(unlabeled)
-    between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
-    between.requires_grad_()
-    norms = _safe_root(features(between).square().sum(dim=1))
-    (slopes,) = torch.autograd.grad(norms.sum(), between, create_graph=True)
-    steepness = _safe_root(slopes.square().flatten(1).sum(dim=1))
-    return (steepness - 1.0).clamp(min=0.0).square().mean()
 
 
 def _contrast(features: Features, config: SrganLossConfig) -> Tensor:

@@ -6,7 +6,6 @@ RUN/log.jsonl          one line per epoch
 RUN/state.safetensors  state of the last epoch that was finite, from which --resume continues
 RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
 RUN/<name>.trust.safetensors             its calibration
-RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboard`
 
 The state is one safetensors file, tensors and JSON with their checksum, that is replaced as a whole or not at all.
 """
@@ -30,7 +29,6 @@ from foretouch.learning.training.trainer import Trainer
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"
-TENSORBOARD_FOLDER: Final = "tensorboard"
 STATE_FILE: Final = "state.safetensors"
 
 _KEY: Final = "foretouch-training"

@@ -31,7 +31,6 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.config import setting
-from foretouch.errors import ConfigError
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training import losses as loss_terms
@@ -47,7 +46,7 @@ class SrganConfig(EpochsConfig):
     """Settings of the training of an SR-GAN; the defaults are P2's where P2 specifies them.
 
     Raises:
-        ConfigError: If a setting is out of its bounds, or a gradient penalty is set without frozen batch norm.
+        ConfigError: If a setting is out of its bounds.
     """
 
     epochs: int = other_default("epochs", 30)
@@ -65,11 +64,6 @@ class SrganConfig(EpochsConfig):
     batch_norm: str = setting("frozen", "Statistics of batch norm; see the module", choices=("frozen", "per_source"))
     generator: GeneratorConfig = GeneratorConfig()
     loss: loss_terms.SrganLossConfig = loss_terms.SrganLossConfig()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.loss.gradient_penalty > 0.0 and self.batch_norm != "frozen":
-            raise ConfigError("loss.gradient_penalty: needs batch_norm frozen; else it starts in the millions")
 
 
 class SrganTrainer(Trainer):
@@ -128,11 +122,8 @@ class SrganTrainer(Trainer):
         features = self._all_features(self._clouds(labelled), real, fake)
         scaled = self.net.regress(features.labeled, self._grasps(labelled))
         error = scaled - self.net.to_scaled(self._labels[labelled].to(self.training_device.device))
-        penalty = None
-        if self.config.loss.gradient_penalty > 0.0:
-            penalty = loss_terms.gradient_penalty(self.net.features, real, fake, torch.default_generator)
         labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
-        losses = loss_terms.discriminator_loss(labeled, features, self.config.loss, penalty)
+        losses = loss_terms.discriminator_loss(labeled, features, self.config.loss)
         self.require_finite({"labeled": labeled}, number, labelled, error, features.labeled)
         self.require_finite(losses, number, unlabelled, features.unlabeled)
         self.optimisers["net"].step(losses["total"])

@@ -24,6 +24,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from foretouch.errors import ModelError
@@ -103,12 +104,9 @@ class _ProductsAt(torch.autograd.Function):
         return products
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         x, weight, rows = ctx.saved_tensors
-        if torch.is_grad_enabled():  # a second derivative, as of the gradient penalty, needs a graph of this one
-            each = slope[..., None]
-            by_x = torch.zeros_like(x).index_add(0, rows.flatten(), (each * weight).flatten(0, 1))
-            return by_x, (each * _at(x, rows)).sum(dim=0), None
         g_x, g_weight = (
             torch.zeros_like(one) if need else None
             for one, need in zip((x, weight), ctx.needs_input_grad[:2], strict=True)
