@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from bag_builders import make_clouds, read_bag
 from every_case import every_case, every_refusal
 from mcap.reader import make_reader
@@ -269,20 +268,3 @@ def test_a_fifo_in_the_place_of_a_storage_file_is_refused_and_not_waited_for(tmp
     for path in (tmp_path / "bag", storage):
         with pytest.raises(FileError, match="is a FIFO, not a regular file"):
             Recording(path)
-
-
-def test_a_robot_with_many_topics_is_read(tmp_path, rng):
-    write_foreign(
-        tmp_path / "bag", [foreign_message(KILTED, rng.normal(size=(3, 4, 3)).astype(np.float32), stamp_ns=1)]
-    )
-    file = tmp_path / "bag" / "metadata.yaml"
-    document = yaml.safe_load(file.read_text())
-    facts = document["rosbag2_bagfile_information"]
-    entry = facts["topics_with_message_count"][0]
-    for number in range(250):
-        topic = entry["topic_metadata"] | {"name": f"/topic/{number}", "more": "x" * 600}
-        facts["topics_with_message_count"].append({"topic_metadata": topic, "message_count": 0})
-    file.write_text(yaml.safe_dump(document))
-    assert file.stat().st_size > 163_000
-    with Recording(tmp_path / "bag") as recording:
-        assert len(recording.topics) == 251
