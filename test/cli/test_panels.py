@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from every_case import every_case
 from rich.console import Console
+from rich.panel import Panel
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from std_msgs.msg import Header
+from answer_builders import touch_message
 
 from foretouch.cli.keys import RecordingKeys
 from foretouch.cli.live import live_panel
 from foretouch.cli.record import record_panel
-from foretouch.cli.screen import FittedPanel
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.messages.answers import Refusal
+from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import NodeView, View
 from foretouch.ros.recorder.operator import OperatorState, Reply
 from foretouch.ros.recorder.session import SessionStatus
@@ -38,12 +39,10 @@ def shifted(counts: float) -> Touch:
 
 
 def message(**fields: Any) -> Any:
-    made = prediction_to_msg(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), Header())
-    made.model = "contact-v2"
-    return made
+    return touch_message(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v2")
 
 
-def screen(panel: FittedPanel, width: int) -> set[str]:
+def screen(panel: Panel, width: int) -> set[str]:
     """The words on a screen, none of which is cut."""
     console = Console(width=width, height=HEIGHT, color_system=None)
     lines = console.render_lines(panel, console.options.update(height=HEIGHT))
@@ -55,7 +54,7 @@ def screen(panel: FittedPanel, width: int) -> set[str]:
     return set(" ".join(text).replace("│", " ").split())
 
 
-def printed(panel: FittedPanel) -> str:
+def printed(panel: Panel) -> str:
     console = Console(width=100, color_system=None)
     with console.capture() as captured:
         console.print(panel)
@@ -77,7 +76,7 @@ def test_predicted_stands_against_read_whatever_else_there_is() -> None:
 
     def check(width: int) -> None:
         words = screen(live_panel(view, "foretouch run: recording (Ctrl-C to end)"), width)
-        assert {"predicted", "read", "tare", "touch_predictor", "12345", "12333", "146"} <= words
+        assert {"predicted", "read", "tare", "grasp", "12345", "12333", "146"} <= words
         assert {"2779", "±150", "2512–3497", "2605–3306", "2800", "2533–3518"} <= words
 
     every_case([60, 80], check)
@@ -93,7 +92,7 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "dropped 12 late", "no camera"):
         assert words in text
     assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
-    refused = refusal_to_msg(grasp_to_msg(GRASP), Header(), Status.BAD_GRASP, "grasp: too wide")
+    refused = touch_message(Refusal(Status.BAD_GRASP, "grasp: too wide"), grasp_to_msg(GRASP))
     refused.grasp.g1.x = 1e160
     assert "too wide" in printed(live_panel(View(last=TouchPredictionArray(predictions=[refused])), "title"))
 

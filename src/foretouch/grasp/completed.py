@@ -61,7 +61,7 @@ _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
 _SOFT = 0.05  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 _APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
-COMPLETED_POINTS = 1500  # of an object that are used; more change few grasps
+COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
 
