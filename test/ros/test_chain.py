@@ -11,6 +11,7 @@ from visualization_msgs.msg import MarkerArray
 
 from foretouch import reading
 from foretouch.dataset.messages import decode_grasp
+from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -78,6 +79,33 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
             assert (message.header, message.model, len(message.model_sha256)) == (found["touch"].header, "small", 64)
             assert math.isnan(reading(message)["PDC"].lower[0])
         assert found["touch"].predictions[0].grasp.id == found["grasps"].grasps[0].id
+
+
+def test_what_stands_around_the_target_blocks_its_grasps_as_in_the_pipeline(chain, scene_cloud):
+    longest = 0.3
+    chain.graph.set(chain.grasp, hand__approach_m=longest)
+    pipeline = Pipeline(PipelineConfig().updated({"hand.approach_m": longest}))
+    blocked = 0
+    for seed in range(4):
+        cloud = scene_cloud(seed, n_objects=2, stamp_ns=START + seed)
+        found = chain.send(cloud)
+        scene = pipeline.segment(cloud)
+        ids, xyz = np.array(found["table"].obstacle_ids), np.array(found["table"].obstacles, np.float32).reshape(-1, 3)
+        np.testing.assert_array_equal(ids, scene.obstacles.object_ids)
+        np.testing.assert_array_equal(xyz, scene.obstacles.xyz)
+        assert {str(one) for one in ids.tolist()} == {one.id for one in found["objects"].objects}
+        plan = pipeline.plan(scene.targets[0])
+        blocked += plan.counts["n_blocked"]
+        assert len(found["grasps"].grasps) == len(plan.grasps)
+        for message, grasp in zip(found["grasps"].grasps, plan.grasps, strict=True):
+            received = decode_grasp(message)
+            np.testing.assert_array_equal([received.g1, received.g2], [grasp.g1, grasp.g2])
+    assert blocked > 0
+
+
+def test_the_method_that_was_replaced_is_refused_by_the_node(graph):
+    with pytest.raises(ConfigError, match=r"grasp\.method: 'stable' was replaced by 'completed', which is the default"):
+        graph.add("grasp", **{"grasp.method": "stable"})
 
 
 def test_the_target_and_the_grasp_of_a_still_scene_are_kept(chain, scene_cloud):
