@@ -373,8 +373,12 @@ def flying_pixels(found: Found, slots: int = 20) -> None:
         clean, flown = (engine.run(SampleKey(1, slot)).cloud.xyz for engine in engines)
         table = Plane.from_coefficients(engines[0].world.view.table_plane())
         for method in ("original", "completed"):
-            before, after = (_best(method, xyz, None, table) for xyz in (clean, flown))
-            found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(1e3 * _largest_move(before, after))
+            try:
+                before, after = (_best(method, xyz, None, table) for xyz in (clean, flown))
+                moved_mm = 1e3 * _largest_move(before, after)
+            except ForetouchError:  # wider than the hand opens
+                moved_mm = np.nan
+            found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(moved_mm)
 
 
 def live(found: Found) -> None:
