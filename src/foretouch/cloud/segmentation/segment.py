@@ -18,8 +18,10 @@ from foretouch.cloud.segmentation.clusters import (
     in_range,
     label_organised,
     label_unorganised,
+    pixel_pitch,
 )
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
+from foretouch.cloud.segmentation.parts import SplitConfig, split_clusters
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.config import Settings, setting
@@ -48,6 +50,7 @@ class SegmentationConfig(Settings):
     rays: RayConfig = RayConfig()
     plane: PlaneConfig = PlaneConfig()
     clusters: ClusterConfig = ClusterConfig()
+    split: SplitConfig = SplitConfig()
     grid_rows: int = setting(
         120,
         "Rows of the coarse grid on which objects are found: of 480 rows each fourth; fewer are faster, outlines suffer",
@@ -150,6 +153,8 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         threshold = HeightThreshold(fit.plane, limits.min_height_m, limits.noise_factor * fit.noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
+            windows, parts = split_clusters(xyz, windows, threshold, pixel_pitch(coarse) / stride, config.split)
+            counts |= parts
         else:
             windows = label_unorganised(xyz, config.crop, threshold)
         if rays is not None:
