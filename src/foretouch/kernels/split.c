@@ -19,6 +19,7 @@ enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, COUNTS };                      /* of 
 #define SKEW 0.05f /* and how far it may be off for each metre between them */
 #define LINES 4    /* of cells on which they agree, at least */
 #define BRIDGE 3    /* cells between two parts that are next to each other */
+#define SHARP 0.35f /* bend of a rim */
 #define TOUCH 0.03f /* depth between a small part and its neighbour, and height between a hollow part and its rim [m] */
 #define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
 #define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
@@ -30,14 +31,14 @@ typedef struct {
 
 typedef struct {
     int32_t a, b, next; /* fragments, a < b; the next border of a */
-    int32_t steps, length;
+    int32_t steps, length, convex, behind; /* edges; those where b is behind a less those where it is before */
     float near; /* smallest difference in depth [m] */
     double bend; /* sum */
 } border;
 
 typedef struct {
     double area, tops; /* m2; largest height above the table */
-    int32_t cells, hollow, to, first;
+    int32_t cells, hollow, rim, to, first;
 } fragment;
 
 typedef struct {
@@ -231,7 +232,7 @@ static border *border_of(graph *g, int32_t a, int32_t b) {
         at = &g->borders[*at].next;
     }
     if (*at < 0) {
-        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, INFINITY, 0.0};
+        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, INFINITY, 0.0};
         *at = (int32_t)g->n_borders++;
     }
     return g->borders + *at;
@@ -239,7 +240,7 @@ static border *border_of(graph *g, int32_t a, int32_t b) {
 
 static void measure(graph *g) {
     for (int64_t i = 0; i <= g->n_fragments; i++) {
-        g->fragments[i] = (fragment){0.0, -INFINITY, 0, 0, (int32_t)i, -1};
+        g->fragments[i] = (fragment){0.0, -INFINITY, 0, 0, 0, (int32_t)i, -1};
     }
     for (int64_t i = 0; i < g->n; i++) {
         const cell *c = g->cells + i;
@@ -263,18 +264,21 @@ static void measure(graph *g) {
                 border *one = border_of(g, c->part, c[t * to].part);
                 one->bend += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
                 one->steps += bend == STEP;
+                one->convex += bend < -SHARP;
                 one->length++;
+                one->behind += (c->p[2] < c[t * to].p[2]) == (c->part == one->a) ? 1 : -1;
                 one->near = by < one->near ? by : one->near;
             }
         }
     }
 }
 
-INLINE int is_hollow(const fragment *f) { return 2 * f->hollow > f->cells; }
+/* More than half of its cells are; one that has joined its rim counts as solid. */
+INLINE int is_hollow(const fragment *f) { return !f->rim && 2 * f->hollow > f->cells; }
 
 static void join(graph *g, int32_t a, int32_t b) {
     fragment *to = g->fragments + a, *from = g->fragments + b;
-    to->area += from->area, to->cells += from->cells, to->hollow += from->hollow;
+    to->area += from->area, to->cells += from->cells, to->hollow += from->hollow, to->rim |= from->rim;
     to->tops = to->tops > from->tops ? to->tops : from->tops;
     for (int64_t i = 1; i <= g->n_fragments; i++) {
         g->fragments[i].to = g->fragments[i].to == b ? a : g->fragments[i].to;
@@ -284,6 +288,10 @@ static void join(graph *g, int32_t a, int32_t b) {
     for (int64_t k = 0; k < g->n_borders; k++) {
         border one = g->borders[k];
         one.a = one.a == b ? a : one.a, one.b = one.b == b ? a : one.b;
+        if (one.a > one.b) {
+            const int32_t first = one.b;
+            one.b = one.a, one.a = first, one.behind = -one.behind;
+        }
         const int32_t other = one.a == a ? one.b : one.b == a ? one.a : 0;
         if (other == a) {
             continue;
@@ -291,6 +299,7 @@ static void join(graph *g, int32_t a, int32_t b) {
         if (other && g->fragments[other].first >= 0) {
             border *same = g->borders + g->fragments[other].first;
             same->bend += one.bend, same->steps += one.steps, same->length += one.length;
+            same->convex += one.convex, same->behind += one.behind;
             same->near = same->near < one.near ? same->near : one.near;
         } else {
             if (other) {
@@ -302,12 +311,20 @@ static void join(graph *g, int32_t a, int32_t b) {
     g->n_borders = kept;
 }
 
+/* Whether a border may be that of a hollow fragment with its rim: as high, and mostly before it. */
+INLINE int rim_of(const graph *g, const border *one) {
+    const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
+    const int front = is_hollow(a) && !is_hollow(b) ? -one->behind : is_hollow(b) && !is_hollow(a) ? one->behind : -1;
+    return front >= 0 && fabs(a->tops - b->tops) < TOUCH;
+}
+
 /* Joins fragments whose border bends least, as long as it bends less than the limit. A fragment smaller than a fingertip joins
  * the neighbour from which it is separated least; two hollow ones are one wall; a hollow one joins its rim. */
 static void join_all(graph *g, int64_t *counts) {
     for (;;) {
         const border *best = NULL;
         double least = g->s[BEND];
+        const border *rim = NULL;
         int why = -1;
         for (int64_t k = 0; k < g->n_borders; k++) {
             const border *one = g->borders + k;
@@ -317,6 +334,8 @@ static void join_all(graph *g, int64_t *counts) {
             if ((a->area < g->s[PART_M2] || b->area < g->s[PART_M2]) && one->near < TOUCH) {
                 reason = bend < least ? -1 : BY_SIZE;
                 bend -= 10.0;
+            } else if (is_hollow(a) && is_hollow(b) && 2 * one->convex > one->length) {
+                continue; /* two bowls whose rims touch */
             } else if (is_hollow(a) && is_hollow(b) && 2 * one->steps < one->length) {
                 reason = bend < least ? -1 : BY_HOLLOW;
                 bend -= 5.0;
@@ -325,14 +344,12 @@ static void join_all(graph *g, int64_t *counts) {
                 least = bend, best = one, why = reason;
             }
         }
-        if (!best) { /* a hollow fragment and its longest border with one that rises as high */
-            for (int64_t k = 0; k < g->n_borders; k++) {
-                const border *one = g->borders + k;
-                const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
-                if ((is_hollow(a) || is_hollow(b)) && fabs(a->tops - b->tops) < TOUCH && (!best || one->length > best->length)) {
-                    best = one, why = BY_HOLLOW;
-                }
-            }
+        for (int64_t k = 0; k < g->n_borders && why < 0 && !best; k++) { /* a hollow fragment and its longest border */
+            rim = rim_of(g, g->borders + k) && (!rim || g->borders[k].length > rim->length) ? g->borders + k : rim;
+        }
+        if (rim && !best) {
+            best = rim, why = BY_HOLLOW;
+            g->fragments[rim->a].rim = 1;
         }
         if (!best) {
             break;
