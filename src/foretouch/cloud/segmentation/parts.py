@@ -28,7 +28,7 @@ from foretouch.types import Float32
 _split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64, np.uint8, np.int32, np.int64)
 _concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
 
-_CELL_M = 0.005  # side of a cell at the median depth of the clusters
+_CELL_M = 0.005  # side of a cell at the median depth of the clusters, as the noise of a stereo camera it grows with depth² beyond 1 m
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
@@ -77,12 +77,13 @@ def split_clusters(
     depths = view[:h, :w, 2][coarse][one.solid[coarse]]
     if not len(depths):
         return list(windows), counts
-    side = pitch * float(np.median(depths))  # of a pixel [m]
+    depth = float(np.median(depths))
+    side = pitch * depth  # of a pixel [m]
     arm, found = max(1, round(_ARM_M / side)), np.zeros(4, np.int64)
     _concave(first, xyz.shape[1], h, w, _STRIDE, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
-    cell = min(max(round(_CELL_M / side), 1), _MAX_CELL)
+    cell = min(max(round(_CELL_M * max(1.0, depth**2) / side), 1), _MAX_CELL)
     settings = [np.radians(config.angle_deg), config.step_m, config.min_part_m**2, *threshold.plane.coefficients, pitch * cell]
     labels = one.labels.copy()
     _split(first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels, found)

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.segmentation.clusters import (
     ClusterConfig,
     CropConfig,
@@ -39,6 +40,7 @@ _coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np
 _MIN_POINTS = 100  # in range
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _HIGHEST_M = 0.6  # above the table: no object reaches it
+_LARGEST_LIST = 4_000_000  # points: two images of 1920x1080
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
 
@@ -105,7 +107,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     ms: dict[str, float] = {}
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
-        status, reason, plane, objects, labels = _segment(cloud, config, counts, ms)
+        status, reason, plane, objects, labels = _segment_list(cloud, config, counts, ms)
         if status != "ok" and (frame := not_optical(cloud.xyz, config.rays)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
@@ -115,6 +117,34 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
 
 
 _Result = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...], Int32]
+
+
+def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
+    """As `_segment`; a list of the points of an image, in any order, is processed as that image."""
+    if cloud.organised or cloud.size > _LARGEST_LIST:
+        return _segment(cloud, config, counts, ms)
+    rows = np.flatnonzero(in_range(cloud.xyz[:, 2], config.crop) & finite_rows(cloud.xyz))
+    points = cloud.xyz[rows]
+    grid = PixelGrid.from_rays(points) if len(rows) >= _MIN_POINTS else None
+    if grid is None or min(grid.height, grid.width) < 2:
+        return _segment(cloud, config, counts, ms)
+    place = np.full(grid.height * grid.width, -1, np.intp)
+    place[grid.row * grid.width + grid.column] = rows
+    xyz = np.full((grid.height, grid.width, 3), np.nan, np.float32)
+    xyz[grid.row, grid.column] = points
+    status, reason, plane, found, image = _segment(Cloud(xyz), config, counts, ms)
+    finite, usable = _count_depths(cloud.xyz, config.crop)
+    counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
+    labels = np.zeros(cloud.size, np.int32)
+    labels[rows] = image[grid.row, grid.column]
+    return status, reason, plane, tuple(_listed(one, cloud, place) for one in found), labels
+
+
+def _listed(one: ObjectSegment, cloud: Cloud, place: Index) -> ObjectSegment:
+    """An object of an image as one of the list of its points, by the row of each pixel in that list."""
+    pixels = np.sort(place[one.pixels])
+    rgb = None if cloud.rgb is None else cloud.rgb[pixels]
+    return replace(one, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
