@@ -10,7 +10,6 @@ from foretouch.cloud.segmentation.segment import Segmentation, segment
 from foretouch.types import Cloud, Float32
 
 
-
 def _table() -> Float32:
     """A table 0.8 m below the camera, 240 x 320 pixels."""
     return np.full((240, 320), 0.8, np.float32)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import Clusters, pixel_pitch, in_range
+from foretouch.cloud.segmentation.clusters import Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import ObjectSegment
 
 Array = np.ndarray[Any, Any]

@@ -54,14 +54,20 @@ class ObjectIdentity:
         self._seen |= {one.id: _Seen(one.pixels, one.centroid, shape, self._clouds) for one in objects}
         self._seen = {id_: one for id_, one in self._seen.items() if self._clouds - one.at < _REMEMBERED}
         labels = found.labels if np.array_equal(names, np.arange(len(names))) else names[found.labels]
-        return replace(found, objects=objects, labels=labels, counts=found.counts | {"new_ids": len(objects) - len(known)})
+        return replace(
+            found, objects=objects, labels=labels, counts=found.counts | {"new_ids": len(objects) - len(known)}
+        )
 
     def _known(self, found: Segmentation) -> dict[int, int]:
         """The id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
         pairs: list[tuple[int, float, int, int]] = []
         for id_, seen in self._seen.items():
             shares = _shared(seen, found.labels, found.objects)
-            pairs += [(self._clouds - seen.at, -share, id_, one.id) for one, share in zip(found.objects, shares, strict=True) if share]
+            pairs += [
+                (self._clouds - seen.at, -share, id_, one.id)
+                for one, share in zip(found.objects, shares, strict=True)
+                if share
+            ]
         known: dict[int, int] = {}
         for _, _, id_, one in sorted(pairs):
             if one not in known and id_ not in known.values():

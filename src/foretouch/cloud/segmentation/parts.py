@@ -12,7 +12,7 @@ Whole objects stay whole by three rules, each counted:
 - `joined_hollow`: hollow fragments are one wall, and belong to the rim that is as high as they are (a bowl, a cup).
 - `joined_hidden`: fragments on both sides of a nearer object are one where the surface of one continues in the other.
 
-An image with neither a concave nor two clusters next to each other is not processed further.
+An image with neither a concave surface nor two clusters next to each other is not processed further.
 """
 
 from collections.abc import Sequence
@@ -28,6 +28,7 @@ from foretouch.types import Float32
 _split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64, np.uint8, np.int32, np.int64)
 _concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
 
+SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden")
 _CELL_M = 0.005  # side of a cell at the median depth of the clusters, as the noise of a stereo camera it grows with depth² beyond 1 m
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
@@ -67,7 +68,7 @@ def split_clusters(
         The windows as they are, or one window with all parts; and the counts `clusters`, `parts`, `joined_small`,
         `joined_hollow` and `joined_hidden`, all 0 if nothing calls for splitting.
     """
-    counts = dict.fromkeys(("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden"), 0)
+    counts = dict.fromkeys(SPLIT_COUNTS, 0)
     if config.angle_deg >= 180.0 or not windows or pitch <= 0.0:
         return list(windows), counts
     one = _in_one_window(windows) if len(windows) > 1 else windows[0]
@@ -84,7 +85,13 @@ def split_clusters(
     if found[:2].max() < _FEW:
         return list(windows), counts
     cell = min(max(round(_CELL_M * max(1.0, depth**2) / side), 1), _MAX_CELL)
-    settings = [np.radians(config.angle_deg), config.step_m, config.min_part_m**2, *threshold.plane.coefficients, pitch * cell]
+    settings = [
+        np.radians(config.angle_deg),
+        config.step_m,
+        config.min_part_m**2,
+        *threshold.plane.coefficients,
+        pitch * cell,
+    ]
     labels = one.labels.copy()
     _split(first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels, found)
     if found[0] < 0:
@@ -100,7 +107,11 @@ def _in_one_window(windows: Sequence[Clusters]) -> Clusters:
     top, left = min(one.rows for one in windows), min(one.columns for one in windows)
     bottom = max(one.rows + one.labels.shape[0] for one in windows)
     right = max(one.columns + one.labels.shape[1] for one in windows)
-    labels, solid, count = np.zeros((bottom - top, right - left), np.int32), np.zeros((bottom - top, right - left), np.bool_), 0
+    labels, solid, count = (
+        np.zeros((bottom - top, right - left), np.int32),
+        np.zeros((bottom - top, right - left), np.bool_),
+        0,
+    )
     for one in windows:
         h, w = one.labels.shape
         part = np.s_[one.rows - top : one.rows - top + h, one.columns - left : one.columns - left + w]

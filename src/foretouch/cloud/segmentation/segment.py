@@ -22,7 +22,7 @@ from foretouch.cloud.segmentation.clusters import (
     pixel_pitch,
 )
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
-from foretouch.cloud.segmentation.parts import SplitConfig, split_clusters
+from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.config import Settings, setting
@@ -69,7 +69,9 @@ class Segmentation:
     Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
     points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
     affect the result are checked; background is the table, points below it, isolated points and those without x or y;
-    rejected are the points of `n_rejected` implausible clusters.
+    rejected are the points of `n_rejected` implausible clusters. `clusters` are split into `parts`; `joined_small`,
+    `joined_hollow` and `joined_hidden` are the fragments that each rule joined again (see `parts`), all 0 where nothing
+    calls for splitting.
     """
 
     status: SegmentationStatus  # "ok" with at least one object, else what is missing
@@ -102,6 +104,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
         "n_rejected",
         "flying",
         "objects",
+        *SPLIT_COUNTS,
     )
     counts = dict.fromkeys(names, 0)
     ms: dict[str, float] = {}
@@ -125,7 +128,8 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
         return _segment(cloud, config, counts, ms)
     rows = np.flatnonzero(in_range(cloud.xyz[:, 2], config.crop) & finite_rows(cloud.xyz))
     points = cloud.xyz[rows]
-    grid = PixelGrid.from_rays(points) if len(rows) >= _MIN_POINTS else None
+    in_view = len(rows) >= _MIN_POINTS and not out_of_view(points, config.rays).any()
+    grid = PixelGrid.from_rays(points) if in_view else None
     if grid is None or min(grid.height, grid.width) < 2:
         return _segment(cloud, config, counts, ms)
     place = np.full(grid.height * grid.width, -1, np.intp)
