@@ -27,7 +27,7 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
     grasp: GeoGraspConfig = GeoGraspConfig()
     hand: HandConfig = HandConfig()
     grasp_hold: float = setting(
-        2.0,
+        0.5,
         "The last grasp of an object is kept until another is better by this score on three clouds in a row; "
         "0 disables it, as grasp.method original",
         bounds=(0.0, 1000.0),
