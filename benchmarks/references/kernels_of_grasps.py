@@ -3,19 +3,6 @@
 
 import mpmath
 import numpy as np
-from foretouch.grasp.stable import (
-    ObjectFrame,
-    StableRanking,
-    StableSide,
-    WeightedPoints,
-    _third_moment,
-    object_frame,
-    soft_extremes,
-    stable_side,
-    weigh_points,
-)
-from foretouch.grasp.stable import _local_planes as planes_at
-from foretouch.grasp.stable import _onto_surface as surface_mean
 
 from benchmarks.references.reference import (
     Exact,
