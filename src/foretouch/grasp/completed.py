@@ -49,6 +49,7 @@ _SPACINGS = 0.8  # mean distances to the neighbours in a cell of that grid, at l
 _BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
 _MOST_CELLS = 4e6  # of such a grid
 _FAR_M = 0.6  # from the centre: no hand reaches it
+_STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
@@ -130,16 +131,15 @@ class CompletedObject:
         if not total > 0.0:
             raise CloudError(f"xyz: none of {len(points.xyz)} points is near others")
         centroid = points.inlier @ points.xyz / total
-        self._basis = _table_basis(plane, centroid)
+        # Without a viewpoint in front of all points, nothing is known to be unseen.
+        self._in_view = bool((points.xyz[:, 2] > 0.05 * float(np.linalg.norm(centroid))).all())
+        self._basis = _table_basis(plane, centroid, self._in_view)
         up = self._basis[2]
         height = float(plane.normal @ centroid + plane.offset) * (1.0 if plane.normal @ up > 0.0 else -1.0)
         height -= _base(height + _quantile((points.xyz - centroid) @ up, _END_SHARE))
         self._foot = centroid - height * up
         seen = (points.xyz - self._foot) @ self._basis.T
         eye = -self._foot @ self._basis.T
-        distance = float(np.linalg.norm(centroid))
-        # Without a viewpoint in front of all points, nothing is known to be unseen.
-        self._in_view = bool((points.xyz[:, 2] > 0.05 * distance).all())
         self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
         mirrored = self._mirrored(seen)
         self.n_completed = len(mirrored[1])
@@ -219,11 +219,12 @@ class CompletedObject:
         low, high, height, top, blocker, _ = np.moveaxis(
             self._close(np.stack([angles, 0.0 * angles], axis=1), _LINES), 2, 0
         )
-        width, met = high - low, np.isfinite(low)
+        width, met = high - low, np.isfinite(height)
         refused = {
+            "n_too_flat": np.isnan(low) | (height > top + 0.5 * hand.tip_radius_m),
             "n_too_wide": width > hand.opening_m,
             "n_too_thin": width < _THIN_M,
-            "n_too_flat": height > top + 0.5 * hand.tip_radius_m,
+            "n_too_steep": np.maximum(_slopes(low), _slopes(high)) > _STEEPEST,
             "n_blocked": blocker >= 0.0,
         }
         counts, left = {"n_lines": int(np.count_nonzero(met))}, met
@@ -291,13 +292,14 @@ def _smoothed(cost: Float64) -> Float64:
     return np.asarray(np.sum([weight * beside[:, k : k + _LINES] for k, weight in enumerate(_BINOMIAL)], axis=0))
 
 
-def _table_basis(plane: Plane, centroid: Float64) -> Float64:
+def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
     """(3, 3) float64, rows: away from the camera along the table, to its left, and up; directions of the camera's frame.
 
     Away is between the direction of view and the image's upward direction, which is defined also from straight above.
     """
     up = np.asarray(plane.normal, np.float64) / np.linalg.norm(plane.normal)
-    if up @ centroid > 0.0 or (up @ centroid == 0.0 and up[1] > 0.0):
+    side = -(up @ centroid) if in_view else up @ centroid + plane.offset  # the camera's, or that of the object itself
+    if side < 0.0 or (side == 0.0 and up[1] > 0.0):
         up = -up
     away = centroid / max(float(np.linalg.norm(centroid)), 1e-9) - np.array([0.0, 1.0, 0.0])
     away = away - (away @ up) * up
@@ -375,6 +377,7 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
     reasons = {
         "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
+        "n_too_steep": f"at an edge, steeper than {_STEEPEST:g} on one side",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
         "n_blocked": f"blocked by object {', '.join(map(str, blockers))}",
     }

@@ -16,6 +16,7 @@ from foretouch.types import Cloud, Float32, Int64, Integer
 
 _sort = Kernel("canonical_order", np.float32, int, np.int64)
 
+_UNKNOWN = 4  # times as many points are kept of clouds that are no image
 _MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane
 _MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in another unit or damaged
 
@@ -70,7 +71,8 @@ class FinitePoints:
     def every_kth_pixel(self, most: int) -> "FinitePoints":
         """At most about `most` points: those of a lattice of pixels, so that small changes of the cloud keep the choice.
 
-        All points if the image that they come from cannot be recovered; in canonical order. Raises as `downsampled`.
+        Up to four times as many, evenly distributed over their order, if that image cannot be recovered. In canonical order; raises as
+        `downsampled`.
         """
         self._check()
         step = -(-len(self.xyz) // most)
@@ -82,7 +84,8 @@ class FinitePoints:
             if grid is not None:
                 kept = np.flatnonzero((round(0.38 * step) * grid.row + grid.column) % step == 0)
                 return FinitePoints(self.xyz[kept], self.n_dropped).in_canonical_order()
-        return self.in_canonical_order()
+        ordered = self.in_canonical_order()
+        return FinitePoints(ordered.xyz[:: -(-len(self.xyz) // (_UNKNOWN * most))], self.n_dropped)
 
     def without_flying(self, config: GeoGraspConfig, counts: dict[str, int]) -> "FinitePoints":
         """Without flying points (see `flying_mask`), whose number is added to `counts` if there are any."""

@@ -126,7 +126,7 @@ INLINE double round_underside(double top, double lowest, double end, double widt
  * turns (angles, 2): direction of the lines [rad], and how far the middle one is beside the axis. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
  * part of the direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
  * found (angles, lines, 6): both ends, height, top, the first of `others` in the way of a finger, or -1, and the weight of the points. Ends are
- * NaN where the line meets no points or there is no memory. */
+ * NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
                               int64_t lines, const double *settings, const double *camera, const float *nearest, int64_t rows, int64_t columns,
                               const double *others, int64_t m, double *found) {
@@ -218,12 +218,13 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < under ? under : z;
             z = z < floor_m ? floor_m : z;
+            one[2] = z, one[3] = top;
             ends(&strip, &alongs, (float)((z - tip) / (double)HEIGHT_M), share, &low, &high);
             if (!(alongs.total >= 3.0)) {
                 continue;
             }
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
-            one[2] = z, one[3] = top, one[4] = -1.0, one[5] = alongs.total;
+            one[4] = -1.0, one[5] = alongs.total;
             for (int64_t i = 0; i < m && one[4] < 0.0; i++) {
                 const double x = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
                 const int beside = fabs(y - offset) < tip && others[3 * i + 2] > z - tip;
