@@ -135,7 +135,7 @@ def compare(files: list[Path]) -> None:
     found = []
     for name, model, features in _models():
         x = np.array([[float(row[key]) for key in features] for row in rows])
-        folds = [*GroupKFold(10).split(x, held, objects)]
+        folds = [*GroupKFold(min(10, len(np.unique(objects)))).split(x, held, objects)]
         line: dict[str, Any] = {"model": name, **_scores("", held, _left_out(model, x, held, folds))}
         if len(files) > 1:
             ends = [(np.flatnonzero(sets != k), np.flatnonzero(sets == k)) for k in range(len(files))]
