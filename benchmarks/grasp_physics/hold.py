@@ -31,6 +31,7 @@ FEATURES: Final = (
     "narrowest", "widest", "height", "volume", "elevation", "free", "completed",
 )  # fmt: skip
 SCORE_ALONE: Final = ("score",)
+WITH_MASS: Final = (*FEATURES, "mass")  # which no planner has
 _BINS = 15  # of the calibration error
 
 
@@ -66,7 +67,8 @@ def rows_of(item: Item, count: int, poses: int, cache: Path | None) -> Iterator[
             for grasp, features in [] if target is None else planned(pipeline, target):
                 proposal = Proposal(seen.camera.to_world(np.stack([grasp.g1, grasp.g2])), "", "ok")
                 held = Conditions().close(item, seen.pose, surface, proposal).verdict.held
-                yield {"object": item.name, "pose": pose, "view": view, "held": int(held), **features}
+                first = {"object": item.name, "pose": pose, "view": view, "held": int(held), "mass": item.mass_kg}
+                yield {**first, **features}
 
 
 def planned(pipeline: Pipeline, target: FoundObject) -> list[tuple[Grasp, dict[str, float]]]:
@@ -147,7 +149,7 @@ def compare(files: list[Path]) -> None:
 
 
 def _models() -> Iterator[tuple[str, Any, tuple[str, ...]]]:
-    for name, features in (("score", SCORE_ALONE), ("all", FEATURES)):
+    for name, features in (("score", SCORE_ALONE), ("all", FEATURES), ("all and the true mass", WITH_MASS)):
         yield f"logistic, {name}", make_pipeline(StandardScaler(), LogisticRegression(C=0.1)), features
         trees = ExtraTreesClassifier(300, min_samples_leaf=20, max_features=0.5, random_state=0, n_jobs=1)
         yield f"trees, {name}", trees, features
