@@ -110,9 +110,7 @@ def _of_object(counts: dict[str, int], lines: ClosingLines, xyz: Float64, target
     }
 
 
-def _of_grasp(
-    rank: int, grasp: Grasp, lines: ClosingLines, angle: int, line: int, xyz: Float64
-) -> dict[str, float]:
+def _of_grasp(rank: int, grasp: Grasp, lines: ClosingLines, angle: int, line: int, xyz: Float64) -> dict[str, float]:
     unseen = [float(np.linalg.norm(xyz - end, axis=1).min()) for end in (grasp.g1, grasp.g2)]
     middle = lines.low.shape[1] // 2
     near = slice(max(line - 2, 0), line + 3)
