@@ -74,22 +74,23 @@ def rows_of(item: Item, count: int, poses: int, cache: Path | None) -> Iterator[
 def planned(pipeline: Pipeline, target: FoundObject) -> list[tuple[Grasp, dict[str, float]]]:
     """The grasps of a plan, each with its features."""
     kept: list[tuple[ClosingLines, list[tuple[int, int]]]] = []
-    chosen_by = geograsp.best_lines
+    planner: Any = geograsp
+    chosen_by = planner.best_lines
 
     def noted(completed: Any, lines: ClosingLines, count: int) -> list[tuple[int, int]]:
         kept.append((lines, chosen_by(completed, lines, count)))
         return kept[-1][1]
 
-    geograsp.best_lines = noted
+    planner.best_lines = noted
     try:
         plan = pipeline.plan(target)
     finally:
-        geograsp.best_lines = chosen_by
+        planner.best_lines = chosen_by
     if not plan.grasps:
         return []
     lines, chosen = kept[0]
-    xyz = target.cloud.xyz.reshape(-1, 3)
-    xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
+    points = target.cloud.xyz.reshape(-1, 3)
+    xyz = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     shared = _of_object(plan.counts, lines, xyz, target)
     pairs = enumerate(zip(plan.grasps, chosen, strict=True))
     return [(grasp, {**_of_grasp(k, grasp, lines, *one, xyz), **shared}) for k, (grasp, one) in pairs]
