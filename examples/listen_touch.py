@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 
+from foretouch import reading
 from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
 
 REFERENCES = {
@@ -72,21 +73,19 @@ class TouchListener(Node):
 
 
 def describe(prediction: object) -> str:
-    """Lines for a finger each [counts]: pressure with half width, mean and range of the electrodes; then the inputs used."""
+    """Lines for a finger each: mean, range and half width of each channel; then the inputs used."""
     if prediction.reason:
         return prediction.reason
     words = []
-    for finger, pressure, electrodes in (
-        ("thumb", prediction.pdc_th, prediction.e_th),
-        ("middle", prediction.pdc_mf, prediction.e_mf),
-    ):
-        values = [electrode.value for electrode in electrodes]
-        mean = sum(values) / len(values)
-        half = (pressure.upper - pressure.lower) / 2.0
-        interval = "" if math.isnan(half) else f" ± {half:.0f}"
-        words.append(
-            f"{finger} PDC {pressure.value:.0f}{interval}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})"
-        )
+    predicted = reading(prediction)  # by channel, such as PDC (fingers,) and E (fingers, 24) of a BioTac SP
+    for finger, name in enumerate(prediction.fingers):
+        parts = []
+        for channel, values in predicted.items():
+            own = values[finger]
+            half = (values.upper[finger] - values.lower[finger]).mean() / 2.0
+            spread = f" ({own.min():.0f} to {own.max():.0f})" if own.size > 1 else ""
+            parts.append(f"{channel} {own.mean():.0f}{spread}" + ("" if math.isnan(half) else f" ± {half:.0f}"))
+        words.append(f"{name} {', '.join(parts)}")
     used = "; ".join([f"based on {REFERENCES[prediction.reference]}", *prediction.flags])
     return "\n  ".join([*words, used])
 

@@ -11,7 +11,8 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.wait_for_message import wait_for_message
 from sensor_msgs.msg import PointCloud2
 
-from foretouch_msgs.msg import Grasp, Status, TablePlane
+from foretouch import reading
+from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.srv import PredictTouch
 
 CANDIDATES = 50
@@ -29,20 +30,13 @@ def receive(node: Node, topic: str, message_type: type) -> object:
     return message
 
 
-def candidates(xyz: np.ndarray, name: str, rng: np.random.Generator) -> list[Grasp]:
-    """Pairs of contacts left and right of the object [m]; the service computes the orientation as GeoGrasp does.
-
-    Their ids begin with a name, since reports of executed grasps refer to them: no two grasps may have the same.
-    """
-    grasps = []
-    for number, y in enumerate(rng.choice(xyz[:, 1], CANDIDATES)):
+def candidates(xyz: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(K, 6) pairs of contacts left and right of the object [m]; the service computes the orientations as GeoGrasp does."""
+    pairs = []
+    for y in rng.choice(xyz[:, 1], CANDIDATES):
         band = xyz[np.abs(xyz[:, 1] - y) < BAND_M].astype(float)
-        grasp = Grasp(id=f"{name}/{number}")
-        grasp.pose.orientation.w = 0.0  # four zeros request its computation
-        for contact, point in ((grasp.g1, band[band[:, 0].argmin()]), (grasp.g2, band[band[:, 0].argmax()])):
-            contact.x, contact.y, contact.z = point
-        grasps.append(grasp)
-    return grasps
+        pairs.append([*band[band[:, 0].argmin()], *band[band[:, 0].argmax()]])
+    return np.array(pairs)
 
 
 def main() -> None:
@@ -60,22 +54,26 @@ def main() -> None:
     client = node.create_client(PredictTouch, "predict_touch")
     client.wait_for_service(TIMEOUT_S)
     name = f"rank_grasps/{node.get_clock().now().nanoseconds}"
-    grasps = candidates(xyz, name, np.random.default_rng())
-    request = PredictTouch.Request(cloud=cloud, table=[table.plane], grasps=grasps)
+    contacts = candidates(xyz, np.random.default_rng())
+    # Reports of executed grasps refer to their ids, `name/0` and so on: no two grasps may have the same.
+    request = PredictTouch.Request(cloud=cloud, table=[table.plane], contacts=contacts.ravel(), id=name)
     response = client.call_async(request)
     rclpy.spin_until_future_complete(node, response, timeout_sec=TIMEOUT_S)
     if not response.done():
         raise SystemExit(f"predict_touch: no response within {TIMEOUT_S} s")
-    predicted = [p for p in response.result().touch.predictions if p.status == Status.OK]
-    if not predicted:
-        raise SystemExit(f"no prediction: {response.result().touch.reason}")
-    best = min(predicted, key=lambda p: p.pdc_th.value + p.pdc_mf.value)
-    number = best.grasp.id.rpartition("/")[2]
-    print(f"{len(predicted)} of {CANDIDATES} grasps predicted; the gentlest is {number}:")
-    print(f"PDC thumb {best.pdc_th.value:.0f}, middle finger {best.pdc_mf.value:.0f} counts, flags {list(best.flags)}")
-    for name, point in (("g1", best.grasp.g1), ("g2", best.grasp.g2)):
-        print(f"{name} = ({point.x:.3f}, {point.y:.3f}, {point.z:.3f}) m in {best.header.frame_id}")
-    print(f"report its execution as grasp {best.grasp.id}")  # as examples/report_grasp.py does
+    batch = response.result().batch
+    if batch.status != Status.OK:
+        raise SystemExit(f"no prediction: {batch.reason}")
+    pdc = reading(batch)["PDC"]  # (K, fingers), NaN without a prediction
+    best = int(np.nanargmin(pdc.sum(axis=1)))
+    print(f"{np.isfinite(pdc).all(axis=1).sum()} of {CANDIDATES} grasps predicted; the gentlest is {best}:")
+    flags = [
+        flag for flag, has in zip(batch.flags, np.reshape(batch.flagged, (CANDIDATES, -1))[best], strict=True) if has
+    ]
+    print(f"PDC thumb {pdc[best, 0]:.0f}, middle finger {pdc[best, 1]:.0f} counts, flags {flags}")
+    for name_of, point in (("g1", contacts[best, :3]), ("g2", contacts[best, 3:])):
+        print(f"{name_of} = ({', '.join(f'{value:.3f}' for value in point)}) m in {batch.header.frame_id}")
+    print(f"report its execution as grasp {name}/{best}")  # as examples/report_grasp.py does
     rclpy.shutdown()
 
 

@@ -30,6 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch import reading
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
@@ -43,7 +44,7 @@ from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.tactile import BIOTAC
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.tactile.messages.table import TactileConfig, stamp_ns
 
 SCENE: Final = Path(__file__).parents[1] / "config" / "scenes" / "campaign_day.yaml"
 HAND: Final = "day"
@@ -124,10 +125,12 @@ class Log:
     def add_answer(self, message: Any) -> None:
         """A message of `touch`: the prediction of the best grasp."""
         for one in message.predictions[:1]:
-            interval = one.e_mf[ELECTRODE - 1]
-            half = (interval.upper - interval.lower) / 2.0
+            electrodes = reading(one)["E"]
+            value, low, high = (
+                float(each[1, ELECTRODE - 1]) for each in (electrodes, electrodes.lower, electrodes.upper)
+            )
             at_ns = stamp_ns(message.header.stamp)
-            self.add("prediction", at_ns, interval.value, half, touches=one.touches, readings=one.readings)
+            self.add("prediction", at_ns, value, (high - low) / 2.0, touches=one.touches, readings=one.readings)
 
     def add_executed(self, executed: Any) -> None:
         """The last executed grasp, if it is another than before."""
@@ -173,7 +176,7 @@ def parts_of(history: HandHistory) -> dict[str, tuple[float, float]]:
 def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> list[Row]:
     """Run the graph until a time (`time.time`), then stop it."""
     log, path = Log(schedule, load_scene(schedule.path), load_model(card)), out / f"{HAND}.safetensors"
-    with Graph(nodes_of(schedule, out, card), monitor={"with_hand": True, "on_touch": log.add_answer}) as graph:
+    with Graph(nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}) as graph:
         if not graph.started:
             raise SystemExit("a node did not start; see its log")
         while time.time() < end_s:

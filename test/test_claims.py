@@ -118,6 +118,22 @@ def with_vision(sources: str) -> list[str]:
     return [*skills, thumb if thumb == middle else f"{thumb} / {middle}"]
 
 
+def where(regime: str, modalities: Sequence[str] = ("E_TH", "E_MF"), experiment: str = "where_on_object") -> list[str]:
+    """Skills without where on the object and with it."""
+    names = ("level", "where")
+    table = f"{experiment}/results.csv"
+    return [one for name in names for one in skills(table, modalities, variant=name, regime=regime)]
+
+
+def gains(*modalities: str, experiment: str = "where_on_object", **wanted: Any) -> list[str]:
+    """Gain by where on the object and its interval, from the fourth grasp on."""
+    wanted = {"variant": "where", "regime": "later"} | wanted
+    found = [row for row in rows(f"{experiment}/results.csv", **wanted) if row["modality"] in modalities]
+    return [
+        f"{float(row[key]):.3f}".replace("0.", ".", 1) for row in found for key in ("gain", "gain_low", "gain_high")
+    ]
+
+
 def pooled(experiment: str, predictor: str, **wanted: Any) -> dict[str, str]:
     """The row of the mean of all modalities."""
     (row,) = rows(f"{experiment}/results.csv", predictor=predictor, modality="mean", **wanted)
@@ -151,6 +167,11 @@ def verdicts_of_vision() -> list[str]:
 CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
     "README.md": [
         *((rf"\| {text}[^|]* \| {{}} / {{}} \| {{}} / {{}} \| {{}} \|", lambda sources=sources: with_vision(sources)) for text, sources in WITH_VISION.items()),
+        (r"\| 0 to 2 \| {} / {} \| {} / {} \|", lambda: where("first three")),
+        (
+            r"\| 3 or more \| {} / {} \| {} / {} \| {} \[{}, {}\] / {} \[{}, {}\] \| {} \[{}, {}\] \|",
+            lambda: [*where("later"), *gains("E_TH", "E_MF"), *gains("mean")],
+        ),
         (r"\| other grasps of the same sessions \| {} \| {}, trees on geometric features \| no; in the electrodes it is worse \|", lambda: against_trees("cross_validation")),
         (r"\| earlier or later grasps of the same objects \| {} \| {}, the same \| no \|", lambda: against_trees("time_blocked")),
         (r"\| objects that it never saw \| {} \| {}, a clock \| the clock is better than the mean, `contact-v2` is not \|", against_the_clock),
@@ -171,6 +192,16 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
             (rf"\| [^|]*{text}[^|]* \| {{}} / {{}} \| {{}} / {{}} \| {{}} / {{}} \|", lambda key=key: known(*key, "never touched", "first three", "later"))
             for text, key in KNOWN.items()
         ),
+        (
+            r"\| \*\*gain\*\* \| \*\*{}\*\* \[{}, {}\] \| {} \[{}, {}\] \| \*\*{}\*\* \[{}, {}\] \| \*\*{}\*\* \[{}, {}\] \| \*\*{}\*\* \[{}, {}\] \|",
+            lambda: gains(*MODALITIES, "mean"),
+        ),
+        (
+            r"where adds {} \[{}, {}\] to .18",
+            lambda: gains("mean", experiment="where_on_object_simulated"),
+        ),
+        (r"it adds {} \[{}, {}\] to .17", lambda: gains("mean", experiment="where_on_object_uskin")),
+        (r"shuffled within the object \| .000 \| .000 \| -.002 \| .000 \| {} \[{}, {}\] \|", lambda: gains("mean", variant="shuffled")),
         ("Of 160 comparisons it is significantly better in {}, by less than .01, and worse in {}", verdicts_of_vision),
     ],
     "docs/papers.md": [

@@ -192,7 +192,6 @@ def test_topics_are_those_of_the_design(reference) -> None:
         "points": ("`camera`, `replay`", "`segmentation`"),
         "object_cloud": ("`segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
         "touch": ("`touch_predictor`", ""),
-        "tactile": ("`touch_predictor`",),
         "/rh/tactile": ("`hand`", "`touch_predictor`, `recorder`"),
         "predict_touch": ("`touch_predictor`",),
         "sample_grasps": ("`touch_predictor`",),

@@ -175,7 +175,8 @@ class Graph(Client):
 
 def numbers_of(one: Any) -> list[Any]:
     """All numbers of a prediction, as they were sent."""
-    intervals = [(i.value, i.lower, i.upper) for i in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)]
+    ends = (one.scalars, one.values, one.scalars_lower, one.lower, one.scalars_upper, one.upper)
+    intervals = [list(end) for end in ends]
     texts = repr(valid.contacts(one.grasp)), repr(list(one.grasp.rotation))
     return [one.status, *texts, one.grasp.score, repr(intervals)]
 
@@ -225,8 +226,12 @@ def judged(status: int, reason: str) -> str:
 
 def ask_touch(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd `predict_touch`."""
-    message = graph.call(PredictTouch, "predict_touch", change(valid.touch_request(), rng)).touch
-    valid.check_predictions(message)
+    arrays = bool(rng.integers(2))
+    request = change(valid.array_request() if arrays else valid.touch_request(), rng)
+    arrays = bool(len(request.contacts) or len(request.rotations))
+    response = graph.call(PredictTouch, "predict_touch", request)
+    message = response.batch if arrays else response.touch
+    (valid.check_batch if arrays else valid.check_predictions)(message)
     return judged(message.status, message.reason)
 
 

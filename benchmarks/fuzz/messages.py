@@ -27,6 +27,7 @@ from std_msgs.msg import String
 from benchmarks.fuzz.absurd import change, pick
 from benchmarks.fuzz.driver import Case, Kind, main
 from benchmarks.fuzz.files import mutated
+from foretouch import reading
 from foretouch.cli.answers import answer_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import print_json
@@ -40,15 +41,10 @@ from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
 from foretouch.models.hand_history import ObjectSignature
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
-from foretouch.ros.messages.conversions import (
-    grasp_to_msg,
-    header_to_msg,
-    plane_to_msg,
-    prediction_to_msg,
-    stamp_to_msg,
-)
-from foretouch.ros.messages.requests import plan_targets, read_cloud, read_plane, read_table, read_targets
+from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
+from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.nodes.monitor import View
 from foretouch.ros.nodes.recorder import _decode_label
@@ -59,12 +55,13 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile import biotac_touch
+from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import sensor_of
 from foretouch.tactile.messages.described import make_reader as make_described_reader
 from foretouch.tactile.messages.table import TactileConfig, make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane
 from foretouch_msgs.srv import LabelGrasp, PredictTouch
 
 DAMAGED = 0.25  # share of the cases whose bytes are damaged
@@ -156,13 +153,20 @@ def touch_message() -> Any:
     touch, header = biotac_touch(np.full(50, 2000.0)), header_to_msg(FRAME, NOW_NS)
     grasp = Grasp(np.array([0.03, 0, 0.6]), np.array([-0.03, 0, 0.6]), np.eye(3), 1.0, "1", "7")
     prediction = TouchPrediction(grasp=grasp, value=touch, lower=touch, upper=touch)
-    return TouchPredictionArray(header=header, predictions=[prediction_to_msg(prediction, grasp_message(), header)])
+    return TouchAnswer(header, [grasp_message()], [prediction], sensor=BIOTAC_SP).message
 
 
 def touch_request() -> Any:
     """A `PredictTouch` request with a table."""
     grasps = [grasp_message(), grasp_message("2")]
     return PredictTouch.Request(cloud=object_messages()[0], grasps=grasps, table=[table_message().plane])
+
+
+def array_request() -> Any:
+    """The same with arrays, for objects of which one is named."""
+    request = PredictTouch.Request(cloud=object_messages()[0], table=[table_message().plane], object_id="7", id="mine")
+    request.contacts, request.rotations = contacts(grasp_message()) * 2, [*grasp_message().rotation] * 2
+    return request
 
 
 def sample_goal() -> Any:
@@ -252,7 +256,17 @@ def check_predictions(message: Any) -> None:
     for one in message.predictions:
         named(one.status, one.reason)
         if one.status == 0:
-            finite("prediction", [row.value for row in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)])
+            finite("prediction", [*one.scalars, *one.values])
+
+
+def check_batch(batch: Any) -> None:
+    """The same of arrays."""
+    named(batch.status, batch.reason)
+    found = reading(batch)
+    for k, (status, reason) in enumerate(zip(batch.statuses, batch.reasons, strict=True)):
+        named(status, reason)
+        if status == 0:
+            finite("prediction", [value for values in found.values() for value in values[k].ravel()])
 
 
 def predicted() -> Reader:
@@ -263,10 +277,12 @@ def predicted() -> Reader:
         table = read_plane(request.table[0]) if request.table else None
         targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
         posing = config.grasp if table else None
-        message = predictor.array(targets, request.grasps, request.cloud.header, config, posing)
-        check_predictions(predictor.finish(message, 1.0, 0.5).message)
+        arrays = len(request.contacts) or len(request.rotations)
+        grasps, predict = (read_arrays(request), predictor.batch) if arrays else (request.grasps, predictor.array)
+        answer = predictor.finish(predict(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
+        (check_batch if arrays else check_predictions)(answer.reply)
 
-    return [touch_request()], read
+    return [touch_request(), array_request()], read
 
 
 def sampled() -> Reader:
@@ -274,7 +290,8 @@ def sampled() -> Reader:
     predictor, config = Predictor("default"), TouchPredictorConfig()
 
     def predict(target: Any, grasps: Any, header: Any) -> Any:
-        return predictor.array([target], grasps, header, config).message.predictions
+        made = predictor.array([target], grasps, header, config).message.predictions
+        return [(one, None if one.status else np.full(2, 0.5)) for one in made]
 
     def read(goal: Any) -> None:
         result = sample_grasps(goal, None, config, "0", predict, lambda _: None, lambda: False)

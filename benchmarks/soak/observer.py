@@ -99,11 +99,11 @@ class Observer(Client):
         from foretouch.ros.messages.requests import status_name
 
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
-        good = [(one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf) for one in message.predictions if one.status == 0]
+        good = [(*one.scalars, *one.values) for one in message.predictions if one.status == 0]
         with self.lock:
             self._heard("touch", info)
             self.stamps["touch"].add(stamp)
             self.answers.append(now)
             self.answered_at.setdefault(stamp, now)
             self.statuses[status_name(message.status)] += 1
-            self.not_finite += not all(math.isfinite(interval.value) for one in good for interval in one)
+            self.not_finite += not all(math.isfinite(value) for one in good for value in one)

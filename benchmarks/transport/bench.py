@@ -20,6 +20,7 @@ from sensor_msgs.msg import PointCloud2
 
 from benchmarks.common import ROOT, OthersLoad, markdown, print_rows, read_csv, replace_marked, write_csv
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
+from benchmarks.transport.round_trip import compare
 from foretouch.errors import ConfigError
 from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -30,6 +31,7 @@ from foretouch_msgs.msg import TouchPredictionArray
 
 DOMAIN = 87
 RESULTS = Path(__file__).with_name("results.csv")
+REQUESTS = Path(__file__).with_name("requests.csv")
 PICTURE = ROOT / "docs" / "stamp_to_touch.png"
 NODES = ("segmentation", "grasp", "touch_predictor")
 STAGES = ("cloud: send, read", "wait", "segmentation", "hand over targets", "grasps", "hand over grasps", "touch",
@@ -46,6 +48,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--processes", nargs="*", choices=["one", "three"], default=["one"])
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME:=VALUE", help="parameters of all nodes")
     parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one)")
+    parser.add_argument(
+        "--requests",
+        type=Path,
+        metavar="CHECKOUT",
+        help="only measure round trips of predict_touch, in turns with an older checkout that has an environment of its own",
+    )
     parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
     return parser.parse_args()
 
@@ -138,7 +146,7 @@ class Bench(Client):
 
     def _hear(self, message: Any) -> None:
         arrived = time.time_ns()  # whole messages of ten minutes would take gigabytes
-        values = [one.value for touch in message.predictions for one in (touch.pdc_th, touch.pdc_mf)]
+        values = [value for touch in message.predictions for value in touch.scalars]
         self.answers[stamp_ns(message.header.stamp)] = arrived, values
 
 
@@ -270,6 +278,9 @@ def draw(rows: Sequence[dict[str, Any]]) -> None:
 
 def main() -> int:
     options = arguments()
+    if options.requests:
+        write_csv(REQUESTS, compare(options.requests.resolve(), ROOT, DOMAIN + 1))
+        return 0
     prepare_domain(DOMAIN)
     if not options.draw:
         clouds = scenes()

@@ -161,6 +161,35 @@ class Channels:
         return found
 
 
+class Predicted(np.ndarray[Any, np.dtype[np.float32]]):
+    """Values of one channel with their bounds, arrays of the same shape; see `foretouch.reading`."""
+
+    lower: npt.NDArray[np.float32]
+    upper: npt.NDArray[np.float32]
+
+
+def read_prediction(message: Any) -> dict[str, Predicted]:
+    """See `foretouch.reading`."""
+    fingers = len(message.fingers)
+    many = (len(message.statuses),) if hasattr(message, "statuses") else ()
+    found = {}
+    for names, ends in (
+        (message.scalar_channels, ("scalars", "scalars_lower", "scalars_upper")),
+        (message.channels, ("values", "lower", "upper")),
+    ):
+        taxels = (len(message.valid) // max(1, fingers),) if names is message.channels else ()
+        shape = (*many, fingers, *taxels, len(names))
+        parts = [np.asarray(getattr(message, end), np.float32) for end in ends]
+        for end, part in zip(ends, parts, strict=True):
+            if part.size != np.prod(shape):
+                raise TactileError(f"{end}: {part.size} values are not {' x '.join(map(str, shape))}")
+        values, lower, upper = (part.reshape(shape) for part in parts)
+        for k, name in enumerate(names):
+            one = found[name] = values[..., k].view(Predicted)
+            one.lower, one.upper = lower[..., k], upper[..., k]
+    return found
+
+
 def _mean_rows(groups: Mapping[str, _Index], size: int) -> _Floats:
     rows = np.zeros((len(groups), size))
     for row, values in zip(rows, groups.values(), strict=True):

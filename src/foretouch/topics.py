@@ -11,9 +11,6 @@ CLOUD_TOPIC: Final = "object_cloud"
 GRASPS_TOPIC: Final = "grasps"
 EXECUTED_TOPIC: Final = "executed_grasp"
 
-PREDICTED_TOPIC: Final = "tactile"
-"""Predictions of any sensor; those of the BioTac SP are on `touch` too."""
-
 TAXELS: Final = f"{NAMESPACE}/taxels/"
 """Beginning of the topics on which recordings hold readings as clouds of taxels, for viewers."""
 

@@ -249,9 +249,8 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    flags: tuple[
-        str, ...
-    ] = ()  # `out_of_range`, `unfamiliar`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
+    # `out_of_range`, `unfamiliar`, `similar_touches`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
+    flags: tuple[str, ...] = ()
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
     evidence: Evidence = Evidence()  # the readings behind `reference`
@@ -282,8 +281,8 @@ class TouchPredictions(Sequence[TouchPrediction]):
         evidence: Evidence,
         refused: Mapping[int, TouchPrediction],
     ) -> None:
-        self._grasps, self._values, self._bounds, self._flags = grasps, values, bounds, flags
-        self.channels = channels
+        self.grasps, self.values, self.bounds, self.flags = grasps, values, bounds, flags
+        self.channels, self.refused = channels, refused
         self._shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
         self._made: list[TouchPrediction | None] = [refused.get(number) for number in range(len(grasps))]
 
@@ -310,14 +309,14 @@ class TouchPredictions(Sequence[TouchPrediction]):
         return (self[k] for k in range(len(self)))
 
     def _build(self, part: slice) -> list[TouchPrediction]:
-        values = _touches(self._values[part], self.channels)
+        values = _touches(self.values[part], self.channels)
         lower: Sequence[Touch | None] = [None] * len(values)
         upper = lower
-        if self._bounds is not None:
-            lower, upper = (_touches(bound[part], self.channels) for bound in self._bounds)
+        if self.bounds is not None:
+            lower, upper = (_touches(bound[part], self.channels) for bound in self.bounds)
         built = []
         for grasp, value, low, high, flags in zip(
-            self._grasps[part], values, lower, upper, self._flags[part], strict=True
+            self.grasps[part], values, lower, upper, self.flags[part], strict=True
         ):
             one = TouchPrediction.__new__(TouchPrediction)  # a frozen class sets each field by a call
             one.__dict__.update(self._shared, grasp=grasp, value=value, lower=low, upper=high, flags=flags)

@@ -11,14 +11,15 @@ from rich.console import Console
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from std_msgs.msg import Header
+from answer_builders import touch_message
 
 from foretouch.cli.keys import RecordingKeys
 from foretouch.cli.live import live_panel
 from foretouch.cli.record import record_panel
 from foretouch.cli.screen import FittedPanel
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.messages.answers import Refusal
+from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import NodeView, View
 from foretouch.ros.recorder.operator import OperatorState, Reply
 from foretouch.ros.recorder.session import SessionStatus
@@ -38,9 +39,7 @@ def shifted(counts: float) -> Touch:
 
 
 def message(**fields: Any) -> Any:
-    made = prediction_to_msg(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), Header())
-    made.model = "contact-v2"
-    return made
+    return touch_message(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v2")
 
 
 def screen(panel: FittedPanel, width: int) -> set[str]:
@@ -93,7 +92,7 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "dropped 12 late", "no camera"):
         assert words in text
     assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
-    refused = refusal_to_msg(grasp_to_msg(GRASP), Header(), Status.BAD_GRASP, "grasp: too wide")
+    refused = touch_message(Refusal(Status.BAD_GRASP, "grasp: too wide"), grasp_to_msg(GRASP))
     refused.grasp.g1.x = 1e160
     assert "too wide" in printed(live_panel(View(last=TouchPredictionArray(predictions=[refused])), "title"))
 

@@ -21,7 +21,7 @@ from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import SampleRecord, readings
 from foretouch.dataset.recording.repair import repair_dataset
-from foretouch.dataset.recording.sample_codec import TACTILE_SAMPLE_TYPE, encode_sample
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import SampleSet, export_samples, open_samples
@@ -75,7 +75,7 @@ def test_its_touch_has_all_values_by_channel_and_finger_and_the_recording_names_
     assert info.sensor == f"{NAME} ({samples.sensor.sha256[:8]})"
     assert (info.ranges["Z_FF"], info.units["Z_FF"]) == ((30_600.0, 31_050.0), "counts")
     with Recording(next((tmp_path / "ds").glob("*.mcap"))) as bag:
-        assert [topic.type for topic in bag.topics if topic.name == "/foretouch/samples"] == [TACTILE_SAMPLE_TYPE]
+        assert [topic.type for topic in bag.topics if topic.name == "/foretouch/samples"] == [SAMPLE_TYPE]
 
 
 def test_fingers_are_chosen_by_their_names(tmp_path: Path) -> None:

@@ -245,16 +245,17 @@ def test_a_reading_a_little_late_counts_as_of_the_newest_time() -> None:
 
 
 def test_parameters_that_cannot_be_are_refused_by_name() -> None:
-    again = TrackerParameters.from_tensors(PARAMETERS.to_tensors(), channels=BIOTAC)
-    for name, array in PARAMETERS.to_tensors().items():
+    local = replace(PARAMETERS, where_scale=np.ones(5), where_ratio=np.ones(4))
+    again = TrackerParameters.from_tensors(local.to_tensors(), channels=BIOTAC)
+    for name, array in local.to_tensors().items():
         assert_array_equal(again.to_tensors()[name], array)
 
     def check(name: str, harm: str) -> None:
-        tensors = {key: array.copy() for key, array in PARAMETERS.to_tensors().items()}
+        tensors = {key: array.copy() for key, array in local.to_tensors().items()}
         if harm in HARM:
             tensors[name].flat[3] = HARM[harm]
         elif harm == "shape":
-            tensors[name] = tensors[name][:1]
+            tensors[name] = tensors[name][None] if name == "where_scale" else tensors[name][:1]  # of any length
         elif harm == "missing":
             del tensors[name]
         else:
@@ -262,7 +263,8 @@ def test_parameters_that_cannot_be_are_refused_by_name() -> None:
         with pytest.raises(ModelError, match=f"^{name}: "):
             TrackerParameters.from_tensors(tensors, channels=BIOTAC)
 
-    optional = ("slope", "slope_sd")  # of models that were fitted without temperatures
+    # Of models that were fitted without temperatures or features.
+    optional = ("slope", "slope_sd", "where_scale", "where_ratio")
     harms = {name: (*HARM, "shape", "integer", *("missing",) * (name not in optional)) for name in again.to_tensors()}
     every_case([(name, harm) for name, found in harms.items() for harm in found], check)
 

@@ -15,6 +15,7 @@ from robot_builders import FRAME, MS, QUICK, Robot
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from foretouch import reading
 from foretouch.dataset.messages import decode_cloud, decode_grasp
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -69,7 +70,7 @@ class Planner(Robot):
         request = PredictTouch.Request(cloud=cloud, table=table, grasps=self.candidates())
         *answered, far = self.graph.call(PredictTouch, "predict_touch", request).touch.predictions
         assert [one.status for one in (*answered, far)] == [Status.OK] * 3 + [Status.BAD_GRASP]
-        best = min(answered, key=lambda one: one.pdc_th.value).grasp
+        best = min(answered, key=lambda one: reading(one)["PDC"][0]).grasp
         decoded = decode_grasp(best)  # has the pose that was computed
         along = (decoded.g1 - decoded.g2) / np.linalg.norm(decoded.g1 - decoded.g2)
         np.testing.assert_allclose(decoded.rotation[:, 2], along, atol=1e-9)
@@ -80,6 +81,16 @@ class Planner(Robot):
 
     def service_with_a_header(self):
         return self.service(PointCloud2(header=Header(frame_id=FRAME)))
+
+    def service_with_arrays(self):
+        grasps = self.candidates()[:3]
+        contacts = [value for one in grasps for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+        name, table = f"mine {next(self.numbers)}", [self.heard["table"][-1].plane]
+        cloud = self.heard["object_cloud"][-1]
+        request = PredictTouch.Request(cloud=cloud, table=table, contacts=contacts, id=name)
+        batch = self.graph.call(PredictTouch, "predict_touch", request).batch
+        assert list(batch.statuses) == [Status.OK] * 3
+        return f"{name}/{reading(batch)['PDC'][:, 0].argmin()}"
 
     def action(self, **fields):
         _, result, _ = self.graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=3, **fields))
@@ -104,6 +115,7 @@ class Planner(Robot):
 WAYS = (
     Planner.service_with_the_received_cloud,
     Planner.service_with_a_header,
+    Planner.service_with_arrays,
     Planner.action,
     Planner.action_with_the_received_cloud,
     Planner.topic,

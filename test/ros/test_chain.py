@@ -9,6 +9,7 @@ from every_case import every_case
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
+from foretouch import reading
 from foretouch.dataset.messages import decode_grasp
 from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -51,8 +52,7 @@ def chain(graph, model_card):
 
 
 def values(prediction):
-    intervals = (prediction.pdc_th, prediction.pdc_mf, *prediction.e_th, *prediction.e_mf)
-    return np.array([one.value for one in intervals])
+    return np.array([*prediction.scalars, *prediction.values])
 
 
 def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the_cloud(chain, scene_cloud, model_card):
@@ -77,7 +77,7 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
             np.testing.assert_array_equal(values(message), prediction.value.values.astype(np.float32))
             assert {*prediction.flags, "late"} <= set(message.flags)  # the stamp is years old
             assert (message.header, message.model, len(message.model_sha256)) == (found["touch"].header, "small", 64)
-            assert math.isnan(message.pdc_th.lower)
+            assert math.isnan(reading(message)["PDC"].lower[0])
         assert found["touch"].predictions[0].grasp.id == found["grasps"].grasps[0].id
 
 

@@ -8,12 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from answer_builders import touch_message
 from numpy.testing import assert_allclose
 from rclpy.duration import Duration
 
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
-from foretouch_msgs.msg import Interval, TouchPrediction, TouchPredictionArray
+from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.tactile import biotac_touch
+from foretouch.types import Grasp
+from foretouch.types import TouchPrediction as Predicted
+from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
 
@@ -29,9 +34,12 @@ def example(name):
 
 
 def test_the_listener_describes_each_reference_and_discards_old_answers_by_their_stamps(graph, capsys):
-    listen, intervals = example("listen_touch"), [Interval(value=3000.0)] * 24
+    listen, grasp = example("listen_touch"), Grasp(np.zeros(3), np.ones(3), np.eye(3))
     for name in ("NONE", "TARE", "TOUCHES", "HISTORY"):
-        prediction = TouchPrediction(reference=getattr(TouchPrediction, name), e_th=intervals, e_mf=intervals)
+        predicted = Predicted(grasp, biotac_touch(np.full(50, 3000.0)))
+        prediction = touch_message(predicted, grasp_to_msg(grasp))
+        prediction.reference = getattr(TouchPrediction, name)
+        assert "TH PDC 3000, E 3000 (3000 to 3000)" in listen.describe(prediction)
         assert "based on" in listen.describe(prediction)
     (node,) = graph.add("grasp")
     publisher = node.advertise(TouchPredictionArray, "touch", keep=True)

@@ -56,9 +56,9 @@ def check_numbers(message):
 
 def content(one):
     """All numbers of a prediction to their last bit, without stamps."""
-    rows = [(i.value, i.lower, i.upper) for i in (one.pdc_th, one.pdc_mf, *one.e_th, *one.e_mf)]
-    contacts = [(p.x, p.y, p.z) for p in (one.grasp.g1, one.grasp.g2)]
-    return np.array([*rows, *contacts, *one.grasp.rotation.reshape(3, 3)]).tobytes()
+    values = [*one.scalars, *one.values, *one.scalars_lower, *one.lower, *one.scalars_upper, *one.upper]
+    contacts = [value for p in (one.grasp.g1, one.grasp.g2) for value in (p.x, p.y, p.z)]
+    return np.array([*values, *contacts, *one.grasp.rotation]).tobytes()
 
 
 def grasp_of(grasp, *, oriented=True):

@@ -28,7 +28,16 @@ def test_every_status_reference_flag_and_rule_is_explained():
     statuses = [name for name in dir(Status) if name.isupper() and isinstance(getattr(Status, name), int)]
     references = ["NONE", "TARE", "TOUCHES", "HISTORY"]
     assert all(hasattr(TouchPrediction, name) for name in references)
-    flags = ["out_of_range", "unfamiliar", "late", "reduced", "fallback_model", "ambiguous_target", "unknown_frame"]
+    flags = [
+        "out_of_range",
+        "unfamiliar",
+        "similar_touches",
+        "late",
+        "reduced",
+        "fallback_model",
+        "ambiguous_target",
+        "unknown_frame",
+    ]
     missing = [name for name in (*statuses, *references, *flags, *COSTS) if f"`{name}`" not in PAGE]
     assert (len(statuses) > 15, missing) == (True, [])
 

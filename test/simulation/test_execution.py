@@ -51,6 +51,26 @@ def test_the_hold_reads_what_the_data_set_says_of_this_grasp() -> None:
             np.testing.assert_array_equal(counts[0, :, 1:], [expected["E_TH"], expected["E_MF"]])
 
 
+def test_a_hand_with_taxels_reads_what_the_data_set_says_and_a_press_moves_only_the_normal_force_of_one_finger() -> (
+    None
+):
+    config = scene(
+        CAN, fingers={"sensor": "xela_uskin_4x4", "drift": {"session_s": [0.0, 0.0], "tare_age_s": [0.0, 0.0]}}
+    )
+    quiet = scene(CAN, fingers={"sensor": "xela_uskin_4x4"})
+    sample, found = run(quiet, "touch", "tare"), executed(quiet)
+    columns = sample.touch.channels.finger_columns.values()
+    for row, expected in ((0, sample.tare), (found.contact, sample.touch), (-1, sample.tare)):
+        np.testing.assert_array_equal(found.counts[row], [expected.values[one] for one in columns])
+    hand = SimulatedHand(quiet, TIMING)
+    assert hand.sensor.config.name == "xela_uskin_4x4"
+    np.testing.assert_array_equal(hand.rest(3)[2], found.counts[0])
+    press = hand.press(1).reshape(3, 16)  # X, Y, Z
+    assert not press[:2].any()
+    assert (press[2] > 1000.0).all()
+    assert (SimulatedHand(config, TIMING).rest(1, elapsed_s=3600.0) != found.counts[0]).mean() > 0.9  # it has warmed
+
+
 def test_the_sensor_adds_only_what_the_scene_calls_for_and_each_time_anew() -> None:
     quiet, noisy = scene(SPONGE), scene(SPONGE, fingers={"timeline": {}, "noise": {}, "scan": {}})
     assert (executed(quiet, repeat=1).counts == executed(quiet, repeat=2).counts).all()

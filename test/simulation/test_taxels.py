@@ -13,7 +13,6 @@ from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.simulation.effect import SampleState
-from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.taxels import CrosstalkConfig, TaxelArray, TaxelConfig
 from foretouch.simulation.world import World
@@ -273,8 +272,6 @@ def test_groups_of_another_sensor_are_refused_by_name(tmp_path: Path) -> None:
             scene(CAN, **groups)
 
     every_case({message: (groups, message) for groups, message in cases}, check)
-    with pytest.raises(ConfigError, match="the simulated hand sends messages of the BioTac SP alone"):
-        SimulatedHand(scene(CAN, fingers=USKIN))
     named, absent = scene(CAN, fingers={"sensor": "biotac_sp"}), scene(CAN)
     assert_array_equal(run(named, "touch").touch.values, run(absent, "touch").touch.values)
     assert named.sha256() == absent.sha256()

@@ -22,7 +22,8 @@ from foretouch.types import Grasp, Touch, TouchPrediction
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from foretouch.ros.messages.conversions import AnyAnswer, AnyPrediction
+    from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
+    from foretouch_msgs.msg import TouchPredictionArray
 
 
 ANSWER_SUFFIXES = (".json", ".jsonl")
@@ -48,8 +49,8 @@ def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) 
     }
 
 
-def answer_record(message: AnyAnswer, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
-    """A `touch` message, or a `tactile` message of a sensor, as `run --json` prints it."""
+def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
+    """A `touch` message of a sensor as `run --json` prints it."""
     from foretouch.ros.messages.requests import status_name
 
     return {
@@ -61,7 +62,7 @@ def answer_record(message: AnyAnswer, sensor: Sensor = BIOTAC_SP) -> dict[str, A
     }
 
 
-def _message_record(message: AnyPrediction, sensor: Sensor) -> dict[str, Any]:
+def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, Any]:
     """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name

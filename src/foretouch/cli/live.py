@@ -18,8 +18,8 @@ from foretouch.tactile.description import Sensor
 
 if TYPE_CHECKING:
     from foretouch.dataset.pairing.cut import TouchCut
-    from foretouch.ros.messages.conversions import AnyPrediction
     from foretouch.ros.nodes.monitor import NodeView, View
+    from foretouch_msgs.msg import TouchPrediction
 
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
@@ -74,7 +74,7 @@ def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     return {reason: count for reason, count in found.items() if count}
 
 
-def _predictions(predictions: Sequence[AnyPrediction], sensor: Sensor) -> FittedTable:
+def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> FittedTable:
     from foretouch.ros.messages.conversions import reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
@@ -94,7 +94,7 @@ def _predictions(predictions: Sequence[AnyPrediction], sensor: Sensor) -> Fitted
     return _table("object", "mm", *modalities, "based on", rows=rows, title=title)
 
 
-def _modalities(prediction: AnyPrediction, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
+def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
     """Values of some modalities with their half width."""
     from foretouch.ros.messages.conversions import values_from_msg
 
@@ -103,7 +103,7 @@ def _modalities(prediction: AnyPrediction, sensor: Sensor, modalities: Sequence[
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
 
-def executed_table(prediction: AnyPrediction | None, readings: TouchCut, sensor: Sensor | None = None) -> FittedTable:
+def executed_table(prediction: TouchPrediction | None, readings: TouchCut, sensor: Sensor | None = None) -> FittedTable:
     """The values of an executed grasp: as predicted, if they were, as read, and at rest before; all without a sensor."""
     channels = readings.touch.channels.channel_of
     modalities = TaxelView(sensor).modalities if sensor else list(channels)

@@ -24,7 +24,7 @@ from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.tactile import BIOTAC
 from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
@@ -150,6 +150,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         value, lower, upper = (Touch(end, channels) for end in (counts, counts - half, counts + half))
         outside, known = bool(model.ranges.outside(counts).any()), done.recording.is_known(int(k))
         flags = ("out_of_range",) * outside + ("unfamiliar",) * (not known)
+        flags += (SIMILAR_TOUCHES,) * level.similar
         evidence = level.evidence
         reference: Reference = "touches" if evidence.touches else "history" if evidence.readings else "none"
         predicted = TouchPrediction(sample.grasp, value, lower, upper, reference, flags, evidence=evidence)

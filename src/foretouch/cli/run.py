@@ -26,11 +26,12 @@ from foretouch.tactile.description import Sensor, sensor_in
 
 if TYPE_CHECKING:
     from foretouch.report.touch_figure import DrawnGrasp
-    from foretouch.ros.messages.conversions import AnyAnswer
     from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
+    from foretouch.tactile.messages.table import TactileConfig
+    from foretouch_msgs.msg import TouchPredictionArray
 
 
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
@@ -123,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     monitor: dict[str, Any] = {
         "sensor": sensor,
         "with_clouds": arguments.picture is not None,
-        "with_hand": "hand" in nodes,
+        "hand": _hand_of(nodes, sensor),
         "count": arguments.count,
     }
     if arguments.json:
@@ -164,7 +165,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if scene and not arguments.model and not any("model" in parameters for _, parameters in given):
         nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
     serial = {"camera.serial": arguments.serial} if arguments.serial else {}
-    return nodes | (_scene_nodes(arguments) if scene else {"camera": serial})
+    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": serial}).items():
+        nodes.setdefault(name, {}).update(parameters)
+    return nodes
 
 
 def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:
@@ -181,6 +184,14 @@ def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]
         return BIOTAC_SP
 
 
+def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileConfig | None:
+    """How the messages of the simulated hand are read; None without one that has the sensor of the model."""
+    from foretouch.tactile.messages.table import TactileConfig
+
+    config = TactileConfig(sensor=nodes["touch_predictor"].get("tactile.sensor", ""))
+    return config if "hand" in nodes and config.described.sha256 == sensor.sha256 else None
+
+
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.simulation.schedule import ScheduleConfig, centre_of_objects
@@ -192,7 +203,12 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     # Few, so that a small computer has time for the rest of the graph.
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
-    nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown}}
+    sensor = scene.fingers.sensor
+    nodes: dict[str, dict[str, Any]] = {
+        **{name: {"tactile.sensor": sensor} for name in ("touch_predictor", "bridge") if sensor},
+        "hand": shown,
+        "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown},
+    }
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         nodes["segmentation"] = {
             "target.mode": "point",
@@ -345,7 +361,7 @@ class _Printer:
     def __init__(self, sensor: Sensor) -> None:
         self._sensor = sensor
 
-    def __call__(self, message: AnyAnswer) -> None:
+    def __call__(self, message: TouchPredictionArray) -> None:
         try:
             print_json(answer_record(message, self._sensor))
         except OSError as err:

@@ -19,7 +19,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 from foretouch.checked_files import system_errors
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.messages import cloud_fields
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, Definitions, encode_sample, sample_type, sample_types
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
@@ -113,13 +113,12 @@ def serialize_cloud(cloud: Cloud) -> bytes:
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     with BagWriter(out) as writer:
-        type_name = sample_type(samples.sensor)
-        writer.add_topic(SAMPLE_TOPIC, type_name)
+        writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for record in samples.records(discarded=True):
             progress()
             stamp_ns = record.sample.stamp_ns
             data = encode_sample(record, samples.identity, samples.sensor)
-            writer.write(SAMPLE_TOPIC, type_name, stamp_ns, data)
+            writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, data)
             writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
             for topic, taxels_ns, taxels in taxel_clouds(record, samples.sensor):
                 writer.write(topic, POINT_CLOUD_TYPE, taxels_ns, taxels)

@@ -55,9 +55,9 @@ def sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def require_version(found: Any, known: int) -> None:
-    """Refuse a schema version other than `known` with a `VersionError`."""
-    if found != known or isinstance(found, bool):
+def require_version(found: Any, known: int, *also: int) -> None:
+    """Refuse a schema version other than `known` and `also` with a `VersionError`."""
+    if found not in {known, *also} or isinstance(found, bool):
         newer = isinstance(found, int) and found > known
         advice = "it was written by a newer foretouch" if newer else f"foretouch {__version__} supports no other"
         raise VersionError(f"schema_version: {shown(found)} is not {known}: {advice}")
@@ -70,7 +70,7 @@ def sealed(content: Mapping[str, Any], seal: str) -> str:
     return json.dumps({**body, seal: digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def read_manifest(file: Path, kind: str, version: int, seal: str) -> dict[str, Any]:
+def read_manifest(file: Path, kind: str, seal: str, *versions: int) -> dict[str, Any]:
     """The content of a manifest.
 
     Raises:
@@ -81,7 +81,7 @@ def read_manifest(file: Path, kind: str, version: int, seal: str) -> dict[str, A
     if not isinstance(content, dict) or content.get("format") != kind:
         raise FileError(file, f"is not {kind}", field="format")
     try:
-        require_version(content.get("schema_version"), version)
+        require_version(content.get("schema_version"), *versions)
         unchanged = sealed(content, seal).encode() == text
     except VersionError as err:
         raise FileError(file, str(err)) from err

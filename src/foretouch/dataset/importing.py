@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Imports samples into recorded datasets: from vision2tactile folders, training stores, and bags with named topics.
 
-Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
+Samples that foretouch 0.2 recorded are converted to the present version. Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
 is extended. From a bag without samples of foretouch, samples are assembled as the recorder does it (see
 `foretouch.dataset.pairing`); clouds without a grasp that could be paired become samples without a touch.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -82,11 +82,11 @@ def import_samples(
     result = ImportResult()
     with ExitStack() as stack:
         if is_sample_set(source):
-            samples = open_samples(source)
+            samples = open_samples(source, convert=True)
             found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
-            holding = {topic.name: topic.type for topic in bag.topics if topic.type in SAMPLE_TYPES}
+            holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
                 found, records, sensor = _own_samples(bag, holding)
             else:
@@ -106,13 +106,13 @@ def import_samples(
     return result
 
 
-def _own_samples(bag: Recording, types: Mapping[str, str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
-    """Hand, camera and sensor of the first sample of foretouch in a bag, and all samples; `types` are by topic."""
+def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
+    """Hand, camera and sensor of the first sample of foretouch on some topics of a bag, and all samples."""
 
     def _stored() -> Iterator[StoredSample]:
-        for message in bag.messages(list(types)):
+        for message in bag.messages(topics):
             try:
-                yield decode_sample(message.data, types[message.topic])
+                yield decode_sample(message.data, convert=True)
             except DatasetError as err:
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 

@@ -21,7 +21,7 @@ from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointFi
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Float64, Grasp, Index, Int64
+from foretouch.types import SECOND_NS, AnyArray, Bool, Cloud, Float64, Grasp, Index, Int64
 
 _START: Final = 4  # of the fields in CDR
 _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32
@@ -173,30 +173,33 @@ def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
     return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
 
 
-def grasp_numbers(messages: Sequence[Any]) -> Float64:
-    """(K, 22) float64 of K `foretouch_msgs/Grasp`: g1, g2, position and quaternion xyzw of the pose, rotation."""
+def _grasp_numbers(messages: Sequence[Any]) -> tuple[Float64, Float64, Float64]:
+    """(K, 2, 3) contacts, (K, 4) quaternions xyzw and (K, 3, 3) rotations of K `foretouch_msgs/Grasp`, float64."""
     rows = []
     for one in messages:
-        g1, g2, p, q = one.g1, one.g2, one.pose.position, one.pose.orientation
-        rows.append((g1.x, g1.y, g1.z, g2.x, g2.y, g2.z, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-    numbers = np.empty((len(rows), 22))
-    if rows:
-        numbers[:, :13] = rows
-        numbers[:, 13:] = np.concatenate([one.rotation for one in messages]).reshape(-1, 9)
-    return numbers
+        g1, g2, q = one.g1, one.g2, one.pose.orientation
+        rows.append((g1.x, g1.y, g1.z, g2.x, g2.y, g2.z, q.x, q.y, q.z, q.w))
+    numbers = np.array(rows, np.float64).reshape(-1, 10)
+    rotations = np.array([one.rotation for one in messages], np.float64).reshape(-1, 3, 3)
+    return numbers[:, :6].reshape(-1, 2, 3), numbers[:, 6:], rotations
+
+
+def surely_sound(contacts: Float64, matrices: Float64) -> Bool:
+    """(K,) whether (K, 2, 3) contacts are finite and apart and (K, 3, 3) matrices rotations; false close to a limit."""
+    with np.errstate(all="ignore"):  # what is not finite is not sound
+        skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    apart = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
+    return np.asarray(apart & (skewed < _SURELY * _AGREEMENT), np.bool_)
 
 
 def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
     """As `decode_grasp` of each message, in a tenth of the time for many; None where that has to decide."""
-    numbers = grasp_numbers(messages)
-    contacts, xyzw, matrices = numbers[:, :6].reshape(-1, 2, 3), numbers[:, 9:13], numbers[:, 13:].reshape(-1, 3, 3)
+    contacts, xyzw, matrices = _grasp_numbers(messages)
     with np.errstate(all="ignore"):  # what is not finite is not fine
-        skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         length = np.sqrt((xyzw**2).sum(axis=1))
         turned = np.abs(_rotations(xyzw / length[:, None]) - matrices).max(axis=(1, 2))
         agrees = (np.abs(length - 1.0) < _SURELY * _UNIT_TOLERANCE) & (turned < _SURELY * _AGREEMENT)
-    fine = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
-    fine &= (skewed < _SURELY * _AGREEMENT) & (agrees | ~xyzw.any(axis=1))
+    fine = surely_sound(contacts, matrices) & (agrees | ~xyzw.any(axis=1))
     return [
         Grasp.checked(g1, g2, matrix, float(one.score), one.id, one.object_id) if good else None
         for one, (g1, g2), matrix, good in zip(messages, contacts, matrices, fine.tolist(), strict=True)
@@ -230,12 +233,17 @@ def _rotation_of(message: Any) -> Float64:
         if not np.any(quaternion):
             raise GraspError("pose: no orientation")
         return rotation_from_quaternion(quaternion)
-    bounded = (np.abs(matrix) <= _MAX_UNIT).all()
-    if not (bounded and np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT)):
-        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
+    require_rotation(matrix)
     if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
         raise GraspError("rotation: is not that of pose.orientation")
     return matrix
+
+
+def require_rotation(matrix: Float64) -> None:
+    """Refuse a matrix (3, 3) whose columns are not of unit length and perpendicular within 1e-3, by a `GraspError`."""
+    bounded = (np.abs(matrix) <= _MAX_UNIT).all()
+    if not (bounded and np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT)):
+        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
 
 
 def _quaternion(message: Any) -> Float64:

@@ -68,6 +68,7 @@ class DatasetFormat:
 
     recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
     open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
+    convert: Callable[[Path], SampleSet] | None = None  # as `open`, also of versions that are only read to convert them
     export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
 
 
@@ -86,8 +87,10 @@ def is_sample_set(path: str | Path) -> bool:
     return _format_of(Path(path)) is not None
 
 
-def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
+def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = False) -> SampleSet:
     """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
+
+    With `convert`, those of versions are read, too, that everything else refuses.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
@@ -96,7 +99,7 @@ def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
     found = _format_of(path)
     if found is None:
         raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    return found.open(path, unfinished)
+    return found.convert(path) if convert and found.convert is not None else found.open(path, unfinished)
 
 
 def only_finite(sample: GraspSample) -> GraspSample:

@@ -196,7 +196,7 @@ def content_sha256(samples: Iterable[GraspSample]) -> str:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST
-    manifest = read_manifest(file, FORMAT, SCHEMA_VERSION, SEAL)
+    manifest = read_manifest(file, FORMAT, SEAL, SCHEMA_VERSION)
     require_schema(file, manifest, _MANIFEST_SCHEMA)
     for part in [*manifest.setdefault("shards", []), *manifest.setdefault("files", [])]:
         if not part["file"] or "\0" in part["file"] or Path(part["file"]).name != part["file"]:

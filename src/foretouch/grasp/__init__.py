@@ -6,7 +6,7 @@ from foretouch.grasp.completed import Obstacles
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig, SceneGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
-from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw
+from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw, surely_closing
 
 __all__ = [
     "DEFAULT_HAND",
@@ -23,4 +23,5 @@ __all__ = [
     "object_axis",
     "plan_grasps",
     "quaternion_xyzw",
+    "surely_closing",
 ]

@@ -25,21 +25,22 @@ import numpy as np
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
-from foretouch.grasp.frame import PREFERRED, WeightedPoints
+from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Grasp, Int32, Int64, Plane
 
 _closing_lines = Kernel(
     "closing_lines",
-    *(np.float64, np.float64, int, int, int, np.float64, np.float64, np.float32, int, int),
+    *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, int, int),
     *(np.float64, int, np.float64),
 )
-_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, int, int, np.uint8)
+_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, int, int, np.float64)
 
 _ANGLES = 24  # directions in half a turn
 _LINES = 21  # in each direction, next to the centre
-_STEP_M = 0.004  # from one line to the next; a line takes the points up to 1.5 of it beside it
+_STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
+_NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.02  # of the points of a line that are beyond either end
 _TOP_SHARE, _TOP_M = 0.12, 0.004  # of the height, and at least: what counts as the top of an object
 _TOP_CELL_M, _MASS_CELL_M = 0.003, 0.004  # of the grids for the middle of the top, and for the centre of mass
@@ -50,15 +51,17 @@ _MOST_CELLS = 4e6  # of such a grid
 _FAR_M = 0.6  # from the centre: no hand reaches it
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
-_DISTANCE_M, _SLOPE_DEG, _ACROSS = (
-    0.02,
-    30.0,
-    0.1,
-)  # the offset, the slope and the share of the view that cost as much as
-_WIDTH_M = 0.1  # this width
+# The cost of a line is 1 for each of these, squared but for the width and the share of the view.
+_DISTANCE_M = 0.015  # beside the centre of mass
+_SLOPE_DEG = 45.0  # of either side against the line
+_ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
+_WIDTH_M = 0.1  # from one side to the other
+_MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
+_BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
+_SOFT = 0.05  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 _APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
-COMPLETED_POINTS = 1500  # visible points that are used; more change few grasps
+COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
 
@@ -104,14 +107,24 @@ class CompletedObject:
         points: Its visible points, camera frame, with weights.
         spacing: (N,) float32 [m], distance of each point to its neighbours.
         plane: The table.
-        slide_m: Shift of the grasps along the object's axis [m].
-        axis: (3,) float64, that axis.
+        hand: What the hand can execute.
+        obstacles: What stands around.
+        shift: (3,) float64 [m], of the grasps, in the camera's frame.
 
     Raises:
         CloudError: If no point has a weight.
     """
 
-    def __init__(self, points: WeightedPoints, spacing: Float32, plane: Plane, slide_m: float, axis: Float64) -> None:
+    def __init__(
+        self,
+        points: WeightedPoints,
+        spacing: Float32,
+        plane: Plane,
+        hand: HandConfig,
+        obstacles: Obstacles | None,
+        shift: Float64,
+    ) -> None:
+        self._hand, self._obstacles = hand, obstacles
         self._points, self._spacing = points, spacing
         total = float(points.inlier.sum())
         if not total > 0.0:
@@ -131,7 +144,7 @@ class CompletedObject:
         mirrored = self._mirrored(seen)
         self.n_completed = len(mirrored[1])
         xyz, self._weights = np.vstack([seen, mirrored[0]]), np.concatenate([points.inlier, mirrored[1]])
-        shift = slide_m * (self._basis @ axis)
+        shift = self._basis @ shift
         centre = np.append(_centre_of_mass(xyz, self._weights) + shift[:2], 0.0)
         self._foot, self._shift_m = self._foot + centre @ self._basis, float(shift[2])
         self._xyz = np.ascontiguousarray(xyz - centre)
@@ -173,27 +186,39 @@ class CompletedObject:
         if not certain.any():
             return np.empty((0, 3)), np.empty(0)
         top = _quantile(height[certain], 1.0 - _END_SHARE)
-        upper = certain & (height >= top - max(_TOP_SHARE * top, _TOP_M))
-        middle = _filled_cells(seen[upper], _TOP_CELL_M)[0].mean(axis=0)
+        below = max(_TOP_SHARE * top, _TOP_M)
+        places, highest = _filled_cells(seen[certain], _TOP_CELL_M)
+        upper = smoothstep(highest, top - 1.5 * below, top - 0.5 * below)
+        middle = upper @ places / upper.sum()
         other = seen * np.array([-1.0, -1.0, 1.0]) + np.append(2.0 * middle, 0.0)
-        hidden = np.empty(len(other), np.uint8)
+        hidden = np.empty(len(other))
         _hidden_points(other, len(other), _BEHIND_M, *self._camera(), hidden)
-        kept = hidden.view(np.bool_) & (weight > 0.0)
+        weight = weight * hidden
+        kept = weight > 0.0
         return other[kept], weight[kept]
 
-    def lines(self, hand: HandConfig, obstacles: Obstacles | None = None) -> ClosingLines:
-        """All closing lines with their costs."""
+    def _close(self, turns: Float64, n_lines: int) -> Float64:
+        """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
         settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        found = np.empty((_ANGLES, _LINES, 6))
+        found = np.empty((len(turns), n_lines, 6))
         _closing_lines(
-            *(self._xyz, self._weights, len(self._xyz), _ANGLES, _LINES, settings, *self._camera()),
+            *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
             *(others, len(others), found),
         )
-        low, high, height, top, blocker, _ = np.moveaxis(found, 2, 0)
+        return found
+
+    def lines(self) -> ClosingLines:
+        """All closing lines with their costs."""
+        hand = self._hand
+        angles = np.pi * np.arange(_ANGLES) / _ANGLES
+        low, high, height, top, blocker, _ = np.moveaxis(
+            self._close(np.stack([angles, 0.0 * angles], axis=1), _LINES), 2, 0
+        )
         width, met = high - low, np.isfinite(low)
         refused = {
             "n_too_wide": width > hand.opening_m,
@@ -206,7 +231,7 @@ class CompletedObject:
             counts[name] = int(np.count_nonzero(left & mask))
             left = left & ~mask
         counts["n_free"] = int(np.count_nonzero(left))
-        cost = np.where(left, self._cost(low, high), np.inf)
+        cost = np.where(left, _smoothed(np.where(left, self._cost(low, high), _MOST_COST)), np.inf)
         return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
 
     def _cost(self, low: Float64, high: Float64) -> Float64:
@@ -219,23 +244,51 @@ class CompletedObject:
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
-        along, beside = self._directions(angle)
-        middle = self._foot + _STEP_M * (line - _LINES // 2) * beside + lines.height[angle, line] * self._basis[2]
-        ends = middle + lines.low[angle, line] * along, middle + lines.high[angle, line] * along
+        values = (one[angle, line] for one in (lines.low, lines.high, lines.height))
+        return self._ends(np.pi * angle / _ANGLES, _STEP_M * (line - _LINES // 2), *values)
+
+    def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
+        """The contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
+        turns, steps = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
+        half, rows = np.divmod(angle + turns, _ANGLES)
+        columns = np.where(half % 2 == 0, line + steps, _LINES - 1 - (line + steps))
+        inside = (columns >= 0) & (columns < _LINES)
+        cost = np.where(inside, lines.cost[rows, np.clip(columns, 0, _LINES - 1)], np.inf)
+        weight = np.exp(-np.minimum((cost - lines.cost[angle, line]) / _SOFT, 700.0)) * np.isfinite(cost)
+        weight /= weight.sum()
+        turn = np.pi * (angle + float((weight * turns).sum())) / _ANGLES
+        beside_m = _STEP_M * (line - _LINES // 2 + float((weight * steps).sum()))
+        low, high, height, top, blocker, _ = self._close(np.array([[turn, beside_m]]), 1)[0, 0].tolist()
+        if not self._admits(high - low, height, top) or blocker >= 0.0:
+            return self.contacts(lines, angle, line)
+        return self._ends(turn, beside_m, low, high, height)
+
+    def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
+        along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
+        beside = np.cos(turn) * self._basis[1] - np.sin(turn) * self._basis[0]
+        middle = self._foot + beside_m * beside + height * self._basis[2]
+        ends = middle + low * along, middle + high * along
         return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
+
+    def _admits(self, width: float, height: float, top: float) -> bool:
+        hand = self._hand
+        return _THIN_M <= width <= hand.opening_m and height <= top + 0.5 * hand.tip_radius_m
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Direction and place of the line that is closest to a grasp."""
         across = self._basis @ (grasp.g2 - grasp.g1)
         angle = round(float(np.arctan2(across[1], across[0])) / np.pi * _ANGLES) % _ANGLES
-        beside = float(self._directions(angle)[1] @ (grasp.midpoint - self._foot))
+        middle, turn = self._basis @ (grasp.midpoint - self._foot), np.pi * angle / _ANGLES
+        beside = float(np.cos(turn) * middle[1] - np.sin(turn) * middle[0])
         return angle, int(np.clip(round(beside / _STEP_M) + _LINES // 2, 0, _LINES - 1))
 
-    def _directions(self, angle: int) -> tuple[Float64, Float64]:
-        """(3,) unit vectors along the lines of a direction, and from one to the next; camera frame."""
-        turn = np.pi * angle / _ANGLES
-        first, second = self._basis[0], self._basis[1]
-        return np.cos(turn) * first + np.sin(turn) * second, np.cos(turn) * second - np.sin(turn) * first
+
+def _smoothed(cost: Float64) -> Float64:
+    """Costs averaged with those of two neighbours on every side, so that noise does not decide; half a turn reverses the places."""
+    around = np.concatenate([cost[-2:, ::-1], cost, cost[:2, ::-1]])
+    cost = np.sum([weight * around[k : k + len(cost)] for k, weight in enumerate(_BINOMIAL)], axis=0)
+    beside = np.concatenate([cost[:, :1], cost[:, :1], cost, cost[:, -1:], cost[:, -1:]], axis=1)
+    return np.asarray(np.sum([weight * beside[:, k : k + _LINES] for k, weight in enumerate(_BINOMIAL)], axis=0))
 
 
 def _table_basis(plane: Plane, centroid: Float64) -> Float64:
@@ -288,18 +341,14 @@ def _centre_of_mass(xyz: Float64, weights: Float64) -> Float64:
 
 
 def _slopes(ends: Float64) -> Float64:
-    """Root mean square slope from the ends of the lines to those of up to two neighbours on either side; 1 where fewer than three are known.
+    """Root mean square slope from the ends of the lines to those of the second neighbours; 1 where one is unknown.
 
     A fitted line would hide a corner, whose two sides fall away from it.
     """
-    slopes = np.full((4, *ends.shape), np.nan)
-    for one, k in zip(slopes[:2], (1, 2), strict=True):
-        one[:, k:] = (ends[:, k:] - ends[:, :-k]) / (k * _STEP_M)
-    slopes[2, :, :-1], slopes[3, :, :-2] = slopes[0, :, 1:], slopes[1, :, 2:]
-    known = np.isfinite(slopes)
-    n = known.sum(axis=0)
-    squared = np.where(known, slopes * slopes, 0.0).sum(axis=0)
-    return np.where(n >= 2, np.sqrt(squared / np.maximum(n, 1)), 1.0)
+    slopes = np.full((2, *ends.shape), np.nan)
+    slopes[0, :, _NEAR:] = (ends[:, _NEAR:] - ends[:, :-_NEAR]) / (_NEAR * _STEP_M)
+    slopes[1, :, :-_NEAR] = slopes[0, :, _NEAR:]
+    return np.asarray(np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0), np.float64)
 
 
 def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> list[tuple[int, int]]:

@@ -204,11 +204,10 @@ def _plan_completed(
     """The method `completed` (see `foretouch.grasp.completed`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
-        downsampled = points.downsampled(config, sort=True)
+        downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
         check_object(points.xyz, limits)
         xyz = downsampled.without_flying(config, counts).xyz
-        xyz = np.ascontiguousarray(xyz[:: -(-len(xyz) // COMPLETED_POINTS)])  # in the canonical order, by place
-        counts["n_thinned"] = len(points.xyz) - len(xyz) - counts.get("n_flying", 0)
+        counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         spacing = mean_neighbour_distance(xyz, config.neighbours)
         weighted = weigh_points(xyz, spacing, config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
@@ -220,14 +219,15 @@ def _plan_completed(
             kept = xyz[weighted.inlier > 0.0]
             plan.slide_m = _random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(weighted, spacing, plane, plan.slide_m, frame.axis)
+        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * frame.axis)
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
-        lines = completed.lines(hand, obstacles)
+        lines = completed.lines()
         counts |= lines.counts
     with timed(plan.ms, "ranking"):
         best = best_lines(completed, lines, config.count)
-        found = [(*completed.contacts(lines, *one), SCORE_OF_NONE - lines.cost[one]) for one in best]
+        ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
+        found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
         plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held

@@ -35,36 +35,54 @@ class FinitePoints:
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
-    def downsampled(self, config: GeoGraspConfig, *, sort: bool = False) -> "FinitePoints":
+    def downsampled(self, config: GeoGraspConfig) -> "FinitePoints":
         """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
 
         The computing time grows with the square of the density, and a near object is sampled far more densely than
         the fingertip needs. The pattern starts at the object's own corner, so it does not depend on
-        whether the pixels were given or recovered from the rays. With `sort`, the result is in canonical order, and does
-        not depend on the order of the input.
+        whether the pixels were given or recovered from the rays.
 
         Raises:
             CloudError: If there are fewer than three points, one is a kilometre away, or the given pixels are wrong.
         """
+        self._check()
+        if self.pixels is not None and self.image_shape is not None:
+            grid = PixelGrid.from_pixels(self.pixels, self.image_shape)
+        if config.max_points == 0 or len(self.xyz) <= config.max_points:
+            return self
+        ratio = len(self.xyz) / config.max_points
+        if self.pixels is None:
+            grid = PixelGrid.from_rays(self.xyz)
+        if grid is None:
+            return FinitePoints(self.xyz[:: math.ceil(ratio)], self.n_dropped)
+        step = math.ceil(math.sqrt(ratio))
+        kept = np.flatnonzero((grid.row % step == 0) & (grid.column % step == 0))
+        return FinitePoints(self.xyz[kept], self.n_dropped)
+
+    def _check(self) -> None:
+        """Refuse clouds of too few points or in another unit, with a `CloudError`."""
         if len(self.xyz) < _MIN_POINTS:
             raise CloudError(f"xyz: {len(self.xyz)} finite points, GeoGrasp needs {_MIN_POINTS}")
         farthest = float(np.abs(self.xyz).max())
         if farthest > _MAX_COORDINATE_M:
             raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m; is it in metres?")
-        if self.pixels is not None and self.image_shape is not None:
-            grid = PixelGrid.from_pixels(self.pixels, self.image_shape)
-        if config.max_points == 0 or len(self.xyz) <= config.max_points:
-            return self.in_canonical_order() if sort else self
-        ratio = len(self.xyz) / config.max_points
-        if self.pixels is None:
-            grid = PixelGrid.from_rays(self.xyz)
-        if grid is None:
-            ordered = self.in_canonical_order() if sort else self
-            return FinitePoints(ordered.xyz[:: math.ceil(ratio)], self.n_dropped)
-        step = math.ceil(math.sqrt(ratio))
-        kept = np.flatnonzero((grid.row % step == 0) & (grid.column % step == 0))
-        thinned = FinitePoints(self.xyz[kept], self.n_dropped)
-        return thinned.in_canonical_order() if sort else thinned
+
+    def every_kth_pixel(self, most: int) -> "FinitePoints":
+        """At most about `most` points: those of a lattice of pixels, so that small changes of the cloud keep the choice.
+
+        All points if the image that they come from cannot be recovered; in canonical order. Raises as `downsampled`.
+        """
+        self._check()
+        step = -(-len(self.xyz) // most)
+        if step > 1:
+            if self.pixels is not None and self.image_shape is not None:
+                grid = PixelGrid.from_pixels(self.pixels, self.image_shape)
+            else:
+                grid = PixelGrid.from_rays(self.xyz)
+            if grid is not None:
+                kept = np.flatnonzero((round(0.38 * step) * grid.row + grid.column) % step == 0)
+                return FinitePoints(self.xyz[kept], self.n_dropped).in_canonical_order()
+        return self.in_canonical_order()
 
     def without_flying(self, config: GeoGraspConfig, counts: dict[str, int]) -> "FinitePoints":
         """Without flying points (see `flying_mask`), whose number is added to `counts` if there are any."""

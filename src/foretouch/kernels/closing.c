@@ -7,6 +7,7 @@
 #define HEIGHTS 640     /* bins: no object is higher than 0.6 m */
 #define ALONGS 2560     /* bins: nor longer than 1.2 m */
 #define STEPS 24        /* places of a column that are tried for free space */
+#define FADE 4.0f       /* bins of height over which points fade out below the fingertips */
 #define END_M 0.003f    /* from either end of a line are the points that have the height of the end */
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
 #define FOUND 6         /* values of a line */
@@ -17,33 +18,34 @@ typedef struct {
     int64_t rows, columns;
 } Outline;
 
-/* Whether a place of the table's frame is behind the object's nearest point on its ray, by a margin. */
-INLINE int is_hidden(const Outline *seen, double x, double y, double z, double margin) {
+INLINE double smooth(double value, double low, double high) {
+    const double t = (value - low) / (high - low), inside = t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t);
+    return inside * inside * (3.0 - 2.0 * inside);
+}
+
+/* How far a place of the table's frame is behind the object's nearest point on its ray; infinite in a gap, -infinite outside. */
+INLINE double depth_behind(const Outline *seen, double x, double y, double z) {
     const double *c = seen->camera, depth = c[6] * x + c[7] * y + c[8] * z + c[11];
     if (!(depth > 0.0)) {
-        return 0;
+        return -INFINITY;
     }
     const double column = floor(((c[0] * x + c[1] * y + c[2] * z + c[9]) / depth - c[12]) / c[14]);
     const double row = floor(((c[3] * x + c[4] * y + c[5] * z + c[10]) / depth - c[13]) / c[14]);
     if (!(column >= 0.0 && row >= 0.0 && column < (double)seen->columns && row < (double)seen->rows)) {
-        return 0;
+        return -INFINITY;
     }
     const float nearest = seen->nearest[(int64_t)row * seen->columns + (int64_t)column];
-    return nearest != 0.0f && (isinf(nearest) || depth >= (double)nearest + margin);
+    return nearest == 0.0f ? -INFINITY : (isinf(nearest) ? INFINITY : depth - (double)nearest);
 }
 
-/* hidden (n): 1 for each of the points (n, 3) that the object hides from the camera, by a margin. */
-void hidden_points(const double *points, int64_t n, double margin, const double *camera, const float *nearest, int64_t rows,
-                   int64_t columns, uint8_t *hidden) {
+/* hidden (n): how certainly the object hides each of the points (n, 3) from the camera, 0 ... 1, around a depth behind it. */
+void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, int64_t rows,
+                   int64_t columns, double *hidden) {
     const Outline seen = {camera, nearest, rows, columns};
     for (int64_t i = 0; i < n; i++) {
-        hidden[i] = (uint8_t)is_hidden(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2], margin);
+        const double behind = depth_behind(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2]);
+        hidden[i] = smooth(behind < 1.0 ? behind : 1.0, 0.5 * depth, 1.5 * depth);
     }
-}
-
-INLINE double smooth(double value, double low, double high) {
-    const double t = (value - low) / (high - low), inside = t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t);
-    return inside * inside * (3.0 - 2.0 * inside);
 }
 
 typedef struct {
@@ -76,7 +78,7 @@ typedef struct {
     int64_t n;
 } Strip;
 
-/* Ends of a strip along its line: quantiles of the points above a height. */
+/* Ends of a strip along its line: quantiles of the points above a height [bins]. */
 INLINE void ends(const Strip *one, Histogram *bins, float above, double share, double *low, double *high) {
     float least = INFINITY, most = -INFINITY;
     for (int64_t i = 0; i < one->n; i++) {
@@ -85,7 +87,8 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
     }
     clear(bins, (int64_t)least, (int64_t)most);
     for (int64_t i = 0; i < one->n; i++) {
-        bins->bins[(int32_t)one->along[i]] += one->height[i] > above ? one->weight[i] : 0.0f;
+        const float share = (one->height[i] - above) / FADE + 0.5f;
+        bins->bins[(int32_t)one->along[i]] += one->weight[i] * (share < 0.0f ? 0.0f : (share > 1.0f ? 1.0f : share));
     }
     for (int64_t i = bins->from; i <= bins->to; i++) {
         bins->total += bins->bins[i];
@@ -117,21 +120,21 @@ INLINE double round_underside(double top, double lowest, double end, double widt
     return underside > 0.0 ? tall * none * bent * from_above * underside : 0.0;
 }
 
-/* The object along `angles` x `lines` horizontal lines about a vertical axis, whose fingers close at a height between the top and the underside.
+/* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
  *
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
- * settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
+ * turns (angles, 2): direction of the lines [rad], and how far the middle one is beside the axis. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
  * part of the direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
  * found (angles, lines, 6): both ends, height, top, the first of `others` in the way of a finger, or -1, and the weight of the points. Ends are
  * NaN where the line meets no points or there is no memory. */
-VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, int64_t angles, int64_t lines,
-                              const double *settings, const double *camera, const float *nearest, int64_t rows, int64_t columns,
+VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
+                              int64_t lines, const double *settings, const double *camera, const float *nearest, int64_t rows, int64_t columns,
                               const double *others, int64_t m, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
     const Outline seen = {camera, nearest, rows, columns};
-    const int64_t bins = lines + 2;
-    float *memory = malloc(((size_t)n * 9 + HEIGHTS + ALONGS + 8) * sizeof(float));
+    const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
+    float *memory = malloc(((size_t)n * 11 + HEIGHTS + ALONGS + 8) * sizeof(float));
     int64_t *start = malloc((size_t)(bins + 1) * sizeof(int64_t)), used = 0, highest = 0;
     for (int64_t i = 0; i < angles * lines * FOUND; i++) {
         found[i] = NAN;
@@ -141,8 +144,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         return;
     }
     float *along = memory, *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
-    float *place = share_of + n, *beside = place + n;
-    Histogram heights = {beside + n, 0, 0, 0.0}, alongs = {beside + n + HEIGHTS, 0, 0, 0.0};
+    float *place = share_of + n, *beside = place + n, *across = beside + n, *tent = across + n;
+    Histogram heights = {tent + n, 0, 0, 0.0}, alongs = {tent + n + HEIGHTS, 0, 0, 0.0};
     for (int64_t i = 0; i < n; i++) {
         if (weights[i] > 0.0) {
             const double bin = points[3 * i + 2] / (double)HEIGHT_M;
@@ -153,9 +156,9 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
     }
     for (int64_t angle = 0; angle < angles; angle++) {
-        const double turn = 3.14159265358979323846 * (double)angle / (double)angles, c = cos(turn), s = sin(turn);
+        const double c = cos(turns[2 * angle]), s = sin(turns[2 * angle]), beside_m = turns[2 * angle + 1];
         const float c_place = (float)c / ALONG_M, s_place = (float)s / ALONG_M, c_line = (float)(c / step), s_line = (float)(s / step);
-        const float first = (float)(bins / 2) + 0.5f, last = (float)bins;
+        const float first = (float)((double)(bins / 2) - beside_m / step), last = (float)bins;
         memset(start, 0, (size_t)(bins + 1) * sizeof(int64_t));
         for (int64_t i = 0; i < used; i++) {
             const float value = x[i] * c_place + y[i] * s_place + (float)middle;
@@ -173,29 +176,32 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step; afterwards start[j] is the end of strip j */
             if (beside[i] >= 0.0f && beside[i] < last) {
                 const int64_t at = start[(int32_t)beside[i]]++;
-                along[at] = place[i], height[at] = level[i], weight[at] = share_of[i];
+                along[at] = place[i], height[at] = level[i], weight[at] = share_of[i], across[at] = beside[i];
             }
         }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = line ? start[line - 1] : 0;
-            const Strip strip = {along + from, height + from, weight + from, start[line + 2] - from};
+            const Strip strip = {along + from, height + from, tent, start[line + 3] - from};
             double *one = found + (angle * lines + line) * FOUND, low, high;
             if (strip.n < 8) {
                 continue;
             }
-            ends(&strip, &alongs, -1.0f, share, &low, &high);
+            for (int64_t i = 0; i < strip.n; i++) { /* a point on the line counts once, one two steps beside it not at all */
+                tent[i] = weight[from + i] * (1.0f - 0.5f * fabsf(across[from + i] - (float)(line + 2)));
+            }
+            ends(&strip, &alongs, -FADE, share, &low, &high);
             clear(&heights, 0, highest);
             for (int64_t i = 0; i < strip.n; i++) {
                 heights.bins[(int32_t)strip.height[i]] += strip.weight[i];
             }
             heights.total = alongs.total;
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
-            const double width = (high - low) * (double)ALONG_M, offset = ((double)(line + 1 - bins / 2)) * step;
+            const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
             double under = 0.0;
             for (int64_t k = 2; k <= STEPS; k++) { /* downwards from the top, until the table is seen through the column */
                 const double z = top * (1.0 - (double)k / STEPS);
-                if (rows > 0 && !is_hidden(&seen, c * mid - s * offset, s * mid + c * offset, z, -SEEN_M)) {
+                if (rows > 0 && depth_behind(&seen, c * mid - s * offset, s * mid + c * offset, z) < -SEEN_M) {
                     under = z;
                     break;
                 }
@@ -213,7 +219,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             z = z < under ? under : z;
             z = z < floor_m ? floor_m : z;
             ends(&strip, &alongs, (float)((z - tip) / (double)HEIGHT_M), share, &low, &high);
-            if (!(alongs.total >= 4.0)) {
+            if (!(alongs.total >= 3.0)) {
                 continue;
             }
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;

@@ -133,7 +133,8 @@ class HandHistory:
         estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
-        restarted = self.tracker.add_touch(stamp_ns, reading.values, estimate.counts[0], tdc=tdc)
+        where = None if estimate.where is None else estimate.where[0]
+        restarted = self.tracker.add_touch(stamp_ns, reading.values, estimate.counts[0], tdc=tdc, where=where)
         self.signature = ObjectSignature.of(cloud)
         return self._counted(restarted)
 

@@ -50,6 +50,8 @@ _RULES: Final[dict[str, tuple[str, float, float]]] = {  # letters of the shape, 
     "alarm": ("F2", 1e-3, 1e6),
     "slope": ("D", -10.0, 10.0),
     "slope_sd": ("D", 0.0, 10.0),
+    "where_scale": ("P", 1e-6, 1e6),
+    "where_ratio": ("M", 0.0, 100.0),
 }
 _TOUCHES: Final = (1, 10, 100, 1000)
 _MAX_GAIN: Final = 10.0  # of the largest residual; of a sensor of many values, which add up, 0.2 for each
@@ -78,12 +80,15 @@ class TrackerParameters(TensorRecord):
     alarm: Float64  # (F, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
     slope: Float64  # (D,) expected counts per count of TDC, by value; absent in files of models without
     slope_sd: Float64  # (D,) standard deviation of the slopes between sensors
+    where_scale: Float64  # (P,) unit of each feature of a grasp; absent in files of models without
+    where_ratio: Float64  # (M,) by modality: variance of what they predict over that of the rest of the noise
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
         """As `TensorRecord.from_tensors`."""
-        none = np.zeros(stated["channels"].size)
-        return super().from_tensors({"slope": none, "slope_sd": none, **tensors}, **stated)
+        none, nowhere = np.zeros(stated["channels"].size), np.zeros(len(stated["channels"].modalities))
+        absent = {"slope": none, "slope_sd": none, "where_scale": np.empty(0), "where_ratio": nowhere}
+        return super().from_tensors({**absent, **tensors}, **stated)
 
     @classmethod
     def from_calibration(
@@ -134,6 +139,8 @@ class TrackerParameters(TensorRecord):
             alarm=np.tile(_ALARM, (len(channels.fingers), 1)),
             slope=np.zeros(size),
             slope_sd=np.zeros(size),
+            where_scale=np.empty(0),
+            where_ratio=np.zeros(len(channels.modalities)),
         )
 
     @property
@@ -157,6 +164,7 @@ class TrackerParameters(TensorRecord):
 
     def _check(self) -> None:
         sizes = {"D": self.channels.size, "M": len(self.channels.modalities), "F": len(self.channels.fingers), "2": 2}
+        sizes["P"] = self.where_scale.size
         for name, (letters, low, high) in _RULES.items():
             array, shape = getattr(self, name), tuple(sizes[letter] for letter in letters)
             if array.shape != shape or array.dtype != np.float64:

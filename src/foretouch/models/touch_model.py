@@ -9,7 +9,7 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from foretouch.types import (
     stacked,
 )
 
+SIMILAR_TOUCHES: Final = "similar_touches"
+"""Flag of predictions in which took part where on the object its earlier touches were."""
+
 _FLAGS = {
     (outside, known): ("out_of_range",) * outside + ("unfamiliar",) * (not known)
     for outside in (False, True)
@@ -49,6 +52,7 @@ class Estimate:
 
     counts: Float64  # (K, D) float64 [counts]
     in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble those of training
+    where: Float64 | None = None  # (K, P) features of the grasps, by which touches of one object are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,8 @@ class History:
             rows = estimate.in_distribution == known
             if rows.any():
                 level = self.tracker.level(self.stamp_ns, same_object=self._touched, known=known, tdc=self.tdc)
-                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows])
+                where = None if estimate.where is None else estimate.where[rows]
+                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows], where)
         return counts, half
 
     @property
@@ -176,7 +181,7 @@ class TouchModel:
             One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
-            grasp is out of the training distribution.
+            grasp is out of the training distribution, `similar_touches` where the places of earlier touches took part.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
@@ -212,7 +217,9 @@ class TouchModel:
             history = History(tracker, 0, same_object=False, tare=True)
         known = estimate.in_distribution
         if history is not None and history.evidence.readings:
-            return self._predictions(grasps, known, *history.adapt(estimate), history.reference, history.evidence)
+            read = (*history.adapt(estimate), history.reference, history.evidence)
+            similar = history.same_object and history.tracker.similar.enough and estimate.where is not None
+            return self._predictions(grasps, known, *read, (SIMILAR_TOUCHES,) * similar)
         half = None
         if self.calibration is not None:
             half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
@@ -260,13 +267,14 @@ class TouchModel:
         half: Float64 | None,
         reference: Reference,
         evidence: Evidence,
+        also: tuple[str, ...] = (),
     ) -> Sequence[TouchPrediction]:
         if not grasps:
             return []
         if half is not None and self._widen is not None:
             half = half * self._widen
         outside = np.any(self.ranges.outside(counts), axis=1).tolist()
-        flags = [_FLAGS[pair] for pair in zip(outside, in_distribution.tolist(), strict=True)]
+        flags = [_FLAGS[pair] + also for pair in zip(outside, in_distribution.tolist(), strict=True)]
         bounds = None if half is None else (counts - half, counts + half)
         refused = {
             k: TouchPrediction(grasps[k], None, status="refused", reason="the model gives a value that is not finite")

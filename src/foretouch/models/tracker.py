@@ -39,6 +39,7 @@ import numpy as np
 from foretouch.channels import Channels
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
+from foretouch.models.similar_touches import MOST, SimilarTouches
 from foretouch.models.state_space import KNOWN, NEW, StateFilter, TrackerParameters
 from foretouch.tactile import is_tdc
 from foretouch.types import AnyArray, Bool, Evidence, Float64, UInt8
@@ -65,8 +66,10 @@ class Level:
     """What readings differ by from predictions by vision, at one time."""
 
     offset: Float64  # (D,) [counts]
+    thermal: Float64  # (D,) the part of the offset that follows from the temperature [counts]
     variance: Float64  # (D,) of the offset, without the noise of a grasp [counts²]
     same_object: bool  # whether it is for the current object
+    similar: bool  # whether places on the object are compared with those of its earlier touches
     kind: int  # of the object, KNOWN or NEW
     evidence: Evidence  # readings behind it
 
@@ -84,6 +87,7 @@ class SensorTracker:
     Attributes:
         touches: Number of those of the current object.
         revision: Changes whenever a reading is added or an object begins.
+        similar: Touches of the current object by where it was touched.
         tdc_readings: Readings with the temperature of a finger at least.
         set_aside: Readings that `keep_to_clock` has set aside.
         tdc_jumps: How often the temperature of a finger jumped, as after a power cycle.
@@ -108,6 +112,7 @@ class SensorTracker:
         self._suspect = np.zeros(len(self._channels.fingers), np.bool_)
         self._first_log_factor = self._log_factor = np.log(parameters.factor)
         self._expected = np.zeros(self._channels.size)  # sum over the touches of the object
+        self.similar = SimilarTouches.none(parameters)
         self.touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
         self.revision = self.set_aside = 0
@@ -172,11 +177,17 @@ class SensorTracker:
         return self._names(failed)
 
     def add_touch(
-        self, stamp_ns: int, reading: Float64, expected: Float64, *, tdc: Float64 | None = None
+        self,
+        stamp_ns: int,
+        reading: Float64,
+        expected: Float64,
+        *,
+        tdc: Float64 | None = None,
+        where: Float64 | None = None,
     ) -> tuple[str, ...]:
         """Add the (D,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
 
-        The other arguments, the result and the errors are as of `add_tare`.
+        `where` are the (P,) features of the grasp. The other arguments, the result and the errors are as of `add_tare`.
         """
         self._check("reading", reading, working=True)
         self._check("expected", expected)
@@ -184,7 +195,8 @@ class SensorTracker:
         self._filter.advance(self._seconds_to(stamp))
         self._newest_ns = stamp
         x = self._add_tdc(tdc, stamp)
-        counts, half = self.adapt(self.level(stamp), expected[None])
+        level = self.level(stamp)
+        counts, half = self.adapt(level, expected[None], None if where is None else where[None])
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted(x=x)
         noise = self.parameters.noise[self._kind]
@@ -195,6 +207,9 @@ class SensorTracker:
         self._suspect = failed & ~restarted
         noise = np.where(self._coordinates_of(self._suspect), np.inf, noise)
         self._filter.observe(self._inverse @ (reading - expected), noise, x=x)
+        if where is not None and self.parameters.where_ratio.any() and not failed.any():
+            seen = self.parameters.difference_shrinkage[self._kind] * expected + level.thermal
+            self.similar = self.similar.added(where, reading - seen)
         self._expected = self._expected + expected
         self._object_ns = stamp
         self._readings, self.touches = self._readings + 1, self.touches + 1
@@ -211,6 +226,7 @@ class SensorTracker:
         self._filter.start_object(self.parameters.object[self._kind])
         self._log_factor = self._other_log_factor()
         self._expected = np.zeros(self._channels.size)
+        self.similar = SimilarTouches.none(self.parameters)
         self.touches, self._object_ns = 0, -1
         self.revision += 1
 
@@ -230,11 +246,14 @@ class SensorTracker:
         at.advance(self._seconds_to(stamp_ns))
         if not same_object:
             at.start_object(self.parameters.object[kind])
-        mean, variance = at.predicted(x=self._change(self._followed(tdc, stamp_ns)[0]))
+        x = self._change(self._followed(tdc, stamp_ns)[0])
+        mean, variance = at.predicted(x=x)
         return Level(
             offset=np.asarray(self.parameters.basis @ mean, np.float64),
+            thermal=np.asarray(self.parameters.basis @ (at.mean[3] * (0.0 if x is None else x)), np.float64),
             variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
             same_object=same_object,
+            similar=same_object and self.similar.enough,
             kind=kind,
             evidence=self.evidence(stamp_ns, same_object=same_object),
         )
@@ -276,23 +295,37 @@ class SensorTracker:
             reading_age_s=self._seconds_to(stamp_ns) if self._readings else None,
         )
 
-    def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
+    def adapt(self, level: Level, expected: Float64, where: Float64 | None = None) -> tuple[Float64, Float64]:
         """(K, D) predictions adapted to all readings, and (K, D) half widths of their 90 % intervals [counts].
 
         After touches of the object, differences of the predictions by vision from their mean at the touches are
-        multiplied by `difference_shrinkage`.
+        multiplied by `difference_shrinkage`, and touches at similar places take part.
 
         Args:
             level: Of this tracker since its last reading.
             expected: (K, D) predictions by vision [counts].
+            where: (K, P) features of the grasps; None leaves out where the object was touched.
         """
-        counts = expected + level.offset
+        counts, variance = self.moments(level, expected, where)
+        return counts, self.factor(level) * np.sqrt(variance)
+
+    def moments(self, level: Level, expected: Float64, where: Float64 | None = None) -> tuple[Float64, Float64]:
+        """(K, D) means [counts] and variances [counts²] of readings, without the factor of the intervals; see `adapt`."""
+        counts, noise = expected + level.offset, self._squared @ self.parameters.noise[level.kind]
         if level.evidence.touches:
+            shrinkage = self.parameters.difference_shrinkage[level.kind]
             anchor = self._expected / level.evidence.touches
-            counts = anchor + self.parameters.difference_shrinkage[level.kind] * (expected - anchor) + level.offset
-        factor = self._channels.by_modality(np.exp(self._log_factor if level.same_object else self._other_log_factor()))
-        half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])
-        return counts, np.broadcast_to(half, counts.shape)
+            counts = anchor + shrinkage * (expected - anchor) + level.offset
+            if where is not None and level.similar:
+                base = (1.0 - shrinkage) * anchor + level.offset - level.thermal
+                change, share = self.similar.regress(where, base)
+                counts, noise = counts + change, noise * share[:, self._channels.modality_of_value]
+        return counts, np.broadcast_to(level.variance + noise, counts.shape)
+
+    def factor(self, level: Level) -> Float64:
+        """(D,) half widths of the intervals over the deviations."""
+        logarithm = self._log_factor if level.same_object else self._other_log_factor()
+        return np.asarray(self._channels.by_modality(np.exp(logarithm)), np.float64)
 
     def _adapt_factor(self, outside: Bool) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""
@@ -324,6 +357,7 @@ class SensorTracker:
     def _restart(self, fingers: Bool) -> None:
         if fingers.any():
             self._filter.restart(self._coordinates_of(fingers))
+            self.similar = SimilarTouches.none(self.parameters)
             self._suspect = self._suspect & ~fingers
 
     def _check(self, name: str, values: Float64, *, working: bool = False) -> None:
@@ -360,8 +394,10 @@ class SensorTracker:
     def to_tensors(self) -> dict[str, AnyArray]:
         """All that is known, for a file; a tracker made from it continues to the bit as this one."""
         flags = [self.touches, self._readings, self._kind, *self._suspect]
-        thermal = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
-        return thermal | {
+        optional = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
+        if len(self.similar.where):
+            optional |= {"where": self.similar.where, "where_readings": self.similar.readings}
+        return optional | {
             "mean": self._filter.mean[:3].copy(),
             "covariance": self._filter.covariance[:3, :3].copy(),
             "expected": self._expected,
@@ -400,6 +436,8 @@ class SensorTracker:
         if (tensors["parameters"] != _digest(parameters)).any():
             raise ModelError("parameters: are those of another model")
         tracker._restore(tensors)
+        if "where" in tensors:
+            tracker.similar = _similar(parameters, tracker.touches, tensors)
         return tracker
 
     def _restore(self, tensors: Mapping[str, AnyArray]) -> None:
@@ -443,8 +481,19 @@ def innovation_statistics(standard: Float64, channels: Channels) -> Float64:
     return np.stack([means @ standard**2, (means @ standard) ** 2], axis=1)
 
 
+def _similar(parameters: TrackerParameters, touches: int, tensors: Mapping[str, AnyArray]) -> SimilarTouches:
+    """Touches by where they were, from a file; a `ModelError` if the touches of the object cannot have been these."""
+    where, readings = tensors["where"], tensors.get("where_readings", np.empty(0))
+    shapes = (len(where), parameters.where_scale.size), (len(where), parameters.channels.size)
+    fits = (where.shape, readings.shape) == shapes and len(where) <= min(touches, MOST)
+    if not fits or not np.isfinite(where).all() or not (np.abs(readings) <= 4.0 * parameters.channels.most).all():
+        raise ModelError("where, where_readings: hold what touches of the object cannot give")
+    return SimilarTouches(parameters, where.astype(np.float64), readings.astype(np.float64))
+
+
 def _digest(parameters: TrackerParameters) -> UInt8:
-    """Of all but the slopes, which a state without TDC does not depend on."""
+    """Of all but the slopes and units of features, which a state without TDC or features does not depend on."""
     tensors = parameters.to_tensors()
-    del tensors["slope"], tensors["slope_sd"]
+    for name in ("slope", "slope_sd", "where_scale", "where_ratio"):
+        del tensors[name]
     return np.frombuffer(hashlib.sha256(packed(tensors)[0]).digest(), np.uint8)

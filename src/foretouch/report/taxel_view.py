@@ -85,6 +85,21 @@ class TaxelView:
         share: Float64 = np.clip(moved / np.maximum(span, 1e-12), 0.0, 1.0)
         return share
 
+    def pressures(self, touch: Touch, rest: Touch | None, ranges: Ranges) -> Float64:
+        """(F,) float64: how hard each finger presses, 0 lowest, 1 highest of the range.
+
+        By the first scalar that contact raises or lowers; where there is none, by the mean of the shares of the valid taxels.
+        """
+        for k, one in enumerate(self.sensor.scalar_channels):
+            if one.contact:
+                columns = self.sensor.scalar_columns[:, k]
+                low, high = ranges.low[columns], ranges.high[columns]
+                moved = touch.values[columns] - low if one.contact > 0 else high - touch.values[columns]
+                return np.asarray(moved / (high - low), np.float64)
+        fingers = range(len(self.fingers))
+        shares = [self.shares(touch, rest, ranges, k)[self.sensor.valid[k]] for k in fingers]
+        return np.array([one.mean() if one.size else np.nan for one in shares])
+
     def scalars(self, finger: int, value: Touch, around: TouchPrediction | None = None) -> str:
         """The scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
         texts = []

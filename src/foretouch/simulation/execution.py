@@ -7,22 +7,25 @@ readings of fingertips that touch nothing.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import setting
-from foretouch.errors import ConfigError, SimulationError
+from foretouch.errors import SimulationError
 from foretouch.simulation.contact.pad import ContactFrame
-from foretouch.simulation.disturbances import temperature_drift
 from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.effects import EFFECTS
+from foretouch.simulation.effects.reading import drift_of
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.fingertip import quantise, read_press
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey, World
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp
 
 _BLOCK = 200  # messages that are made at a time
@@ -30,7 +33,7 @@ _STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated
 _NOT_LIVE = ("sessions", "tares")  # one hand, one day; a tare is found in the rest
 _NOT_AT_REST = (*_NOT_LIVE, "fingertip", "timeline", "slip")
 
-Counts = npt.NDArray[np.int16]
+Counts = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +48,8 @@ class GraspTimingConfig(TimelineConfig, read_only=True):
 class GraspTrajectory:
     """One executed grasp."""
 
-    counts: Counts  # (T, 2, 25 or 29) int16: thumb and middle finger, PDC, electrodes and, if simulated, the others
+    counts: Counts  # (T, 2, 25 or 29) int16: thumb and middle finger, PDC, electrodes and, if simulated, the others; of taxels
+    # (T, 2, V) float64, the values of each finger in the order of the channels
     start: int  # row at which the hand starts to close
     onset: int | None  # row of first touch; None where a finger never touches
     contact: int | None  # row from which on contact is steady; None likewise
@@ -76,16 +80,10 @@ class SimulatedHand:
     Args:
         scene: The scene. Its camera is not used, and its `fingers.timeline` is replaced by `config`.
         config: Timing of a grasp.
-
-    Raises:
-        ConfigError: If the fingers of the scene carry another sensor than the BioTac SP.
     """
 
     def __init__(self, scene: SceneConfig, config: GraspTimingConfig | None = None) -> None:
         self.config = config = config or GraspTimingConfig()
-        if scene.fingers.taxels is not None:
-            sensor = scene.fingers.sensor
-            raise ConfigError(f"fingers.sensor: {sensor}: the simulated hand sends messages of the BioTac SP alone")
         timeline = TimelineConfig(
             rate_hz=config.rate_hz,
             rest_s=config.rest_s + config.approach_s,
@@ -136,7 +134,7 @@ class SimulatedHand:
         steady = np.flatnonzero(state.load == 1.0)
         midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
         return GraspTrajectory(
-            counts=_counts(state),
+            counts=self._counts(state),
             start=start,
             onset=int(np.argmax(state.load > 0.0)),
             contact=int(steady[0]),
@@ -147,14 +145,28 @@ class SimulatedHand:
         )
 
     def press(self, finger: int) -> Counts:
-        """(25,) int16: what a press by a person adds to the counts of the thumb, 0, or the middle finger, 1."""
-        one = self._resting.world.fingers[finger]
+        """(25,) int16, or (V,) float64 of taxels: what a press by a person adds to the thumb, 0, or the middle finger, 1."""
+        one, array = self._resting.world.fingers[finger], self._resting.world.array
+        if array is not None:
+            return array.press(finger)
         return np.asarray(read_press(one) - one.rest).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
         """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
         self._idle_rows, self._elapsed_s = rows, elapsed_s
-        return _counts(self._resting.run(self._key(0, repeat)))
+        return self._counts(self._resting.run(self._key(0, repeat)))
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the fingertips are."""
+        array = self._executing.world.array
+        return BIOTAC_SP if array is None else array.sensor
+
+    def _counts(self, state: SampleState) -> Counts:
+        if (array := self._executing.world.array) is not None:
+            return array.quantise(state.series)
+        series = np.concatenate([state.series, state.others], axis=2) if hasattr(state, "others") else state.series
+        return quantise(series).astype(np.int16)
 
     def _key(self, slot: int, repeat: int) -> SampleKey:
         return SampleKey(self.scene.seed, slot, 0, repeat)
@@ -167,7 +179,8 @@ class SimulatedHand:
         state.grasp = replace(self._grasp, object_id=job.item.name)
 
     def _no_contact(self, _job: Job, state: SampleState) -> None:
-        low = np.array([finger.rest for finger in state.sensors])
+        array = self._resting.world.array
+        low = np.array([finger.rest for finger in state.sensors]) if array is None else array.rest
         state.series = np.repeat(low[None], self._idle_rows, axis=0)
         state.times = np.arange(self._idle_rows) / self.config.rate_hz
         state.load, state.slid = np.zeros((2, self._idle_rows))
@@ -181,7 +194,7 @@ class SimulatedHand:
         """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
         config: DriftConfig = job.settings
         before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), config.session_s)
-        state.series += temperature_drift(config.temperature, before + self._elapsed_s + state.times)[:, None]
+        state.series += drift_of(job.world, config, before + self._elapsed_s + state.times)
 
 
 class RestingFingers:
@@ -195,7 +208,7 @@ class RestingFingers:
     def __init__(self, hand: SimulatedHand, stream: int = 0) -> None:
         self._hand = hand
         self._repeat = _STREAMS * (stream + 1)
-        self._rows: Counts = np.empty((0, 2, 25), np.int16)
+        self._rows: Counts = np.empty((0, 2, 0))
         self._next = 0
 
     def read(self, elapsed_s: float) -> Counts:
@@ -208,12 +221,8 @@ class RestingFingers:
             self._rows, self._next = self._hand.rest(_BLOCK, self._repeat, elapsed_s), 0
             self._repeat += 1
         self._next += 1
-        return np.asarray(self._rows[self._next - 1], np.int16)
-
-
-def _counts(state: SampleState) -> Counts:
-    series = np.concatenate([state.series, state.others], axis=2) if hasattr(state, "others") else state.series
-    return quantise(series).astype(np.int16)
+        found: Counts = self._rows[self._next - 1]
+        return found
 
 
 def _achieved(fingers: tuple[ContactFrame, ContactFrame], grasp: Grasp, world: World) -> tuple[Float64, Float64]:

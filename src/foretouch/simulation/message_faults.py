@@ -26,7 +26,11 @@ class TactileFaultConfig(FaultConfig):
     """The same, and faults of the fingers."""
 
     swapped: bool = setting(False, "Whether the readings of thumb and middle finger are exchanged")
-    frozen: str = setting("", "Finger whose readings stay the same; empty for none", choices=("", "TH", "MF"))
+    frozen: str = setting(
+        "",
+        "Finger whose readings stay the same: TH, which takes g1, or MF, which takes g2; empty for none",
+        choices=("", "TH", "MF"),
+    )
 
 
 class MessageFaults:

@@ -136,6 +136,11 @@ class TaxelArray:
         parts = [along[axis] if of_taxels else along[axis, :].sum(keepdims=True) for axis, _, of_taxels in self._parts]
         return np.asarray(self.rest[finger] + self.gain[finger] * np.concatenate(parts))
 
+    def press(self, finger: int) -> Float64:
+        """(V,) what a person adds to the values of a finger by pressing every taxel with half of its full scale."""
+        force = np.concatenate([np.full(part.stop - part.start, float(axis == 2)) for axis, part, _ in self._parts])
+        return np.asarray(0.5 * self.config.full_scale_n * self.gain[finger] * force)
+
     def with_crosstalk(self, series: Float64, config: CrosstalkConfig) -> Float64:
         """A series (T, 2, V) in which neighbours, and the other axes, read a part of each force."""
         force = (series - self.rest) / self.gain

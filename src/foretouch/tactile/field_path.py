@@ -36,17 +36,17 @@ class FieldPath:
         found = list(_STEP.finditer(rest))
         if "".join(one[0] for one in found) != rest:
             raise ConfigError(f"{setting}: {quoted(text)} is no field path such as header.stamp or taxels[].x")
-        self._steps = [_step(one) for one in found]
+        self.steps = [_step(one) for one in found]  # of a field, an element, a part, and a name with its value
 
     def get(self, message: Any) -> Any:
         """What stands there, a list for a series; a `TactileError` names what the message lacks."""
         return self._follow(message, 0)
 
     def _follow(self, value: Any, first: int) -> Any:
-        for number, step in enumerate(self._steps[first:], first + 1):
+        for number, step in enumerate(self.steps[first:], first + 1):
             if isinstance(step, slice):
                 items = self._listed(value)[step]
-                return items if number == len(self._steps) else [self._follow(one, number) for one in items]
+                return items if number == len(self.steps) else [self._follow(one, number) for one in items]
             value = self._take(value, step)
         return value
 

@@ -46,7 +46,7 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one, _ in _sample_messages(path, FileBytes(path))]
+    return [(one.start, one.end) for one in _sample_messages(path, FileBytes(path))]
 
 
 def numbers(path: Path) -> list[int]:
@@ -111,7 +111,7 @@ def test_a_clean_file_and_a_sample_of_another_version_are_left_alone_and_origina
     body[place + place % 2] = 9
     changed = good[:start] + body + hashlib.sha256(body).digest() + good[end:]
     file.write_bytes(changed)
-    with pytest.raises(FileError, match=r"schema_version: 9 is not 1: it was written by a newer foretouch"):
+    with pytest.raises(FileError, match=r"schema_version: 9 is not 2: it was written by a newer foretouch"):
         repair(file)
     assert file.read_bytes() == changed
 

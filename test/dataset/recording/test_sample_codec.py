@@ -65,10 +65,14 @@ def test_any_changed_byte_is_detected_and_other_bytes_are_refused_in_one_line() 
     body = bytearray(data[:-32])
     place = 4 + 12 + len("camera") + 1
     place += place % 2
-    assert body[place : place + 2] == b"\1\0"
-    body[place] = 9
-    with pytest.raises(DatasetError, match="schema_version: 9 is not 1: it was written by a newer foretouch"):
-        decode_sample(bytes(body) + hashlib.sha256(body).digest())
+    assert body[place : place + 2] == b"\2\0"
+    for version, rule in (
+        (9, "9 is not 2: it was written by a newer foretouch"),
+        (1, "1 is of foretouch 0.2: convert it"),
+    ):
+        body[place] = version
+        with pytest.raises(DatasetError, match=f"schema_version: {rule}"):
+            decode_sample(bytes(body) + hashlib.sha256(body).digest())
 
 
 def test_what_cannot_be_recorded_is_refused() -> None:
@@ -84,8 +88,8 @@ def test_what_cannot_be_recorded_is_refused() -> None:
     every_case(cases, check)
     bad = biotac_touch(np.full(50, np.nan))
     for change, rule in (
-        ({"touch": bad}, "ball/000001: pdc_th: holds a value that is not finite"),
-        ({"tare": bad}, "ball/000001: tare_pdc_th: holds a value that is not finite"),
+        ({"touch": bad}, "ball/000001: touch: holds a value that is not finite"),
+        ({"tare": bad}, "ball/000001: tare: holds a value that is not finite"),
         ({"stamp_ns": -1}, "stamp_ns: -1 is before 1970"),
         ({"stamp_ns": 2**31 * 10**9}, "is before 1970 or after 2038"),
     ):
@@ -96,7 +100,7 @@ def test_what_cannot_be_recorded_is_refused() -> None:
 
 
 def test_definitions_are_those_of_the_message_package_with_all_types_in_them() -> None:
-    for name in ("GraspSample", "TactileSample", "Grasp"):
+    for name in ("GraspSample", "Grasp"):
         ours = REPOSITORY / "src/foretouch/dataset/recording/definitions" / f"{name}.msg"
         theirs = REPOSITORY / "foretouch_msgs/msg" / f"{name}.msg"
         assert ours.read_text(encoding="utf-8") == theirs.read_text(encoding="utf-8")

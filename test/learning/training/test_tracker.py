@@ -13,7 +13,7 @@ from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import ContactPredictor
-from foretouch.learning.training.tracker import fit_tracker
+from foretouch.learning.training.tracker import fit_places, fit_tracker
 from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
@@ -110,3 +110,46 @@ def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:
     undated = [replace(sample, stamp_ns=0) for sample in samples]
     other, _ = ContactPredictor(undated, labels_of(undated), FEW_TREES).calibration
     assert other.tracker is None
+
+
+def placed(rng: np.random.Generator, recording: Recording) -> Recording:
+    """The same readings, and a part that depends smoothly on the first of three features, otherwise on each object."""
+    where, runs = rng.normal(size=(len(recording.stamps_ns), 3)), recording.runs()
+    phase = rng.uniform(0.0, 2.0 * np.pi, (runs[-1] + 1, 50))[runs]
+    return replace(recording, readings=recording.readings + 60.0 * np.sin(where[:, :1] + phase), where=where)
+
+
+def test_the_fit_finds_what_places_say_and_nothing_in_others(rng) -> None:
+    """Shuffled within the objects, the same features say nothing: neither the fit nor the predictions take them up."""
+    first, second = (placed(rng, campaign(rng, 0.0, objects=8, each=24)) for _ in range(2))
+    order = np.concatenate([24 * k + rng.permutation(24) for k in range(8)])
+    level = fitted(replace(first, where=None))
+    found, shuffled = (fit_places(level, replace(first, where=rows)) for rows in (first.where, first.where[order]))
+    assert found.where_ratio.min() > 0.0
+    assert shuffled.where_ratio.max() < found.where_ratio.min()
+    for name, array in level.to_tensors().items():
+        if not name.startswith("where"):
+            assert_array_equal(getattr(found, name), array)
+
+    def error(parameters: TrackerParameters, where: np.ndarray | None) -> float:
+        played = replay(SensorTracker(parameters), replace(second, where=where))
+        later = second.touches() >= 3
+        assert abs(np.mean((np.abs(played.counts - second.readings) <= played.half)[later]) - 0.9) < 0.04
+        return float(np.mean((played.counts - second.readings)[later] ** 2))
+
+    plain, alike = error(level, None), error(found, second.where)
+    assert alike < 0.85 * plain
+    assert error(shuffled, second.where[order]) > 0.98 * plain
+
+
+def test_no_later_grasp_changes_an_earlier_prediction(rng) -> None:
+    recording = placed(rng, campaign(rng, 0.0, objects=3, each=12))
+    parameters = replace(fitted(recording), where_scale=np.full(3, 2.0), where_ratio=np.full(4, 2.0))
+    played = replay(SensorTracker(parameters), recording)
+    for k in (4, 20, 33):
+        later = np.arange(36) > k
+        readings, where = recording.readings + 50.0 * later[:, None], recording.where - later[:, None]
+        other = replay(SensorTracker(parameters), replace(recording, readings=readings, where=where))
+        assert_array_equal(other.counts[: k + 1], played.counts[: k + 1])
+        assert_array_equal(other.half[: k + 1], played.half[: k + 1])
+        assert not np.array_equal(other.counts, played.counts)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from constant_models import constant_model, counted
 
 pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
 
@@ -18,7 +19,9 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 from websocket_client import WebSocketClient
 
+from foretouch import reading
 from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, TACTILE_TOPIC, full_name
@@ -45,7 +48,11 @@ def subscribed(graph, node, client, *topics):
         graph.until(lambda topic=topic: graph.probe.count_subscribers(topic) > 0)
 
 
-def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
+@pytest.mark.parametrize("sensor", ["biotac_sp", "xela_uskin_4x4"])
+def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card, monkeypatch, sensor):
+    if sensor != "biotac_sp":
+        model = constant_model(packaged_sensor(sensor), counted(packaged_sensor(sensor)))
+        monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
     heard = graph.listen(TouchPredictionArray, "touch")
     *_, bridge = graph.add("segmentation", "grasp", "touch_predictor", "bridge", model=model_card, port=0)
     publisher = graph.talk(PointCloud2, "points")
@@ -65,8 +72,9 @@ def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
     assert [stamp_ns(one.header.stamp) for one in received[TOUCH]] == stamps
     for mine, theirs in zip(heard, received[TOUCH], strict=True):
         (expected,), (found,) = mine.predictions, theirs.predictions
-        assert found.pdc_th.value == expected.pdc_th.value
-        assert [one.value for one in found.e_mf] == [one.value for one in expected.e_mf]
+        assert found.sensor == sensor
+        for name, values in reading(expected).items():
+            np.testing.assert_array_equal(reading(found)[name], values)
         assert (found.grasp.g1.x, found.model) == (expected.grasp.g1.x, expected.model)
     for cloud, message in zip(clouds, received[POINTS], strict=True):
         assert (message.height, message.width) == cloud.xyz.shape[:2]

@@ -3,18 +3,25 @@
 
 import argparse
 import io
+import json
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from answer_builders import touch_message
+from calibrated_models import make_calibration
+from constant_models import constant_model
 from message_package import use_package
 from pair_builders import REST
 from rich.console import Console
 from robot_builders import FRAME, MS, QUICK, Robot
 from sensor_builders import XELA_TYPES, sens_stream, xela_counts
+from sensor_msgs.msg import PointCloud2
+from sim_builders import CAN, SHORT, run, scene
 
 from foretouch.cli import check
 from foretouch.cli.record import record_panel
@@ -23,9 +30,14 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
-from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
+from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.description import packaged_sensor
-from foretouch_msgs.msg import Grasp, TactilePrediction, TactilePredictionArray
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import CLOUD_TOPIC
+from foretouch.types import Touch, TouchPrediction
+from foretouch_msgs.msg import Grasp, GraspArray, TouchPredictionArray
 
 pytestmark = [
     pytest.mark.ros,
@@ -50,23 +62,16 @@ class UskinHand(Robot):
         self.kinds = {"Taxel": Taxel, "SensorFull": SensorFull, "SensStream": SensStream}
         self.tactile = SensStream
         super().__init__(graph)
-        self.predicted = graph.talk_matched(TactilePredictionArray, "tactile")
+        self.predicted = graph.talk_matched(TouchPredictionArray, "touch")
 
     def see(self, name: str) -> None:
         """Its cloud and grasps, and what is predicted for them."""
         super().see(name)
-        header, touch = header_to_msg(FRAME, self.now), xela_counts(100).ravel().astype(np.float32).tolist()
-        one = TactilePrediction(
-            header=header,
-            grasp=Grasp(id=name),
-            sensor="xela_uskin_4x4",
-            sensor_sha256=packaged_sensor("xela_uskin_4x4").sha256,
-            values=touch,
-            lower=touch,
-            upper=touch,
-        )
-        self.predicted.publish(TactilePredictionArray(header=header, predictions=[one]))
-        self.sent["tactile"] = self.sent.get("tactile", 0) + 1
+        sensor, header = packaged_sensor("xela_uskin_4x4"), header_to_msg(FRAME, self.now)
+        touch = Touch(xela_counts(100).transpose(2, 0, 1).ravel().astype(np.float64), sensor.channels)
+        one = touch_message(TouchPrediction(None, touch, touch, touch), Grasp(id=name), header, sensor=sensor)
+        self.predicted.publish(TouchPredictionArray(header=header, predictions=[one]))
+        self.sent["touch"] = self.sent.get("touch", 0) + 1
 
     def feel(self, counts: np.ndarray, readings: int) -> None:
         self.pressed = round(counts[0] - REST[0])
@@ -104,7 +109,7 @@ def test_its_grasps_are_recorded_and_built_to_a_store(graph: Any, tmp_path: Path
     assert dict(zip(status.sensors, status.sensor_states, strict=True)) == dict.fromkeys(
         ("TH", "FF", "camera"), "alive"
     )
-    assert status.topics[4].topic == "/foretouch/tactile"
+    assert status.topics[4].topic == "/foretouch/touch"
     shown = Console(width=200, record=True, file=io.StringIO())
     shown.print(record_panel(status, "title", node.session_status(), sensor=node.reader.sensor))
     text = shown.export_text()
@@ -132,6 +137,45 @@ def test_its_grasps_are_recorded_and_built_to_a_store(graph: Any, tmp_path: Path
     (other,) = graph.add("recorder", folder=str(tmp_path), tactile_topic="/other")
     with pytest.raises(Exception, match=r"sensor: xela_uskin_4x4 \(\w+\) there, biotac_sp \(\w+\) here"):
         other.begin(str(tmp_path / "set"))
+
+
+@pytest.mark.usefixtures("xela")
+def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_are_recorded(
+    graph: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    from xela_server_ros2.msg import SensStream
+
+    config = scene(CAN, fingers={"sensor": "xela_uskin_4x4", "noise": {}})
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(config.to_mapping()), encoding="utf-8")
+    sensor = packaged_sensor("xela_uskin_4x4")
+    rest = run(config, "tare").tare.values
+    model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
+    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.touch.history_keeper.HistoryKeeper.changed", lambda _: None)
+    messages = graph.listen(SensStream, HAND)
+    (hand,) = graph.add("hand", scene__path=str(path), scene__samples=1, **SHORT)
+    (recorder,) = graph.add(
+        "recorder", record=str(tmp_path / "set"), folder=str(tmp_path), object="can", **QUICK, **SENSOR
+    )
+    (predictor,) = graph.add("touch_predictor", **SENSOR, **QUICK)
+    publishers = [graph.talk_matched(kind, name) for kind, name in ((PointCloud2, CLOUD_TOPIC), (GraspArray, "grasps"))]
+    graph.until(lambda: len(messages) > 50)
+    sample = run(config, "cloud", "grasp", "touch")
+    header = header_to_msg(CAMERA_FRAME, time.time_ns())
+    grasp = grasp_to_msg(sample.grasp)
+    grasp.id = "g-1"
+    cloud = cloud_to_msg(replace(sample.cloud, frame_id=CAMERA_FRAME, stamp_ns=stamp_ns(header.stamp)))
+    for publisher, message in zip(publishers, (cloud, GraspArray(header=header, grasps=[grasp])), strict=True):
+        publisher.publish(message)
+    graph.until(lambda: hand.executed["success"] == 1)
+    graph.until(lambda: recorder.status().samples == 1)
+    for node in (recorder, predictor):
+        assert not any("unreadable" in key and value != "0" for key, value in node.notes().items())
+    recorder.end()
+    (one,) = open_samples(tmp_path / "set").records()
+    np.testing.assert_allclose(one.sample.touch.values, sample.touch.values, atol=400.0)  # noise and slow changes
+    assert predictor.notes()["tare_age_s"] != "none"
 
 
 @pytest.mark.usefixtures("xela")

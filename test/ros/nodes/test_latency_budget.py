@@ -4,13 +4,15 @@
 import sys
 import time
 
+import numpy as np
 import pytest
 
+from foretouch import reading
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
 from foretouch.models.budget import levels_of, profile_scene
 from foretouch.pipeline import FoundObject
-from foretouch.ros.messages.answers import TouchAnswer
+from foretouch.ros.messages import answers
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.types import ASSUMED_TABLE
@@ -59,8 +61,8 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
         message = ask(graph)
         assert message.status == Status.OK
         (prediction,), (expected,) = message.predictions, level.model.predict(cloud, grasps)
-        assert prediction.pdc_th.value == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
-        assert prediction.pdc_th.lower == pytest.approx(expected.lower["PDC_TH"][0], rel=1e-6)
+        assert reading(prediction)["PDC"][0] == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
+        assert reading(prediction)["PDC"].lower[0] == pytest.approx(expected.lower["PDC_TH"][0], rel=1e-6)
         assert ("reduced" in prediction.flags) == reduced
         assert node.notes().get("budget.level") == (level.name if budget_ms else None)
         graph.remove(node)
@@ -90,13 +92,21 @@ def test_a_budget_that_nothing_meets_uses_the_fastest_level_and_is_reported(grap
     assert sys.getswitchinterval() == before
 
 
-def test_an_answer_that_becomes_late_while_it_is_made_or_encoded_is_flagged(graph, predictor, monkeypatch):
+def test_an_answer_that_becomes_late_while_it_is_made_is_flagged_as_messages_and_as_arrays(
+    graph, predictor, monkeypatch
+):
     node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=1000.0)
-    delayed(monkeypatch, TouchAnswer, "prediction", 0.6)
+    delayed(monkeypatch, answers, "_adapted", 1.1)
     assert [one.flags.count("late") for one in ask(graph, 2).predictions] == [1, 1]
     assert node.notes()["budget.late"] == "1"
-    delayed(monkeypatch, TouchAnswer, "encoded", 1.1)
+    asked = request(2)
+    contacts = [value for one in asked.grasps for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+    turned = np.concatenate([one.rotation for one in asked.grasps])
+    asked = PredictTouch.Request(cloud=asked.cloud, contacts=contacts, rotations=turned)
+    batch = graph.call(PredictTouch, "predict_touch", asked).batch
+    assert (list(batch.statuses), batch.flags.count("late")) == ([Status.OK] * 2, 1)
+    assert np.reshape(batch.flagged, (2, -1))[:, batch.flags.index("late")].all()
     send(5)
     graph.until(lambda: heard)
     assert "late" in heard[0].predictions[0].flags
-    assert node.notes()["budget.late"] == "2"
+    assert node.notes()["budget.late"] == "3"

@@ -12,6 +12,7 @@ from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.nodes.monitor import Drawable, MonitorNode
+from foretouch.tactile.messages.table import TactileConfig
 from foretouch_msgs.msg import BiotacAll, Grasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
@@ -41,7 +42,7 @@ def test_readings_of_a_successful_grasp_are_shown_and_others_are_not(graph, monk
     pairing = {name.removeprefix("pairing__"): value for name, value in QUICK.items()}
     config = AssemblerConfig(successes_only=True, pairing=PairingConfig(**pairing))
     monkeypatch.setattr("foretouch.ros.nodes.monitor.AssemblerConfig", lambda **_: config)
-    monitor = MonitorNode(with_hand=True)
+    monitor = MonitorNode(hand=TactileConfig())
     graph.serve(monitor)
     robot = PredictedRobot(graph)
     times = robot.grasp("good", 1)
@@ -76,7 +77,7 @@ def test_the_last_answers_on_known_and_on_unfamiliar_objects_can_be_drawn(graph,
 
 
 def test_executed_grasps_are_drawn_before_the_first_touch_and_after_two_or_one(graph):
-    node = MonitorNode(with_clouds=True, with_hand=True)
+    node = MonitorNode(with_clouds=True, hand=TactileConfig())
     graph.serve(node)
     first, one, two, other = (Drawable(None, None, TouchPrediction(touches=k)) for k in (0, 1, 2, 0))
     node._executed.update({(False, 0): first, (False, 1): one})

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
+from foretouch import reading
 from foretouch.dataset.messages import decode_grasp, rotation_from_quaternion
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -97,7 +98,7 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     assert touch[0].header.frame_id == prediction.header.frame_id == "base_link"
     assert (touch[0].header.stamp, prediction.grasp) == (grasps[0].header.stamp, best)
     (expected,) = load_model(model_card).predict(target.cloud, [plan])
-    assert_allclose(prediction.pdc_mf.value, expected.value["PDC_MF"][0], rtol=1e-5)
+    assert_allclose(reading(prediction)["PDC"][1], expected.value["PDC_MF"][0], rtol=1e-5)
     graph.until(lambda: any(one.ns == "contacts" for message in markers for one in message.markers))
     drawn = [one for message in markers for one in message.markers if one.ns in {"contacts", "thumb"}]
     assert {one.header.frame_id for one in drawn} == {"base_link"}
@@ -149,15 +150,25 @@ def test_requests_and_goals_from_either_frame_are_answered_in_that_of_the_robot(
         assert (answer.header.frame_id, answer.status) == ("base_link", Status.OK), answer.reason
         for found, one, grasp in zip(answer.predictions, expected, plan, strict=True):
             check_grasp(found.grasp, grasp)
-            assert_allclose(found.pdc_th.value, one.value["PDC_TH"][0], rtol=tolerance)
+            assert_allclose(reading(found)["PDC"][0], one.value["PDC_TH"][0], rtol=tolerance)
     contents = [[(one.g1, one.g2, one.pose) for one in found] for found in (moved, [p.grasp for p in here.predictions])]
     assert contents[0] == contents[1]
+    contacts = [value for one in moved for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+    fields = {"cloud": request["cloud"], "contacts": contacts}
+    arrays = PredictTouch.Request(**fields, rotations=np.concatenate([one.rotation for one in moved]))
+    batch = graph.call(PredictTouch, "predict_touch", arrays).batch
+    assert (batch.status, batch.reason, batch.header) == (Status.OK, "", here.header)
+    assert_allclose(reading(batch)["PDC"], [reading(one)["PDC"] for one in here.predictions], rtol=1e-6)
+    arrays = PredictTouch.Request(**fields, table=request["table"])
+    computed = np.reshape(graph.call(PredictTouch, "predict_touch", arrays).batch.rotations, (-1, 3, 3))
+    along = np.subtract(*np.moveaxis(np.reshape(contacts, (-1, 2, 3)), 1, 0))
+    assert_allclose(computed[:, :, 2], along / np.linalg.norm(along, axis=1)[:, None], atol=1e-6)
     moved[0].rotation = np.zeros(9)
     for axis in "xyzw":
         setattr(moved[0].pose.orientation, axis, 0.0)
     posed = ask(graph, **request).predictions[0]
     (again,) = load_model(model_card).predict(target.cloud, [Pipeline().grasp_between(target, plan[0].g1, plan[0].g2)])
-    assert_allclose(posed.pdc_th.value, again.value["PDC_TH"][0], rtol=1e-3)
+    assert_allclose(reading(posed)["PDC"][0], again.value["PDC_TH"][0], rtol=1e-3)
 
     goal = SampleGrasps.Goal(cloud=cloud, table=[table], count=5)
     _, result, feedback = graph.goal(SampleGrasps, "sample_grasps", goal)
@@ -201,7 +212,7 @@ def test_a_header_alone_asks_about_the_latest_object(graph, cloud, truth, model_
     request = {**header, "grasps": grasps[0].grasps}
     answer = ask(graph, **request)
     assert answer.header == touch[0].header
-    assert_allclose(answer.predictions[0].pdc_th.value, touch[0].predictions[0].pdc_th.value, rtol=1e-6)
+    assert_allclose(reading(answer.predictions[0])["PDC"][0], reading(touch[0].predictions[0])["PDC"][0], rtol=1e-6)
     check_grasp(answer.predictions[0].grasp, decode_grasp(TO_BASE.inverse().grasp(grasps[0].grasps[0])))
     request["cloud"].header.frame_id = "world"
     answer = ask(graph, **request)

@@ -10,19 +10,23 @@ import sys
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from constant_models import sensor_with_dead
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline
+from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.touch.config import COSTS
 from foretouch.ros.touch.grasp_actions import cost_of, planner_action_class, planner_feedback
-from foretouch.tactile import TactileRanges
+from foretouch.tactile import Ranges, TactileRanges, biotac_touch
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.types import Touch
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import GraspArray, Interval, Status, TablePlane, TouchPrediction
+from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane
 
 pytestmark = pytest.mark.ros
 
@@ -88,12 +92,24 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     result.costs = [math.inf] * 3
     with pytest.raises(RefusalError, match="no grasp has a finite cost"):
         planner_feedback(SampleGrasps, result)
-    ranges = TactileRanges().ranges
-    (low_th, high_th), (low_mf, high_mf) = ranges.of("PDC_TH"), ranges.of("PDC_MF")
-    pdc_th, pdc_mf = low_th + 0.25 * (high_th - low_th), low_mf + 0.75 * (high_mf - low_mf)
-    one = TouchPrediction(pdc_th=Interval(value=pdc_th), pdc_mf=Interval(value=pdc_mf))
-    one.grasp.score = 4.0
-    costs = {rule: cost_of(rule, one, ranges) for rule in COSTS}
+    ranges, touch = TactileRanges().ranges, np.zeros(50)
+    for k, (name, share) in enumerate((("PDC_TH", 0.25), ("PDC_MF", 0.75))):
+        low, high = ranges.of(name)
+        touch[k] = low + share * (high - low)
+    pressed = TaxelView(BIOTAC_SP).pressures(biotac_touch(touch), None, ranges)
+    costs = {rule: cost_of(rule, Grasp(score=4.0), pressed) for rule in COSTS}
     assert costs == pytest.approx({"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}, rel=1e-3)
-    one.status, one.grasp.score = Status.REFUSED, math.nan
-    assert np.isposinf([cost_of(rule, one, ranges) for rule in COSTS]).all()
+    assert np.isposinf([cost_of(rule, Grasp(score=math.nan), None) for rule in COSTS]).all()
+
+
+def test_a_sensor_without_a_pressure_presses_by_how_far_its_valid_taxels_moved():
+    sensor = sensor_with_dead("xela_uskin_4x4", 5)
+    view, rest, ranges = (
+        TaxelView(sensor),
+        Touch(np.full(96, 30_000.0), sensor.channels),
+        Ranges.of_sensor(sensor.channels),
+    )
+    values = rest.values.copy()
+    values[sensor.taxel_columns[0, :, 2]] += (65_535 - 30_000) / 2  # Z of the first finger, half of its way
+    values[sensor.taxel_columns[0, 5, 2]] = 65_535  # of the dead taxel
+    np.testing.assert_allclose(view.pressures(Touch(values, sensor.channels), rest, ranges), [0.5, 0.0])

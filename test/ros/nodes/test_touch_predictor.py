@@ -14,6 +14,7 @@ from every_case import every_case
 from geometry_msgs.msg import Point, Quaternion
 from sensor_msgs.msg import PointCloud2
 
+from foretouch import reading
 from foretouch.grasp import GeoGraspConfig
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -23,7 +24,7 @@ from foretouch.ros.messages.requests import plan_targets
 from foretouch.ros.runtime.lifecycle_node import REQUESTS
 from foretouch.types import Cloud
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import BiotacAll, Grasp, GraspArray, Status, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -51,8 +52,8 @@ class Planner:
         messages, table = [grasp_to_msg(one) for one in self.grasps[:count]], [plane_to_msg(self.target.plane)]
         return PredictTouch.Request(cloud=objects_to_msg([self.target], "cam", 5), grasps=messages, table=table)
 
-    def ask(self, request=None):
-        return self.graph.call(PredictTouch, "predict_touch", request or self.request()).touch
+    def ask(self, request=None, field="touch"):
+        return getattr(self.graph.call(PredictTouch, "predict_touch", request or self.request()), field)
 
     def goal(self, **fields):
         table = [plane_to_msg(self.target.plane)]
@@ -85,14 +86,14 @@ def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_
     assert answer.header.frame_id == "cam"
     for message, prediction in zip(answer.predictions, expected, strict=True):
         assert message.status == Status.OK
-        assert message.pdc_th.value == np.float32(prediction.value["PDC_TH"][0])
-        np.testing.assert_array_equal([i.value for i in message.e_mf], prediction.value["E_MF"].astype(np.float32))
+        assert reading(message)["PDC"][0] == np.float32(prediction.value["PDC_TH"][0])
+        np.testing.assert_array_equal(reading(message)["E"][1].tolist(), prediction.value["E_MF"].astype(np.float32))
     request = planner.request()
     without_orientation(request.grasps[0])
     (posed,) = planner.ask(request).predictions
     grasp = Pipeline().grasp_between(planner.target, planner.grasps[0].g1, planner.grasps[0].g2)
     (expected,) = load_model(model_card).predict(planner.target.cloud, [grasp])
-    assert posed.pdc_mf.value == np.float32(expected.value["PDC_MF"][0])
+    assert reading(posed)["PDC"][1] == np.float32(expected.value["PDC_MF"][0])
     request.table[0].coef = [0.0, 0.0, 1.0, 1.0]
     answer = planner.ask(request)
     assert (answer.status, "is behind the camera" in answer.reason) == (Status.BAD_PLANE, True)
@@ -149,7 +150,77 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         answer = planner.ask(request)
         assert [answer.status, *(p.status for p in answer.predictions)] == [0, Status.OK, Status.BAD_GRASP, Status.OK]
         assert reason in answer.predictions[1].reason
-        assert math.isnan(answer.predictions[1].pdc_th.value)
+        assert math.isnan(reading(answer.predictions[1])["PDC"][0])
+
+
+def arrays_of(request, *, oriented=True):
+    """The same request with arrays."""
+    contacts = [value for one in request.grasps for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+    turned = np.concatenate([one.rotation for one in request.grasps]) if oriented else []
+    return PredictTouch.Request(cloud=request.cloud, table=request.table, contacts=contacts, rotations=turned)
+
+
+def test_arrays_are_answered_with_the_numbers_of_messages_and_with_the_orientations_that_were_computed(planner):
+    asked = planner.request(10)
+    asked.grasps[2].g1.x += 1.0  # too wide
+    for oriented in (True, False):
+        if not oriented:
+            for grasp in asked.grasps:
+                without_orientation(grasp)
+        messages, batch = planner.ask(asked).predictions, planner.ask(arrays_of(asked, oriented=oriented), "batch")
+        found = reading(batch)
+        assert batch.header == messages[0].header
+        for k, message in enumerate(messages):
+            assert (batch.statuses[k], batch.reasons[k]) == (message.status, message.reason)
+            for name, values in reading(message).items():
+                np.testing.assert_array_equal(found[name][k], values)
+                np.testing.assert_array_equal(found[name].lower[k], values.lower)
+            names = [name for name, has in zip(batch.flags, np.reshape(batch.flagged, (10, -1))[k], strict=True) if has]
+            assert sorted(names) == sorted(message.flags)
+        rotations = np.reshape(batch.rotations, (-1, 9))
+        assert len(rotations) == (0 if oriented else 10)
+        for rotation, message in zip(rotations, messages, strict=False):
+            np.testing.assert_array_equal(rotation, message.grasp.rotation if message.status == Status.OK else rotation)
+        assert batch.statuses[2] == Status.BAD_GRASP
+
+
+def test_arrays_that_cannot_be_answered_are_refused_with_the_reason(planner):
+    def check(reason, status, spoil):
+        request = arrays_of(planner.request())
+        spoil(request)
+        batch = planner.ask(request, "batch")
+        assert batch.status == status
+        assert reason in batch.reason
+
+    cases = [
+        (
+            "contacts: 5 numbers are not a multiple of 6",
+            Status.BAD_REQUEST,
+            lambda r: setattr(r, "contacts", [0.0] * 5),
+        ),
+        ("rotations: 18 numbers are not 1 x 9", Status.BAD_REQUEST, lambda r: setattr(r, "rotations", [0.0] * 18)),
+        ("rotations: 9 numbers are not 0 x 9", Status.BAD_REQUEST, lambda r: setattr(r, "contacts", [])),
+        ("contacts: grasps are given too", Status.BAD_REQUEST, lambda r: setattr(r, "grasps", [Grasp()])),
+        (
+            "grasps: 1001 is above max_grasps, 1000",
+            Status.BAD_REQUEST,
+            lambda r: (setattr(r, "contacts", [0.0] * 6006), setattr(r, "rotations", [])),
+        ),
+        ("'77' is none of", Status.BAD_GRASP, lambda r: setattr(r, "object_id", "77")),
+        ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r, "rotations", [0.5] * 9)),
+        ("is not finite", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [math.nan] * 6)),
+        ("both contacts are at", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [0.7] * 6)),
+        ("degrees from g1 - g2", Status.BAD_GRASP, lambda r: setattr(r, "rotations", np.eye(3)[[2, 0, 1]].ravel())),
+        (
+            "no table to compute it with",
+            Status.BAD_GRASP,
+            lambda r: (setattr(r, "rotations", []), setattr(r, "table", [])),
+        ),
+        ("x is missing", Status.BAD_CLOUD, lambda r: setattr(r, "cloud", PointCloud2())),
+        ("", Status.OK, lambda _: None),
+    ]
+    every_case(cases, check)
+    assert not planner.node.internal_errors.counts()
 
 
 def test_a_damaged_model_is_named_and_the_fallback_used(graph, model_card, tmp_path, target, grasps):
@@ -192,7 +263,7 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(graph, planner
     for pose, grasp in zip(result.grasp_candidates, result.grasps, strict=True):
         assert (pose.pose, pose.header.frame_id) == (grasp.pose, "cam")
     first = result.predictions[0]
-    share = ((first.pdc_th.value - 2500) / 900 + (first.pdc_mf.value - 1600) / 700) / 2
+    share = ((reading(first)["PDC"][0] - 2500) / 900 + (reading(first)["PDC"][1] - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
     by_score = planner.sample(planner.goal(cost=SampleGrasps.Goal.SCORE))

@@ -113,7 +113,7 @@ def test_another_participant_gets_the_same_content_and_the_counts_are_the_same(g
         assert len(heard_on[topic]) == len(clouds), topic
         assert heard_on[topic] == heard_off[topic], topic
     assert counts_on == counts_off
-    assert heard_on["touch"][0].count("pdc_th=") > 3  # of several objects
+    assert heard_on["touch"][0].count("scalars=") > 3  # of several objects
 
 
 def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cloud, model_card):

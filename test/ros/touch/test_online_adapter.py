@@ -20,6 +20,7 @@ from sensor_builders import sens_stream
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from foretouch import reading
 from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
@@ -27,12 +28,13 @@ from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, values_from_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
+from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.tactile.messages.table import make_reader, stamp_ns
@@ -412,7 +414,9 @@ class Hand(CanRobot):
         asked = self.graph.call(PredictTouch, "predict_touch", PredictTouch.Request(cloud=cloud, grasps=grasps)).touch
         for found in (one.predictions[0] for one in (self.heard[-1], asked)):
             assert (found.status, found.reference) == (Status.OK, asked.predictions[0].reference)
-            assert found.pdc_th.value == pytest.approx(asked.predictions[0].pdc_th.value, abs=0.02)  # but for the drift
+            assert reading(found)["PDC"][0] == pytest.approx(
+                reading(asked.predictions[0])["PDC"][0], abs=0.02
+            )  # but for the drift
         return asked.predictions[0]
 
 
@@ -424,9 +428,8 @@ def test_a_node_adapts_to_its_hand_and_its_parameters_and_services_undo_it(graph
     history = HandHistory(model)
     history.add_touch(hand.now, hand.cloud, hand.planned[0], hand.cut(times).touch)
     found, (wanted, _) = hand.ask(), expected(hand, history, model)
-    values = (found.pdc_th, found.pdc_mf, *found.e_th, *found.e_mf)
-    rows = np.array([(one.value, one.lower, one.upper) for one in values])
-    exact = np.stack([touch.values for touch in (wanted.value, wanted.lower, wanted.upper)], axis=1)
+    rows = values_from_msg(found, BIOTAC_SP)
+    exact = np.stack([touch.values for touch in (wanted.value, wanted.lower, wanted.upper)])
     np.testing.assert_allclose(rows, exact, rtol=0.0, atol=0.05)  # but for the drift within some seconds
     assert (found.reference, found.touches, found.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
     assert 0 <= found.touch_age.sec < 60
@@ -456,7 +459,7 @@ def test_a_named_hand_remembers_across_a_restart(graph, card, tmp_path):
     graph.matched("object_cloud", "grasps", "touch")
     after = hand.ask()
     assert (after.reference, after.touches, after.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
-    assert after.pdc_th.value == pytest.approx(before.pdc_th.value, abs=1.0)
+    assert reading(after)["PDC"][0] == pytest.approx(reading(before)["PDC"][0], abs=1.0)
     assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")
 
 

@@ -2,12 +2,14 @@
 import numpy as np
 import pytest
 from every_case import every_case
+from scipy.spatial import cKDTree
 from sim_builders import CAN, run, scene
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.depth_effects import GRAZING_DEG, HOLE_SHARE
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
-from foretouch.simulation.solids import Box
+from foretouch.simulation.effects.place import _free_path
+from foretouch.simulation.solids import Body, Box
 from foretouch.simulation.world import World
 
 STILL = {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]}
@@ -77,6 +79,20 @@ def test_clutter_hides_a_part_and_is_no_part_of_the_cloud() -> None:
         assert with_clutter.cloud.size == (with_clutter.labels == FIRST_OBJECT).sum()
         assert len(with_clutter.bodies) == 7
     assert smaller >= 1
+
+
+def test_touching_clutter_is_slid_until_it_meets_another_body() -> None:
+    balls = [Body("ball", 0, np.full(3, 0.06), np.array([x, y, 0.03]), np.eye(3)) for x, y in ((0.0, 0.0), (0.3, 0.02))]
+    way = np.array([1.0, 0.0, 0.0])
+    assert _free_path(*balls, way) == pytest.approx(0.3 - np.sqrt(0.06**2 - 0.02**2), abs=2e-4)  # centres 6 cm apart
+    assert _free_path(*balls, -way) == np.inf
+    for slot in range(4):
+        bodies = run(scene(FLAT, clutter={"count": 4, "touching": {}}), "bodies", slot=slot).bodies
+        surfaces = [one.position + (one.mesh.vertices * one.size) @ one.rotation.T for one in bodies]
+        for k, surface in enumerate(surfaces[1:], 1):
+            distance, _ = cKDTree(np.concatenate(surfaces[:k])).query(surface)
+            assert distance.min() < 5e-3  # between vertices, which are up to 8 mm apart on a box
+            assert surface[:, 2].min() == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_cloud_lies_on_the_object_and_colours_are_darker_where_it_turns_away() -> None:

@@ -276,7 +276,7 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
     grasps, faults = [], {}
     for message in plan.grasps:
         try:
-            grasps.append(decode_grasp(message))
+            grasps.append(message if isinstance(message, Grasp) else decode_grasp(message))
         except GraspError as err:
             faults[message.id] = str(err)
     grasp = next((one for one in grasps if one.id == wanted), None)

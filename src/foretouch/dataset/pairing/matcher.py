@@ -52,7 +52,7 @@ class Label:
 
 
 class PlannedGrasps(NamedTuple):
-    """The `foretouch_msgs/Grasp` messages planned on one cloud, not decoded yet; best first."""
+    """The grasps planned on one cloud, best first: `foretouch_msgs/Grasp` messages that are not decoded yet, or `Grasp`s."""
 
     stamp_ns: int
     frame_id: str

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded dataset on disk: a manifest, and one MCAP file for each recording session.
 
-Layout, schema version 1::
+Layout, schema version 2 (1 differs in the messages of its samples)::
 
     dataset/
       manifest.json        format, schema version, hand, camera, version of foretouch, sessions and edits, and the sensor
@@ -22,7 +22,7 @@ from foretouch import __version__
 from foretouch.checked_files import open_own, open_regular, replace_files, require_schema
 from foretouch.dataset.files import disk_errors, read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
+from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in, with_sensor
@@ -43,13 +43,18 @@ def is_dataset(path: str | Path) -> bool:
         return False
 
 
-def recorded_files(path: Path) -> list[Path]:
-    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`)."""
+def recorded_files(path: Path, *, convert: bool = False) -> list[Path]:
+    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
+
+    A dataset of version 1 is refused, except to `convert` it.
+    """
     if path.is_file():
         return [path]
     if not is_dataset(path):
         raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
     _read_identity(path)
+    if _manifest(path)["schema_version"] != SCHEMA_VERSION and not convert:
+        raise FileError(path, OLD_VERSION)
     return session_files(path)
 
 
@@ -128,7 +133,7 @@ def write_listed(path: Path, name: str, value: Any) -> None:
 
 
 def _manifest(path: Path) -> dict[str, Any]:
-    return read_manifest(path / _MANIFEST, _FORMAT, SCHEMA_VERSION, _SEAL)
+    return read_manifest(path / _MANIFEST, _FORMAT, _SEAL, SCHEMA_VERSION, 1)
 
 
 def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:

@@ -6,6 +6,7 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -43,18 +44,19 @@ class _Sample(NamedTuple):
     file: Path
     data: FileBytes
     message: RecordedMessage
-    type_name: str
 
 
 class RecordedDataset:
     """The samples of a recorded dataset, or of one of its `.mcap` files.
 
-    A `FileError` names file and position if the path is no recorded dataset, or a manifest or recording is damaged.
+    One of version 1 is only read to `convert` it. A `FileError` names file and position if the path is no recorded dataset, or a
+    manifest or recording is damaged.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, convert: bool = False) -> None:
         self.path = Path(path)
-        self.files = recorded_files(self.path)  # MCAP files
+        self._convert = convert
+        self.files = recorded_files(self.path, convert=convert)  # MCAP files
         if self.path.is_dir():
             require_chain(self.path)
         self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
@@ -63,7 +65,7 @@ class RecordedDataset:
         self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
         for file in self.files:
             data = FileBytes(file)
-            found = [_Sample(file, data, *one) for one in _sample_messages(file, data)]
+            found = [_Sample(file, data, one) for one in _sample_messages(file, data)]
             if is_finished(data):
                 _check_count(file, data, len(found))
             else:
@@ -84,9 +86,9 @@ class RecordedDataset:
 
     def as_recorded(self, index: int) -> StoredSample:
         """One sample before any edit (raises as indexing)."""
-        file, data, message, type_name = self._samples[index]
+        file, data, message = self._samples[index]
         try:
-            return decode_sample(data[message.start : message.end], type_name, self.stated_sensor)
+            return decode_sample(data[message.start : message.end], self.stated_sensor, convert=self._convert)
         except DatasetError as err:
             raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
 
@@ -126,8 +128,8 @@ def _holds_samples(path: Path) -> bool:
     return start.startswith(MAGIC) and (begins or any(name.encode() in start for name in SAMPLE_TYPES))
 
 
-def _sample_messages(path: Path, data: FileBytes) -> Iterator[tuple[RecordedMessage, str]]:
-    """The messages with samples in a file and their types, in order, up to its end or to where it is cut off.
+def _sample_messages(path: Path, data: FileBytes) -> Iterator[RecordedMessage]:
+    """The messages with samples in a file, in order, up to its end or to where it is cut off.
 
     Raises a `FileError` at the first invalid record, unless the file merely ends within it.
     """
@@ -146,9 +148,7 @@ def _sample_messages(path: Path, data: FileBytes) -> Iterator[tuple[RecordedMess
             yield from _samples_of(path, data, record, declared)
 
 
-def _samples_of(
-    path: Path, data: FileBytes, chunk: Record, declared: Declarations
-) -> Iterator[tuple[RecordedMessage, str]]:
+def _samples_of(path: Path, data: FileBytes, chunk: Record, declared: Declarations) -> Iterator[RecordedMessage]:
     indexed = set()  # channels of the chunk, according to the index after it
     for record in walk(data, chunk.end):
         if isinstance(record, Damage) or record.opcode != Opcode.MESSAGE_INDEX:
@@ -159,8 +159,8 @@ def _samples_of(
         declared.add(record)  # declarations stand before the first message
         if not isinstance(record.content, RecordedMessage):
             continue
-        if (type_name := declared.type_of(record.content.channel)) in SAMPLE_TYPES:
-            yield record.content, type_name
+        if declared.type_of(record.content.channel) in SAMPLE_TYPES:
+            yield record.content
         elif indexed and not set(SAMPLE_TYPES).intersection(map(declared.type_of, indexed)):
             return
 
@@ -177,7 +177,7 @@ def recorded_ids(path: Path) -> set[str]:
     for file in session_files(path):
         data = FileBytes(file)
         cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-        found = [message for message, _ in _sample_messages(file, data)]
+        found = list(_sample_messages(file, data))
         if is_finished(data) and declared_samples(data) != len(found):  # what is declared is damaged
             cut = len(MAGIC)
         saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
@@ -193,8 +193,8 @@ def _id_of(path: Path, data: FileBytes, sample: RecordedMessage) -> str:
         raise FileError(path, rule, field=f"byte {sample.start}") from err
 
 
-def _open_samples(path: Path, unfinished: bool) -> SampleSet:
-    dataset = RecordedDataset(path)
+def _open_samples(path: Path, unfinished: bool, *, convert: bool = False) -> SampleSet:
+    dataset = RecordedDataset(path, convert=convert)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
@@ -213,4 +213,6 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
     )
 
 
-DATASET_FORMAT = DatasetFormat(recognise=_holds_samples, open=_open_samples)
+DATASET_FORMAT = DatasetFormat(
+    recognise=_holds_samples, open=_open_samples, convert=partial(_open_samples, unfinished=False, convert=True)
+)

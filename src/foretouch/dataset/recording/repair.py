@@ -39,11 +39,10 @@ from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
     SAMPLE_TOPIC,
-    SAMPLE_TYPES,
+    SAMPLE_TYPE,
     StoredSample,
     decode_sample,
     id_in,
-    sample_type,
     sample_types,
 )
 from foretouch.dataset.recording.verify import verify_file
@@ -170,8 +169,7 @@ class _Repair:
 
     def _declare(self) -> None:
         # The file's own copy of the definition may be damaged.
-        type_name = self._sample_type()
-        self._file.declare(SAMPLE_TOPIC, type_name, sample_types().text(type_name))
+        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
         for number, channel in sorted(self._declared.channels.items()):
             schema = self._declared.schemas.get(channel.schema_id)
             if schema is None or channel.message_encoding != "cdr" or schema.encoding != "ros2msg":
@@ -179,16 +177,6 @@ class _Repair:
             self._topics[number] = channel.topic
             if channel.topic not in self._file.types:
                 self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
-
-    def _sample_type(self) -> str:
-        """The type of the samples: as declared, else as that of the first one which is intact, if any."""
-        declared = (self._declared.type_of(channel) for channel in self._declared.channels)
-        if found := next((name for name in declared if name in SAMPLE_TYPES), ""):
-            return found
-        messages = (one for one in salvaged(self._data) if not isinstance(one, Damage))
-        intact = (readable(self._data, one) for one in messages)
-        first = next(filter(None, intact), None)
-        return SAMPLE_TYPES[-1] if first is None else sample_type(first.sensor)
 
     def _copy(self, one: RecordedMessage) -> None:
         """Write a message; a sample gets a chunk of its own."""

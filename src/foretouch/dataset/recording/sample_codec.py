@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encodes a recorded grasp as a message and decodes it, without ROS.
 
-The message is a `foretouch_msgs/GraspSample` for the BioTac SP, and for any other sensor a `foretouch_msgs/TactileSample`, which
-holds the sensor's description.
+The message is a `foretouch_msgs/GraspSample`, which holds the description of its sensor. Foretouch 0.2 wrote samples of
+version 1, whose touch is that of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
@@ -21,6 +21,7 @@ import re
 import struct
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,7 +35,6 @@ from foretouch.dataset.files import require_version
 from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
-from foretouch.tactile import TOUCH_SIZE, biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.tactile.messages.table import stamp_ns
@@ -44,22 +44,20 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
-TACTILE_SAMPLE_TYPE: Final = "foretouch_msgs/msg/TactileSample"
-SAMPLE_TYPES: Final = (TACTILE_SAMPLE_TYPE, SAMPLE_TYPE)
+SAMPLE_TYPES: Final = (SAMPLE_TYPE, "foretouch_msgs/msg/TactileSample")  # the second in recordings of version 1
 SAMPLE_TOPIC: Final = "/foretouch/samples"
 ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
+OLD_VERSION: Final = "schema_version: 1 is of foretouch 0.2: convert it with `foretouch dataset import OLD -o NEW`"
 HEAD_SIZE: Final = 65536
 """Bytes at the beginning of a serialised sample that hold its frame and its id."""
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
 OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
-_TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
-_PREFIX: Final = {"touch": "", "tare": "tare_"}
-_VALUES: Final = (*(f"{one}{name}" for one in _PREFIX.values() for name in _TOUCH), *_PREFIX)
-_FINITE: Final = (*_VALUES, "series", "others", "extra_values")
+_OLD_TYPE: Final = f"{SAMPLE_TYPE}1"  # version 1
+_FINITE: Final = ("touch", "tare", "series", "others", "extra_values")
 
 
 class StoredSample(NamedTuple):
@@ -70,13 +68,8 @@ class StoredSample(NamedTuple):
     sensor: Sensor
 
 
-def sample_type(sensor: Sensor) -> str:
-    """Type of the messages that hold samples of a sensor."""
-    return SAMPLE_TYPE if sensor.is_biotac else TACTILE_SAMPLE_TYPE
-
-
 def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
-    """A record, whose id is set, as the CDR of the sensor's `sample_type` with encapsulation header.
+    """A record, whose id is set, as the CDR of a `SAMPLE_TYPE` with encapsulation header.
 
     Args:
         record: The sample.
@@ -89,13 +82,12 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
     """
     sample, sensor = record.sample, sensor or BIOTAC_SP
     check_id(sample.id, sample.object)
-    type_name, series = sample_type(sensor), record.series
+    series = record.series
     for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
         if touch is not None:
             require_same(touch.channels, sensor.channels, f"{sample.id}: {name}")
     if series is not None and series.counts.shape[1] != sensor.channels.size:
         raise DatasetError(f"{sample.id}: series: {series.counts.shape[1]} values, not {sensor.channels.size}")
-    fields = _biotac_fields if type_name == SAMPLE_TYPE else functools.partial(_tactile_fields, sensor)
     others = {} if series is None else dict(sorted(series.others.items()))
     extra = {name: float(value) for name, value in sorted(sample.extra.items())}
     message = SimpleNamespace(
@@ -109,9 +101,11 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
         grasp=grasp_fields(sample.grasp),
         score=float(sample.grasp.score),
         candidates=[grasp_fields(grasp) for grasp in record.candidates],
+        sensor=sensor_text(sensor),
         labelled=sample.touch is not None,
+        touch=np.empty(0) if sample.touch is None else sample.touch.values,
         tared=sample.tare is not None,
-        **fields(sample),
+        tare=np.empty(0) if sample.tare is None else sample.tare.values,
         series_stamps=np.asarray([] if series is None else series.stamps_ns, np.int64),
         series_phase=np.asarray([] if series is None else series.phases, np.uint8),
         series=np.asarray([] if series is None else series.counts, np.float32).ravel(),
@@ -131,17 +125,17 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
     for name in _FINITE:
         if not np.isfinite(getattr(message, name, 0.0)).all():
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
-    body = bytes(sample_types().store.serialize_cdr(message, type_name))[:-_DIGEST_SIZE]
+    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
-def decode_sample(data: bytes | memoryview, type_name: str = "", sensor: Sensor | None = None) -> StoredSample:
+def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, convert: bool = False) -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
     Args:
         data: The message.
-        type_name: One of `SAMPLE_TYPES`; "" for that which it is found to be.
         sensor: That it must be of, if any.
+        convert: Whether samples of version 1 are read, too.
 
     Raises:
         DatasetError: If the bytes are damaged, of another schema version or sensor, or break a rule.
@@ -150,8 +144,12 @@ def decode_sample(data: bytes | memoryview, type_name: str = "", sensor: Sensor 
     if not body or hashlib.sha256(body).digest() != digest:
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
-        message: Any = sample_types().store.deserialize_cdr(data, type_name or _found_type(data))
-        require_version(message.schema_version, SCHEMA_VERSION)
+        version, _ = _version_in(bytes(data[:HEAD_SIZE]))
+        if version == 1 and not convert:
+            raise VersionError(OLD_VERSION)
+        if version != 1:
+            require_version(version, SCHEMA_VERSION)
+        message: Any = _old_message(data) if version == 1 else sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
         check_id(message.id, message.object)
         stored = _stored(message)
     except VersionError:
@@ -168,11 +166,9 @@ def decode_sample(data: bytes | memoryview, type_name: str = "", sensor: Sensor 
 
 def id_in(head: bytes) -> str:
     """The id in the first `HEAD_SIZE` bytes of a serialised sample; a `ValueError` if it is none."""
+    cdr = head[4:]  # it aligns from its fifth byte
     try:
-        cdr = head[4:]  # it aligns from its fifth byte
-        (frame,) = struct.unpack_from("<I", cdr, 8)  # after the stamp
-        offset = 12 + frame
-        offset += -offset % 2 + 2  # the schema version
+        _, offset = _version_in(head)
         offset += -offset % 4
         (length,) = struct.unpack_from("<I", cdr, offset)
     except struct.error as err:
@@ -182,24 +178,33 @@ def id_in(head: bytes) -> str:
     return cdr[offset + 4 : offset + 4 + length].rstrip(b"\0").decode()
 
 
-def _found_type(data: bytes | memoryview) -> str:
-    """The type of a sample: where one has its sensor's description, the other has a flag, and no text of more than a byte."""
-    try:
-        message: Any = sample_types().store.deserialize_cdr(data, TACTILE_SAMPLE_TYPE)
-        return TACTILE_SAMPLE_TYPE if len(message.sensor) > 1 else SAMPLE_TYPE
-    except Exception:  # noqa: BLE001  as other bytes the parser may fail anywhere
-        return SAMPLE_TYPE
+def _version_in(head: bytes) -> tuple[int, int]:
+    """The schema version of a serialised sample, and where it ends in its CDR; a `struct.error` if the bytes end before."""
+    (frame,) = struct.unpack_from("<I", head, 12)  # after the stamp
+    offset = 12 + frame
+    offset += -offset % 2
+    (version,) = struct.unpack_from("<H", head, 4 + offset)
+    return version, offset + 2
+
+
+def _old_message(data: bytes | memoryview) -> Any:
+    """A sample of version 1: where that of a described sensor holds the description, that of a BioTac SP has a flag."""
+    with suppress(Exception):  # as other bytes the parser may fail anywhere
+        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
+        if len(message.sensor) > 1:
+            return message
+    return sample_types().store.deserialize_cdr(data, _OLD_TYPE)
 
 
 def _stored(message: Any) -> StoredSample:
-    sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else BIOTAC_SP
+    sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else BIOTAC_SP  # of version 1
     sample = GraspSample(
         id=message.id,
         object=message.object,
         cloud=decode_cloud(message.cloud),
         grasp=_grasp_of(message.grasp, float(message.score)),
-        touch=_touch_of(message, "touch", sensor) if message.labelled else None,
-        tare=_touch_of(message, "tare", sensor) if message.tared else None,
+        touch=Touch(np.array(message.touch, np.float64), sensor.channels) if message.labelled else None,
+        tare=Touch(np.array(message.tare, np.float64), sensor.channels) if message.tared else None,
         stamp_ns=stamp_ns(message.header.stamp),
         extra=dict(zip(message.extra_names, map(float, message.extra_values), strict=True)),
     )
@@ -230,8 +235,10 @@ def parse_properties(text: str) -> dict[str, str]:
 def sample_types() -> Definitions:
     """The definitions of samples, of all types in them, and of those that were looked up since."""
     definitions = Definitions()
-    for name in SAMPLE_TYPES:
-        definitions.text(name)
+    definitions.text(SAMPLE_TYPE)
+    # In the bytes of version 1, the numbers of a touch follow each other as in an array of 50; no sensor is before them.
+    text = _find(SAMPLE_TYPE).replace("string sensor ", "# ")
+    definitions.register(_OLD_TYPE, re.sub(r"float64\[\] (touch|tare)\b", r"float64[50] \1", text))
     return definitions
 
 
@@ -243,28 +250,6 @@ def properties_text(facts: Mapping[str, str]) -> str:
 def _grasp_of(message: Any, score: float) -> Grasp:
     """The grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
     return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
-
-
-def _biotac_fields(sample: GraspSample) -> dict[str, Any]:
-    """Touch and tare of a BioTac SP by field; zeros where there is none."""
-    fields: dict[str, Any] = {}
-    for prefix, touch in zip(_PREFIX.values(), (sample.touch, sample.tare), strict=True):
-        parts = biotac_touch(np.zeros(TOUCH_SIZE) if touch is None else touch.values).parts()
-        fields |= {f"{prefix}{name}": part for name, part in zip(_TOUCH, parts.values(), strict=True)}
-    return fields
-
-
-def _tactile_fields(sensor: Sensor, sample: GraspSample) -> dict[str, Any]:
-    """Touch, tare and description of any sensor; no values where there is no touch."""
-    both = zip(_PREFIX, (sample.touch, sample.tare), strict=True)
-    return {"sensor": sensor_text(sensor), **{name: np.empty(0) if one is None else one.values for name, one in both}}
-
-
-def _touch_of(message: Any, name: str, sensor: Sensor) -> Touch:
-    """The inverse of both for the `touch` or the `tare`."""
-    if hasattr(message, "sensor"):
-        return Touch(np.array(getattr(message, name), np.float64), sensor.channels)
-    return biotac_touch(np.hstack([getattr(message, f"{_PREFIX[name]}{part}") for part in _TOUCH]))
 
 
 @functools.lru_cache(maxsize=16)

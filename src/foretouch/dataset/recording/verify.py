@@ -170,7 +170,7 @@ class _Verification:
         if type_name not in SAMPLE_TYPES:
             return
         try:
-            stored = decode_sample(self.data[message.start : message.end], type_name, self.sensor)
+            stored = decode_sample(self.data[message.start : message.end], self.sensor)
             self.report.ids.append(stored.record.sample.id)
         except DatasetError as err:
             yield Damage(message.start, f"sample: {err}")

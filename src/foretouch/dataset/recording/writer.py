@@ -49,9 +49,9 @@ from foretouch.dataset.recording.sample_codec import (
     ABOUT,
     COUNTS,
     SAMPLE_TOPIC,
+    SAMPLE_TYPE,
     SCHEMA_VERSION,
     encode_sample,
-    sample_type,
     sample_types,
 )
 from foretouch.errors import DatasetError, FileError, ForetouchError
@@ -127,8 +127,7 @@ class RecordingWriter:
             stack.callback(self.output.abandon)
             session = Session(self.file.name, uuid4().hex)
             self.output.write_metadata(ABOUT, _about(self.file.stem, identity) | {ID: session.id})
-            type_name = sample_type(self.sensor)
-            self.output.declare(SAMPLE_TOPIC, type_name, sample_types().text(type_name))
+            self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
             sync_folder(self.path)
             begin_session(self.path, session)

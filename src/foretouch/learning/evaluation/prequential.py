@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import DatasetError, ModelError, TactileError
+from foretouch.errors import DatasetError, GraspError, ModelError, TactileError
 from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.touch_model import TouchModel
@@ -48,6 +48,7 @@ class Recording:
     known: Bool | None = None  # (S,) whether the object is like those of training; None if none is
     tdc: Float64 | None = None  # (S, F) TDC of the fingers with the reading, NaN without [counts]
     tare_tdc: Float64 | None = None  # (S, F) the same with the tare
+    where: Float64 | None = None  # (S, P) features of the grasps, by which touches of one object are compared
 
     @classmethod
     def of_samples(
@@ -123,6 +124,7 @@ class Replayed:
 
     counts: Float64  # (S, D) [counts]
     half: Float64  # (S, D) half widths of the 90 % intervals [counts]
+    deviation: Float64  # (S, D) predicted standard deviations of the readings [counts]
     levels: list[Level]  # (S,) levels of the tracker
     restarted: list[tuple[str, ...]]  # (S,) fingers that each reading restarted
 
@@ -130,7 +132,7 @@ class Replayed:
         """Some of the grasps, by a mask."""
         chosen = np.flatnonzero(index)
         levels, restarted = [self.levels[k] for k in chosen], [self.restarted[k] for k in chosen]
-        return type(self)(self.counts[index], self.half[index], levels, restarted)
+        return type(self)(self.counts[index], self.half[index], self.deviation[index], levels, restarted)
 
 
 def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool = True) -> Replayed:
@@ -144,7 +146,7 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
     Raises:
         TactileError: If a reading or a stamp cannot be used.
     """
-    counts, half = np.empty((2, *recording.readings.shape))
+    counts, half, deviation = np.empty((3, *recording.readings.shape))
     levels, restarted = [], []
     begins = recording.begins()
     for k, (stamp, reading, expected) in enumerate(
@@ -157,11 +159,14 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
         if (tare := recording.tare(k)) is not None:
             names = tracker.add_tare(stamp, tare, tdc=_row(recording.tare_tdc, k))
         levels.append(tracker.level(stamp, tdc=recording.tdc_before(k)))
-        (counts[k],), (half[k],) = tracker.adapt(levels[k], expected[None])
+        where = _row(recording.where, k)
+        (counts[k],), (variance,) = tracker.moments(levels[k], expected[None], None if where is None else where[None])
+        deviation[k] = np.sqrt(variance)
+        half[k] = tracker.factor(levels[k]) * deviation[k]
         if np.isfinite(reading).all():
-            names += tracker.add_touch(stamp, reading, expected, tdc=_row(recording.tdc, k))
+            names += tracker.add_touch(stamp, reading, expected, tdc=_row(recording.tdc, k), where=where)
         restarted.append(tuple(dict.fromkeys(names)))
-    return Replayed(counts, half, levels, restarted)
+    return Replayed(counts, half, deviation, levels, restarted)
 
 
 def predict_after(calibration: Calibration, touched: Recording, asked: Recording) -> tuple[Float64, Float64]:
@@ -264,7 +269,7 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     flagged.sort(key=lambda pair: pair[0].stamp_ns)
     ordered = [sample for sample, _ in flagged]
     readings, expected = np.full((2, len(ordered), model.sensor.channels.size), np.nan)
-    known = np.zeros(len(ordered), np.bool_)
+    known, where = np.zeros(len(ordered), np.bool_), []
     for k, sample in enumerate(ordered):
         for touch in filter(None, (sample.touch, sample.tare)):
             require_same(touch.channels, model.sensor.channels, sample.id)
@@ -272,11 +277,15 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
             if faults := touch_faults(sample.touch):
                 raise TactileError(f"{sample.id}: {faults[0]}")
             readings[k] = sample.touch.values
-        (one,) = model.predict(sample.cloud, [sample.grasp])
-        if one.value is None:
-            raise ModelError(f"{sample.id}: {one.reason}")
-        expected[k], known[k] = one.value.values, "unfamiliar" not in one.flags
+        try:
+            one = model.estimate_executed(sample.cloud, [sample.grasp])
+        except GraspError as err:
+            raise ModelError(f"{sample.id}: {err}") from err
+        expected[k], known[k] = one.counts[0], one.in_distribution[0]
+        where.append(one.where)
     recording = Recording.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
+    described = [one for one in where if one is not None]
+    recording = replace(recording, where=np.concatenate(described)) if len(described) == len(where) else recording
     played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
     return ModelReplay(ordered, recording, played, np.array([mine for _, mine in flagged], np.bool_))
 

@@ -118,6 +118,7 @@ def calibrate_on_folds(
     seed: int,
     predicted: Mapping[str, Float64] | None = None,
     *,
+    where: Float64 | None = None,
     workers: int = 1,
 ) -> tuple[Calibration, dict[str, Any]]:
     """A calibration from held-out predictions.
@@ -130,6 +131,7 @@ def calibrate_on_folds(
         predict: Fits to the training side of a fold and predicts its test side, at rest level.
         seed: Of the folds.
         predicted: (S, D) held-out predictions by condition (see `calibration_folds`), if they are known already.
+        where: (S, P) features of the grasps as of `Estimate`, for models that describe them.
         workers: Number of processes.
 
     Returns:
@@ -151,7 +153,7 @@ def calibrate_on_folds(
     }
     calibration, facts = make_calibration(rest, found)
     if all(sample.stamp_ns > 0 for sample in samples):
-        recording = Recording.of_samples(samples, labels, predicted["new"], rest).ordered()
+        recording = replace(Recording.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
         calibration = replace(calibration, tracker=tracker)
     return calibration, {**facts, "rest": _origin(channels, recorded=recorded)}

@@ -28,6 +28,7 @@ from foretouch.learning.training.srgan import SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.contact.estimator import save_contact
+from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
@@ -48,6 +49,7 @@ class Learner(ABC):
         split: Partition of the dataset into training, validation and test samples.
         samples: The labelled training samples.
         labels: (S, D) their labels [counts].
+        where: (S, P) features of their grasps that the models' estimates hold, too; None of models without.
         epochs: Number of epochs of the last `fit`; 0 for a method without epochs.
 
     Raises:
@@ -60,6 +62,7 @@ class Learner(ABC):
         self.sensor = data.sensor
         self.samples = [data.samples[k] for k in split.train]
         self.labels = labels_of(self.samples)
+        self.where: Float64 | None = None
         self.epochs = 0
 
     @abstractmethod
@@ -95,9 +98,8 @@ class Learner(ABC):
 
     def calibrate(self, predicted: Mapping[str, Float64] | None = None, *, workers: int = 1) -> CardCalibration:
         """See `calibrate_on_folds`; the fitted model stays as it is."""
-        return calibrate_on_folds(
-            self.samples, self.labels, self.predict_fold, self.config.seed, predicted, workers=workers
-        )
+        how: Any = {"where": self.where, "workers": workers}
+        return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, predicted, **how)
 
 
 class ContactLearner(Learner):
@@ -110,6 +112,7 @@ class ContactLearner(Learner):
                 f"contact.ranges: are of {BIOTAC.sensor}, and {data.name} is of {data.sensor.config.name}"
             )
         self._predictor = ContactPredictor(self.samples, self.labels, config.contact)
+        self.where = self._predictor.rows[:, len(CONDITIONS) :]
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
         """As `Learner.fit`; it takes seconds, so a run that was stopped starts again."""

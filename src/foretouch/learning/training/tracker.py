@@ -9,6 +9,10 @@ electrodes' slopes over it follow in a second step, with all others as found, so
 without this step. The taxels of a finger are correlated and count as
 5 values. Since a lab records few objects on few days, weak priors keep values that the recordings cannot determine in a
 plausible range.
+
+Where grasps are described by features, a last step finds how much touches say about similar places on the same object
+(`models.similar_touches`): one length, and a ratio of variances for each modality, of a few, which make the readings that
+the tracker predicts one after the other most likely. Without a gain the ratio is 0.
 """
 
 from collections.abc import Callable
@@ -29,6 +33,9 @@ _ALARM_QUANTILE: Final = 0.99
 _LEAST_ALARM: Final = (2.0, 0.5)  # of mean square and squared mean: below, nothing jumped
 _STEP: Final = 1e-3  # of the finite differences
 _ITERATIONS: Final = 25
+_LENGTHS: Final = (0.35, 0.5, 1.0, 2.0)  # in deviations between grasps on one object, in each direction
+_RATIOS: Final = (0.5, 1.0, 2.0, 4.0, 8.0)
+_LEAST_SCALE: Final = 1e-4  # of a feature: metres, and numbers without a unit
 _MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
 
 # Mean of the electrodes' slopes over TDC, and logarithm of their deviation: mean and deviation of the prior, and limits.
@@ -73,7 +80,8 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
     times = {"slow_time_s": slow_s, "fast_time_s": fast_s}
     fitted = replace(parameters, **states, **times, noise=parameters.noise * noise, tare_noise=tare)
     fitted = _with_intervals(fitted, recording)  # without slopes as yet, so that TDC changes no interval
-    return fitted if recording.tdc is None else replayed.with_slopes(fitted)
+    fitted = fitted if recording.tdc is None else replayed.with_slopes(fitted)
+    return fitted if recording.where is None else fit_places(fitted, recording)
 
 
 class _Replay:
@@ -196,11 +204,9 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
     """The factor of the intervals and the limits of the innovation test, from the recording replayed once."""
     patient = replace(parameters, alarm=np.full_like(parameters.alarm, 1e6))
     played = replay(SensorTracker(patient), recording)
-    noise = parameters.basis**2 @ parameters.noise[NEW]
-    deviation = np.sqrt(np.array([level.variance for level in played.levels]) + noise)
     innovations = recording.readings - recording.expected - [level.offset for level in played.levels]
-    scores = np.abs(recording.readings - played.counts) / deviation
-    statistics = [innovation_statistics(row, parameters.channels) for row in innovations / deviation]
+    scores = np.abs(recording.readings - played.counts) / played.deviation
+    statistics = [innovation_statistics(row, parameters.channels) for row in innovations / played.deviation]
     _, index, counts = np.unique(recording.objects, return_inverse=True, return_counts=True)
     weights = np.repeat(1.0 / counts[index], parameters.channels.size).reshape(
         scores.shape
@@ -211,3 +217,30 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
     ]
     alarm = np.maximum(np.quantile(statistics, _ALARM_QUANTILE, axis=0), _LEAST_ALARM)
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)
+
+
+def fit_places(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
+    """The same parameters with the most likely length and ratios of the features of grasps."""
+    where, runs = np.asarray(recording.where), recording.runs()
+    deviation = np.sqrt(np.mean([where[runs == run].var(axis=0) for run in np.unique(runs)], axis=0))
+    unit = np.maximum(deviation, _LEAST_SCALE) * np.sqrt(len(deviation))
+    recording = recording.take(np.arange(len(runs))[-_MOST_READINGS:])
+    patient = replace(parameters, alarm=np.full_like(parameters.alarm, 1e6))
+    count = np.array([min(own.size, _EFFECTIVE_VALUES) for own in parameters.channels.modality_columns.values()])
+    none = np.zeros(len(count))
+    nowhere = count * _likelihood(patient, recording)
+    best, highest = parameters, -np.inf
+    for length in _LENGTHS:
+        tried = [replace(patient, where_scale=length * unit, where_ratio=none + ratio) for ratio in _RATIOS]
+        found = np.array([nowhere, *(count * _likelihood(one, recording) for one in tried)])
+        if (total := found.max(axis=0).sum()) > highest:
+            ratio = np.array([0.0, *_RATIOS])[found.argmax(axis=0)]
+            highest, best = total, replace(parameters, where_scale=length * unit, where_ratio=ratio)
+    return best
+
+
+def _likelihood(parameters: TrackerParameters, recording: Recording) -> Float64:
+    """(M,) log likelihood of a mean value of each modality, as the tracker predicts the readings one after the other."""
+    played = replay(SensorTracker(parameters), recording)
+    surprise = 0.5 * ((recording.readings - played.counts) / played.deviation) ** 2 + np.log(played.deviation)
+    return np.asarray(-(parameters.channels.modality_means @ surprise.sum(axis=0)), np.float64)

@@ -62,7 +62,8 @@ class ContactEstimator:
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        return Estimate(*self.predict_rows(HandFrameFeatures(cloud.xyz).describe(grasps)))
+        rows = HandFrameFeatures(cloud.xyz).describe(grasps)
+        return Estimate(*self.predict_rows(rows), rows[:, len(CONDITIONS) :])
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
@@ -147,6 +148,9 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     except ConfigError as err:
         raise ModelError(str(err)) from err
     calibration, _ = load_calibration(card_path, card, ranges.channels)
+    tracker = None if calibration is None else calibration.tracker_parameters
+    if tracker and tracker.where_ratio.any() and tracker.where_scale.size != len(FEATURES) - len(CONDITIONS):
+        raise ModelError(f"{card_path}: where_scale: {tracker.where_scale.size} features are not those of the model")
     path = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(path, card["sha256"], card_path.name)
     try:

@@ -1,13 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The predictions of one request as messages: of any sensor, or of the BioTac SP, then also as the bytes that are sent.
-
-For each `TouchPrediction` rclpy would convert 50 `Interval` objects, which takes longer than to predict. The bytes are CDR as in
-`foretouch.dataset.messages`: numbers at multiples of their size, strings with their length and a final zero. Here each part
-ends at a multiple of four bytes.
-"""
+"""The predictions of one request as messages: one for each grasp, or arrays of all."""
 
 import array
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -15,18 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Duration
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import grasp_numbers
-from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields, prediction_to_msg, refusal_to_msg
-from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
+from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields
 from foretouch.tactile.description import Sensor
-from foretouch.topics import PREDICTED_TOPIC
-from foretouch.types import Evidence, Float64, Index, Touch, TouchPrediction
+from foretouch.types import Evidence, Float32, Float64, Grasp, Index, TouchPrediction, TouchPredictions
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Status, TactilePrediction, TactilePredictionArray, TouchPredictionArray
+from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatch
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
+
+_ENDS = {"value": ("values", "scalars"), "lower": ("lower", "scalars_lower"), "upper": ("upper", "scalars_upper")}
 
 
 class Refusal(NamedTuple):
@@ -36,12 +28,7 @@ class Refusal(NamedTuple):
     reason: str
 
 
-def other_sensor(sensor: Sensor | None) -> Refusal | None:
-    """Why `TouchPrediction` cannot hold predictions for a sensor; None for the BioTac SP, and without a model."""
-    if sensor is None or sensor.is_biotac:
-        return None
-    text = f"the model predicts {sensor.config.name}, not {BIOTAC.sensor}: its predictions are on the topic {PREDICTED_TOPIC}"
-    return Refusal(Status.REFUSED, text)
+_OK = Refusal(Status.OK, "")
 
 
 @dataclass(eq=False)
@@ -49,192 +36,127 @@ class TouchAnswer:
     """What is known of the grasps of a request, in their order."""
 
     header: Header  # of the cloud
-    grasps: Sequence[GraspMsg]
-    outcomes: Sequence[TouchPrediction | Refusal]  # predictions have a value
+    grasps: Sequence[GraspMsg | Grasp | Refusal]  # messages; of a request that holds arrays what was read from them
+    outcomes: Sequence[TouchPrediction | Refusal]  # predictions have a value; `TouchPredictions` are never made objects
     flags: tuple[str, ...] = ()  # of all, beside those of each
     age: Duration = field(default_factory=Duration)  # of the cloud
     model: str = ""  # its name
     model_sha256: str = ""
     sensor: Sensor | None = None  # whose readings are predicted; None without a model
+    arrays: bool = False  # whether the request holds arrays
+    rotations: Float64 | None = None  # (K, 3, 3) that were computed for it, in the frame of the header; zeros for none
 
     @cached_property
     def summary(self) -> Refusal:
         """OK without a reason if any prediction is, else the refusal of the first."""
-        refused = [one for one in self.outcomes if isinstance(one, Refusal)]
-        return refused[0] if refused and len(refused) == len(self.outcomes) else Refusal(Status.OK, "")
+        refused = [refusal for refusal, _ in self._states if refusal.status != Status.OK]
+        return refused[0] if refused and len(refused) == len(self.outcomes) else _OK
 
     @property
-    def answered(self) -> list[GraspMsg]:
+    def answered(self) -> list[Any]:
         """The grasps that have a prediction."""
-        return [grasp for grasp, outcome in self._pairs if not isinstance(outcome, Refusal)]
+        return [grasp for grasp, (refusal, _) in zip(self.grasps, self._states, strict=True) if refusal is _OK]
 
-    def prediction(self, k: int) -> TouchPredictionMsg:
-        """The message of one of them."""
-        outcome, grasp = self.outcomes[k], self.grasps[k]
-        if isinstance(outcome, Refusal):
-            message = refusal_to_msg(grasp, self.header, *outcome)
-        else:
-            message = prediction_to_msg(outcome, grasp, self.header)
-        message.flags = [*message.flags, *self.flags]
-        message.input_age = self.age
-        message.model, message.model_sha256 = self.model, self.model_sha256
-        return message
+    @property
+    def _states(self) -> list[tuple[Refusal, tuple[str, ...]]]:
+        """Refusal, or `_OK`, and flags of each grasp."""
+        if isinstance(self.outcomes, TouchPredictions):
+            return [(_OK, flags) for flags in self.outcomes.flags]
+        return [(one, ()) if isinstance(one, Refusal) else (_OK, one.flags) for one in self.outcomes]
+
+    @property
+    def reply(self) -> TouchPredictionArray | TouchPredictionBatch:
+        """The answer in the form of the request."""
+        return self.batch if self.arrays else self.message
 
     @property
     def message(self) -> TouchPredictionArray:
-        """The message of all."""
-        return TouchPredictionArray(
-            header=self.header,
-            predictions=[self.prediction(k) for k in range(len(self.outcomes))],
-            **self.summary._asdict(),
-        )
-
-    @property
-    def tactile(self) -> TactilePredictionArray:
-        """The message of all for any sensor; without predictions if there is no model."""
-        made = [] if self.sensor is None else [self._tactile(self.sensor, *one) for one in self._pairs]
-        return TactilePredictionArray(header=self.header, predictions=made, **self.summary._asdict())
-
-    @property
-    def _pairs(self) -> "zip[tuple[GraspMsg, TouchPrediction | Refusal]]":
-        return zip(self.grasps, self.outcomes, strict=True)
-
-    def _tactile(self, sensor: Sensor, grasp: GraspMsg, outcome: TouchPrediction | Refusal) -> TactilePrediction:
-        ends: tuple[Touch | None, ...] = (None, None, None)
-        flags: tuple[str, ...] = ()
-        if isinstance(outcome, Refusal):
-            fields: dict[str, Any] = {**outcome._asdict(), **evidence_fields(Evidence())}
-        else:
-            ends, flags = (outcome.value, outcome.lower, outcome.upper), outcome.flags
-            fields = {"reference": REFERENCE_CODES[outcome.reference], **evidence_fields(outcome.evidence)}
-        for name, touch in zip(("values", "lower", "upper"), ends, strict=True):
-            fields[name] = _floats(touch, sensor.taxel_columns)
-        for name, touch in zip(("scalars", "scalars_lower", "scalars_upper"), ends, strict=True):
-            fields[name] = _floats(touch, sensor.scalar_columns)
-        return TactilePrediction(
-            header=self.header,
-            grasp=grasp,
-            sensor=sensor.config.name,
-            sensor_sha256=sensor.sha256,
-            fingers=sensor.channels.fingers,
-            channels=[one.name for one in sensor.taxel_channels],
-            valid=array.array("B", sensor.valid.tobytes()),
-            scalar_channels=[one.name for one in sensor.scalar_channels],
-            flags=[*flags, *self.flags],
-            model=self.model,
-            model_sha256=self.model_sha256,
-            input_age=self.age,
-            **fields,
-        )
-
-    def encoded(self) -> bytes:
-        """The message of all as the middleware sends it."""
-        parts: list[bytes] = [self._begin, struct.pack("<I", len(self.outcomes))]
-        at = sum(map(len, parts))
-        tails: dict[Any, bytes] = {}
-        for outcome, names, numbers in zip(self.outcomes, *self._fixed, strict=True):
-            key = outcome if isinstance(outcome, Refusal) else (outcome.flags, outcome.reference, outcome.evidence)
-            if (tail := tails.get(key)) is None:
-                tail = tails[key] = self._tail(outcome)
-            gap = -(at + len(names)) % 8  # doubles begin at multiples of their size
-            parts += (names, bytes(gap), numbers, tail)
-            at += len(names) + gap + len(numbers) + len(tail)
-        status, reason = self.summary
-        end = _text(reason)[: 4 + len(reason.encode()) + 1]  # nothing follows
-        return b"".join((b"\0\1\0\0", *parts, struct.pack("<B3x", status), end))  # the header: little-endian
-
-    @cached_property
-    def _begin(self) -> bytes:
-        stamp = self.header.stamp
-        return struct.pack("<iI", stamp.sec, stamp.nanosec) + _text(self.header.frame_id)
-
-    @cached_property
-    def _fixed(self) -> tuple[list[bytes], list[bytes]]:
-        """Of each prediction what does not depend on flags and age: the part before its numbers, and these."""
-        names = [self._begin + _text(one.id) + _text(one.object_id) for one in self.grasps]
-        doubles = _rows(grasp_numbers(self.grasps).astype("<f8"))
-        scores = _rows(np.array([one.score for one in self.grasps], "<f4")[:, None])
-        numbers = [
-            b"".join((pose, score, struct.pack("<B3x", one.status), _text(one.reason), counts))
-            for one, pose, score, counts in zip(
-                self.grasps, doubles, scores, _rows(_intervals(self.outcomes)), strict=True
+        """A message for each grasp."""
+        shared, numbers = self._shared, self._numbers
+        rows = {name: [array.array("f", row.tobytes()) for row in table] for name, table in numbers.items()}
+        made = []
+        for k, (grasp, ((status, reason), flags)) in enumerate(zip(self.grasps, self._states, strict=True)):
+            made.append(
+                TouchPredictionMsg(
+                    header=self.header,
+                    grasp=grasp,
+                    status=status,
+                    reason=reason,
+                    flags=[*flags, *self.flags],
+                    **_adapted(self.outcomes[k]),
+                    **shared,
+                    **{name: table[k] for name, table in rows.items()},
+                )
             )
-        ]
-        return names, numbers
+        return TouchPredictionArray(header=self.header, predictions=made, **self.summary._asdict())
 
-    def _tail(self, outcome: TouchPrediction | Refusal) -> bytes:
-        """The fields after the intervals."""
-        if isinstance(outcome, Refusal):
-            reference, flags, status, reason = TouchPredictionMsg.NONE, self.flags, *outcome
-            evidence: dict[str, Any] = {}
+    @property
+    def batch(self) -> TouchPredictionBatch:
+        """All grasps of a request that holds arrays."""
+        refusals, flags = [one for one, _ in self._states], [(*own, *self.flags) for _, own in self._states]
+        names = list(dict.fromkeys(flag for one in set(flags) for flag in sorted(one)))
+        flagged = np.array([[name in one for name in names] for one in flags], np.uint8)
+        rotations = np.zeros(0) if self.rotations is None else self.rotations
+        first = next((k for k, one in enumerate(refusals) if one is _OK), 0)
+        return TouchPredictionBatch(
+            header=self.header,
+            rotations=array.array("d", rotations.tobytes()),
+            statuses=array.array("B", [one.status for one in refusals]),
+            reasons=[one.reason for one in refusals],
+            flags=names,
+            flagged=array.array("B", flagged.tobytes()),
+            **self.summary._asdict(),
+            **_adapted(self.outcomes[first]),
+            **self._shared,
+            **{name: array.array("f", table.tobytes()) for name, table in self._numbers.items()},
+        )
+
+    @property
+    def _shared(self) -> dict[str, Any]:
+        """Fields that are the same for all grasps."""
+        fields = {"model": self.model, "model_sha256": self.model_sha256, "input_age": self.age}
+        return fields if self.sensor is None else fields | _sensor_fields(self.sensor)
+
+    @property
+    def _numbers(self) -> dict[str, Float32]:
+        """(K, F N C) and (K, F S) float32 by field: values, scalars and their bounds; NaN where there is none."""
+        if self.sensor is None or not self.outcomes:
+            return {}
+        shape = (len(self.outcomes), self.sensor.channels.size)
+        if isinstance(self.outcomes, TouchPredictions):
+            rows = np.array([self.outcomes.values, *(self.outcomes.bounds or [np.full(shape, np.nan)] * 2)])
         else:
-            reference, flags = REFERENCE_CODES[outcome.reference], (*outcome.flags, *self.flags)
-            status, reason, evidence = Status.OK, "", evidence_fields(outcome.evidence)
-        ages = [evidence.get(name) or Duration() for name in ("touch_age", "reading_age")]
-        return b"".join((
-            struct.pack("<BB2x", reference, status),
-            _text(reason),
-            struct.pack("<I", len(flags)),
-            *map(_text, flags),
-            _text(self.model),
-            _text(self.model_sha256),
-            struct.pack("<iI", self.age.sec, self.age.nanosec),
-            struct.pack("<IiI", evidence.get("touches", 0), ages[0].sec, ages[0].nanosec),
-            struct.pack("<IiI", evidence.get("readings", 0), ages[1].sec, ages[1].nanosec),
-        ))  # fmt: skip
+            none = np.full(shape[1], np.nan)
+            touches = [getattr(one, end, None) for end in _ENDS for one in self.outcomes]
+            rows = np.concatenate([none if touch is None else touch.values for touch in touches])
+        with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
+            table = rows.astype(np.float32).reshape(len(_ENDS), *shape)
+        taxels, scalars = (table[..., columns] for columns in _columns(self.sensor))
+        ends = zip(_ENDS.values(), taxels, scalars, strict=True)
+        return {name: part for names, *parts in ends for name, part in zip(names, parts, strict=True)}
 
 
 @cache
-def middleware_reads_cdr() -> bool:
-    """Whether the middleware of this process reads what `TouchAnswer.encoded` writes; tried once."""
-    touch = biotac_touch(np.arange(float(TOUCH_SIZE)))
-    grasps = [GraspMsg(id="x" * k, score=0.5, reason="y") for k in range(3)]
-    known = TouchPrediction(
-        None,  # type: ignore[arg-type]
-        *(touch, touch, touch),
-        reference="touches",
-        flags=("a",),
-        evidence=Evidence(1, 2.5, 3, 4.5),
-    )
-    answer = TouchAnswer(Header(frame_id="cam"), grasps, [known] * len(grasps), ("late",), Duration(sec=5), "m", "s")
-    try:
-        return bool(deserialize_message(answer.encoded(), TouchPredictionArray) == answer.message)
-    except Exception:  # noqa: BLE001  rclpy declares no type for it
-        return False
+def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
+    """The fields that describe the arrays."""
+    return {
+        "sensor": sensor.config.name,
+        "sensor_sha256": sensor.sha256,
+        "fingers": list(sensor.channels.fingers),
+        "channels": [one.name for one in sensor.taxel_channels],
+        "valid": array.array("B", sensor.valid.tobytes()),
+        "scalar_channels": [one.name for one in sensor.scalar_channels],
+    }
 
 
-def _text(text: str) -> bytes:
-    """A string, filled up to a multiple of four bytes."""
-    data = text.encode().partition(b"\0")[0] + b"\0"
-    return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
+@cache
+def _columns(sensor: Sensor) -> tuple[Index, Index]:
+    """Columns of a touch in the order of a message: (F N C,) of the taxels, (F S,) of the scalars."""
+    return sensor.taxel_columns.ravel(), sensor.scalar_columns.ravel()
 
 
-def _rows(array: Any) -> list[bytes]:
-    """The bytes of each row."""
-    data = array.tobytes()
-    size = len(data) // max(1, len(array))
-    return [data[k * size : (k + 1) * size] for k in range(len(array))]
-
-
-def _intervals(outcomes: Sequence[TouchPrediction | Refusal]) -> Any:
-    """(K, 50, 3) little-endian float32: value, lower and upper bound of each; NaN where there is none [counts]."""
-    table = np.full((len(outcomes), TOUCH_SIZE, 3), np.nan, "<f4")
-    known = [(k, one) for k, one in enumerate(outcomes) if not isinstance(one, Refusal)]
-    for column, name in enumerate(("value", "lower", "upper")):
-        rows = [(k, touch) for k, one in known if (touch := getattr(one, name)) is not None]
-        if rows:
-            with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
-                table[[k for k, _ in rows], :, column] = _vectors([touch for _, touch in rows])
-    return table
-
-
-def _floats(touch: Touch | None, columns: Index) -> "array.array[float]":
-    """Values of a touch as float32, which rclpy takes over as they are; NaN without one."""
-    values = np.full(columns.size, np.nan) if touch is None else touch.values[columns.ravel()]
-    with np.errstate(over="ignore"):
-        return array.array("f", values.astype(np.float32).tobytes())
-
-
-def _vectors(touches: Sequence[Touch]) -> Float64:
-    """(K, 50) float64, the values of each."""
-    return np.concatenate([one.values for one in touches]).reshape(len(touches), -1)
+def _adapted(outcome: TouchPrediction | Refusal) -> dict[str, Any]:
+    """The fields that hold what a prediction was adapted to."""
+    if isinstance(outcome, Refusal):
+        return evidence_fields(Evidence())
+    return {"reference": REFERENCE_CODES[outcome.reference], **evidence_fields(outcome.evidence)}

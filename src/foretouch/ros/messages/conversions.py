@@ -2,9 +2,7 @@
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
 import array
-import math
-from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -12,29 +10,16 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
+from foretouch.channels import read_prediction
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import Obstacles, quaternion_xyzw
-from foretouch.tactile import ELECTRODES, TOUCH_SIZE
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import (
-    Interval,
-    Status,
-    TablePlane,
-    TactilePrediction,
-    TactilePredictionArray,
-    TouchPredictionArray,
-)
+from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
-
-AnyPrediction: TypeAlias = TouchPredictionMsg | TactilePrediction
-"""For the BioTac SP, or for any sensor."""
-
-AnyAnswer: TypeAlias = TouchPredictionArray | TactilePredictionArray
-"""The predictions of one cloud, of either type."""
 
 REFERENCE_CODES: dict[Reference, int] = {
     "none": TouchPredictionMsg.NONE,
@@ -144,66 +129,30 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
     )
 
 
-def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
-    """Convert the prediction for one grasp, which has a value, with the header of the cloud; the node adds the rest."""
-    return _prediction(
-        header=header,
-        grasp=grasp,
-        **_modalities(prediction.value, prediction.lower, prediction.upper),
-        reference=REFERENCE_CODES[prediction.reference],
-        status=Status.OK,
-        reason="",
-        flags=list(prediction.flags),
-        **evidence_fields(prediction.evidence),
-    )
-
-
-def _prediction(**fields: Any) -> TouchPredictionMsg:
-    """A message of these fields, not by its constructor, which makes 50 intervals first, as slow as all else."""
-    message = TouchPredictionMsg.__new__(TouchPredictionMsg)
-    message._check_fields = False  # noqa: SLF001
-    for name, value in {**fields, "model": "", "model_sha256": "", "input_age": Duration()}.items():
-        setattr(message, name, value)
-    return message
-
-
-def _intervals(rows: Sequence[tuple[float, float, float]]) -> list[Interval]:
-    """Intervals of value, lower and upper bound, made without their constructor."""
-    made = []
-    for value, low, high in rows:
-        one = Interval.__new__(Interval)
-        one._check_fields, one._value, one._lower, one._upper = False, value, low, high  # noqa: SLF001
-        made.append(one)
-    return made
-
-
-def values_from_msg(message: AnyPrediction, sensor: Sensor) -> Float64:
+def values_from_msg(message: TouchPredictionMsg, sensor: Sensor) -> Float64:
     """(3, D) value, lower and upper bounds of a prediction, float32 in double precision; NaN where there is none.
 
-    A `ModelError` if it is for another sensor.
+    A `ModelError` if it is for another sensor, a `TactileError` if its arrays do not fit their names.
     """
-    if isinstance(message, TouchPredictionMsg):
-        rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
-        return np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
+    if not len(message.values):  # without a model there is no sensor
+        return np.full((3, sensor.channels.size), np.nan)
     if message.sensor_sha256 != sensor.sha256:
         raise ModelError(f"sensor: {message.sensor} ({message.sensor_sha256[:8]}) is not {sensor.config.name}")
-    columns = np.concatenate([sensor.scalar_columns.ravel(), sensor.taxel_columns.ravel()])
-    found = np.empty((3, columns.size))
-    ends = [
-        (message.scalars, message.values),
-        (message.scalars_lower, message.lower),
-        (message.scalars_upper, message.upper),
-    ]
-    found[:, columns] = [[*scalars, *taxels] for scalars, taxels in ends]
-    return found
+    parts, names = read_prediction(message), [one.name for one in sensor.channels.channels]
+    if unknown := [name for name in names if name not in parts]:
+        raise ModelError(f"channels: {unknown[0]} of {sensor.config.name} is missing")
+    found = [parts[name] for name in names]
+    ends = ([one.ravel() for one in end] for end in (found, [p.lower for p in found], [p.upper for p in found]))
+    return np.array([np.concatenate(end) for end in ends], np.float64)
 
 
-def prediction_from_msg(message: AnyPrediction, sensor: Sensor = BIOTAC_SP) -> TouchPrediction:
+def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP) -> TouchPrediction:
     """Convert a received prediction; values are float32, and NaN bounds become None.
 
     Raises:
         GraspError: As `decode_grasp`.
         ModelError: If the reference is unknown, or the prediction is for another sensor.
+        TactileError: If its arrays do not fit their names.
     """
     value, lower, upper = values_from_msg(message, sensor)
     if (reference := _REFERENCE_NAMES.get(message.reference)) is None:
@@ -238,7 +187,7 @@ def _age(duration: Duration) -> float | None:
     return None if seconds < 0.0 else float(seconds)
 
 
-def reference_text(message: AnyPrediction) -> str:
+def reference_text(message: TouchPredictionMsg) -> str:
     """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
     name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
     return evidence_text(name, message.touches, message.readings)
@@ -252,20 +201,3 @@ def evidence_text(reference: str, touches: int, readings: int) -> str:
         "history": f"history of {readings} readings",
     }
     return texts.get(reference, reference)
-
-
-def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:
-    """Make the message of a refused prediction: every value is NaN, with a status and a reason."""
-    return TouchPredictionMsg(header=header, grasp=grasp, **_modalities(None, None, None), status=status, reason=reason)
-
-
-def _modalities(value: Touch | None, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
-    """The fields pdc_th, pdc_mf, e_th and e_mf of a message; what is unknown becomes NaN."""
-    columns = [touch.values if touch else np.full(TOUCH_SIZE, math.nan) for touch in (value, lower, upper)]
-    intervals = _intervals(np.stack(columns, axis=1).tolist())
-    return {
-        "pdc_th": intervals[0],
-        "pdc_mf": intervals[1],
-        "e_th": intervals[2 : 2 + ELECTRODES],
-        "e_mf": intervals[2 + ELECTRODES :],
-    }

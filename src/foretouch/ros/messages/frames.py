@@ -19,7 +19,7 @@ from foretouch.dataset.messages import has_orientation, rotation_from_quaternion
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.ros.messages.answers import TouchAnswer
-from foretouch.ros.messages.requests import read_cloud
+from foretouch.ros.messages.requests import GraspArrays, read_cloud
 from foretouch.types import Float64
 from foretouch_msgs.msg import Grasp, TouchPrediction
 
@@ -90,6 +90,13 @@ class FrameTransform:
             moved.rotation = (self.rotation @ np.asarray(grasp.rotation, np.float64).reshape(3, 3)).reshape(9)
         return moved
 
+    def grasps(self, grasps: Sequence[Grasp] | GraspArrays) -> Sequence[Grasp] | GraspArrays:
+        """All grasps of a request."""
+        if not isinstance(grasps, GraspArrays):
+            return [self.grasp(one) for one in grasps]
+        rotations = None if grasps.rotations is None else self.rotation @ grasps.rotations
+        return replace(grasps, contacts=self.points(grasps.contacts), rotations=rotations)
+
     def plane(self, plane: PlaneMsg) -> PlaneMsg:
         """A plane; four zeros, which stand for none, stay."""
         coefficients = np.asarray(plane.coef, np.float64)
@@ -125,9 +132,13 @@ class FrameTransform:
 
     def answer(self, answer: TouchAnswer, grasps: Sequence[Grasp] | None = None) -> TouchAnswer:
         """Predictions; those of `grasps` that had a pose stay as they were given, in the frame of the target."""
+        header = self.header(answer.header)
+        if answer.arrays:
+            rotations = None if answer.rotations is None else self.rotation @ answer.rotations
+            return replace(answer, header=header, rotations=rotations)
         pairs = zip(answer.grasps, grasps or [None] * len(answer.grasps), strict=True)
         moved = [self.grasp(one) if given is None or not has_orientation(given) else given for one, given in pairs]
-        return replace(answer, header=self.header(answer.header), grasps=moved)
+        return replace(answer, header=header, grasps=moved)
 
     def _prediction(self, prediction: TouchPrediction) -> TouchPrediction:
         """A prediction with its grasp."""

@@ -3,8 +3,10 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
+import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
@@ -19,7 +21,7 @@ from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Plane
+from foretouch.types import Cloud, Float64, Plane
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _CODES: dict[str, int] = {name.lower(): getattr(Status, name) for name in dir(Status) if name.isupper()}
@@ -35,6 +37,19 @@ def status_code(name: str) -> int:
 def status_name(code: int) -> str:
     """The reverse of `status_code`, for logs and diagnostics."""
     return _NAMES.get(code, f"status {code}")
+
+
+@dataclass(frozen=True, eq=False)
+class GraspArrays:
+    """Grasps of a request that holds arrays."""
+
+    contacts: Float64  # (K, 2, 3) float64 [m], g1 and g2
+    rotations: Float64 | None  # (K, 3, 3) float64; None: all are computed
+    object_id: str  # of the object that they are on, "" for the only one
+    id: str  # before the numbers of the grasps; "" if they have no ids
+
+    def __len__(self) -> int:
+        return len(self.contacts)
 
 
 class RefusalError(ForetouchError):
@@ -61,6 +76,19 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
     except Exception as err:  # rclpy declares no type for it
         raise DatasetError(f"{kind.__name__}: {len(data)} bytes cannot be deserialized: {err}") from err
     return message
+
+
+def read_arrays(request: Any) -> GraspArrays:
+    """The grasps of a `PredictTouch.Request` that holds arrays; a `RefusalError`, BAD_REQUEST, if their sizes differ."""
+    contacts, rotations = (np.array(one, np.float64) for one in (request.contacts, request.rotations))
+    if len(request.grasps):
+        raise RefusalError(Status.BAD_REQUEST, "contacts: grasps are given too")
+    for name, array, size in (("contacts", contacts, 6), ("rotations", rotations, 9)):
+        if array.size % size or array.size // size not in {0, contacts.size // 6}:
+            expected = f"{contacts.size // 6} x 9" if size == 9 else "a multiple of 6"
+            raise RefusalError(Status.BAD_REQUEST, f"{name}: {array.size} numbers are not {expected}")
+    turned = rotations.reshape(-1, 3, 3) if rotations.size else None
+    return GraspArrays(contacts.reshape(-1, 2, 3), turned, request.object_id, request.id)
 
 
 def read_cloud(message: PointCloud2) -> Cloud:

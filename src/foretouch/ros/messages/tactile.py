@@ -1,24 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`BiotacAll` as the Shadow Hand's driver sends it, and the topic and classes of the supported tactile messages.
+"""Tactile messages as drivers send them: `BiotacAll`, and those of a described sensor; their topic and classes.
 
 Tactile messages are decoded in `foretouch.tactile.messages`.
 """
 
 import array
 import importlib
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import MissingDependencyError
-from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.messages.conversions import header_to_msg, stamp_to_msg
 from foretouch.tactile import ELECTRODES
+from foretouch.tactile.description import STAMP_UNITS, Sensor
+from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, OTHERS
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import TACTILE_TOPIC
+from foretouch.types import Float64
 from foretouch_msgs.msg import Biotac, BiotacAll
 
 Counts = npt.NDArray[np.int16]
@@ -50,6 +56,73 @@ def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds:
         for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER)
     ]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)
+
+
+def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanoseconds: int) -> Any:
+    """A message that the decoder of a described sensor reads (`foretouch.tactile.messages.described`).
+
+    Args:
+        kind: Class of the message (see `tactile_class`).
+        sensor: The description, by whose field paths the message is filled.
+        readings: (V,) values of each grasping finger, in the order of the channels of a touch.
+        nanoseconds: Stamp [ns].
+
+    Other numbers of a finger are 0, or as near to it as their range allows.
+    """
+    message, config = kind(), sensor.config
+    ends = np.cumsum([size for _, size in sensor.predicted])
+    for finger, values in zip(config.chosen_fingers(), readings, strict=True):
+        known = dict(zip((one.name for one, _ in sensor.predicted), np.split(values, ends), strict=False))
+        for channel in (*config.scalars, *config.values):
+            path = f"{finger.field}.{channel.field}".strip(".").replace(".[", "[")
+            absent = np.full(sensor.size if channel in config.values else 1, np.clip(0.0, *channel.limits))
+            _write(message, FieldPath(path).steps, known.get(channel.name, absent).tolist(), _number)
+    if config.source.stamp:
+        unit_ns = STAMP_UNITS[config.source.stamp_unit]
+        _write(message, FieldPath(config.source.stamp).steps, [nanoseconds], partial(_stamp, unit_ns))
+    return message
+
+
+def _write(owner: Any, steps: Sequence[Any], data: Sequence[Any], convert: Callable[[str, Any], Any]) -> None:
+    """Write numbers where a field path leads to, as the type there asks for; elements that are missing are made."""
+    name, *rest = steps
+    kind = owner.get_fields_and_field_types()[name]
+    if not rest:
+        found = [convert(kind, one) for one in data]
+        setattr(owner, name, found if kind[-1] in ">]" else found[0])
+        return
+    if isinstance(rest[0], str):
+        _write(getattr(owner, name), rest, data, convert)
+        return
+    items, step, *rest = list(getattr(owner, name)), *rest
+    places, parts = [step], [data]
+    if isinstance(step, slice):
+        first, stride = step.start or 0, step.step or 1
+        places, parts = list(range(first, first + stride * len(data), stride)), [[one] for one in data]
+    elif isinstance(step, tuple):
+        places = [next((k for k, one in enumerate(items) if str(getattr(one, step[0])) == step[1]), len(items))]
+    element = re.split("[<>,[]", kind)[1 if "<" in kind else 0]
+    while len(items) <= places[-1]:
+        items.append(tactile_class(element)() if "/" in element else 0)
+    for place, part in zip(places, parts, strict=True):
+        if isinstance(step, tuple):
+            text = items[place].get_fields_and_field_types()[step[0]] == "string"
+            setattr(items[place], step[0], step[1] if text else int(step[1]))
+        if rest:
+            _write(items[place], rest, part, convert)
+        else:
+            items[place] = convert(kind, part[0])
+    setattr(owner, name, items)
+
+
+def _number(kind: str, value: float) -> float:
+    return int(value) if "int" in kind else value
+
+
+def _stamp(unit_ns: int, kind: str, nanoseconds: int) -> Any:
+    if "/" in kind:
+        return stamp_to_msg(nanoseconds)
+    return nanoseconds // unit_ns if "int" in kind else nanoseconds / unit_ns
 
 
 def tactile_class(type_name: str) -> type:

@@ -3,7 +3,8 @@
 
 Tactile messages are published at 100 Hz while the node is active, at rest and during every grasp. The contact is
 computed for the pose that the object had at the stamp of the cloud that the grasp was planned on; a simulated camera
-with the same `scene` parameters shows it in that pose.
+with the same `scene` parameters shows it in that pose. The messages are those of the scene's sensor: `BiotacAll` for the BioTac SP, else
+those that the description of the sensor names.
 
 Threads: the executor's callbacks store the newest grasps; one thread publishes each message when it is due; another
 computes contacts, so that a slow computation delays no message.
@@ -25,7 +26,7 @@ from foretouch.config import setting
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
-from foretouch.ros.messages.tactile import biotac_all_to_msg
+from foretouch.ros.messages.tactile import biotac_all_to_msg, sensor_to_msg, tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
@@ -81,7 +82,10 @@ class HandConfig(NodeConfig):
     faults: TactileFaultConfig = field(default_factory=TactileFaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     biotacs: tuple[str, ...] = setting(
-        ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGER_ORDER, read_only=True
+        ("MF", "TH"),
+        "Fingers with a BioTac, where the scene has any; the others send zeros",
+        choices=FINGER_ORDER,
+        read_only=True,
     )
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
 
@@ -122,10 +126,13 @@ class HandNode(ForetouchNode[HandConfig]):
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
             self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)
         at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
-        self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
+        self._sensor = sensor = self._hand.sensor
+        self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING and sensor.is_biotac]
+        kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
         self._solver: Worker[_Command] = Worker("hand-contact", 1, self._solve, lambda _, why: self._drop(why))
-        self._tactile = self.advertise(BiotacAll, TACTILE_TOPIC, depth=_DEPTH)
+        self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
+        self._message_class: Any = kind
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
         self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
         for k, name in enumerate(_GRASPING):
@@ -186,9 +193,11 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _on_press(self, finger: int, _request: Any, response: Any) -> Any:
         if self._hand is not None:
-            added = np.zeros((2, 25), np.int16)
-            added[finger] = self._hand.press(finger)
-            self._pressed = added, time.monotonic() + _PRESS_S
+            press = self._hand.press(finger)
+            self._pressed = (
+                np.stack([press if k == finger else 0 * press for k in range(2)]),
+                time.monotonic() + _PRESS_S,
+            )
             response.success = True
         return response
 
@@ -273,13 +282,18 @@ class HandNode(ForetouchNode[HandConfig]):
     def _send(self, number: int, start_ns: int, period_ns: int) -> None:
         counts = self._fingers(number)
         if (stamp := self._faults.stamp(start_ns + number * period_ns)) is not None:
-            self._tactile.publish(biotac_all_to_msg(self._faults.readings(counts), "rh_tactile", stamp))
+            self._tactile.publish(self._message(self._faults.readings(counts), stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.trajectory.counts) - 1:
             self._finish(current, start_ns + current.first * period_ns, period_ns)
 
+    def _message(self, counts: dict[str, Any], stamp: int) -> Any:
+        if self._sensor.is_biotac:
+            return biotac_all_to_msg(counts, "rh_tactile", stamp)
+        return sensor_to_msg(self._message_class, self._sensor, [counts[name] for name in _GRASPING], stamp)
+
     def _fingers(self, number: int) -> dict[str, Any]:
-        """Counts of each finger that has a BioTac, as `biotac_all_to_msg` takes them."""
+        """Readings of each finger that has a sensor, the one at g1 as TH and that at g2 as MF."""
         if self._current is None and self._ready is not None:
             self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
@@ -290,7 +304,7 @@ class HandNode(ForetouchNode[HandConfig]):
             grasping, self.phase = current.trajectory.counts[row], current.trajectory.phase(row)
         if self._pressed is not None and time.monotonic() < self._pressed[1]:
             grasping = grasping.copy()
-            grasping[:, :25] += self._pressed[0]
+            grasping[:, : self._pressed[0].shape[1]] += self._pressed[0]
         # A finger that does not grasp reads as a middle finger at rest.
         return {
             **dict(zip(_GRASPING, grasping, strict=True)),

@@ -23,17 +23,16 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
-from foretouch.ros.messages.answers import other_sensor
 from foretouch.ros.messages.clouds import objects_from_msg
-from foretouch.ros.messages.conversions import AnyAnswer, AnyPrediction
 from foretouch.ros.messages.requests import read_serialized, status_name
+from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, PREDICTED_TOPIC, TACTILE_TOPIC
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TactilePredictionArray, TouchPredictionArray
+from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,8 @@ class View:
     sensor: Sensor = BIOTAC_SP  # whose readings are predicted
     answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
-    last: AnyAnswer | None = None  # the last array
-    executed: tuple[AnyPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
+    last: TouchPredictionArray | None = None  # the last array
+    executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
     nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
 
 
@@ -63,20 +62,19 @@ class Drawable:
 
     scene: Cloud | None  # the whole cloud, if it was received
     target: FoundObject  # the object
-    prediction: AnyPrediction  # the prediction
+    prediction: TouchPrediction  # the prediction
     readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
 
 
-def _is_unfamiliar(prediction: AnyPrediction) -> bool:
+def _is_unfamiliar(prediction: TouchPrediction) -> bool:
     return "unfamiliar" in prediction.flags
 
 
 class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
-    With a `sensor` that is not the BioTac SP, it subscribes to `tactile` in place of `touch`, and shows no readings of the hand.
-    `on_touch` is called with each message of either, in the executor's thread, and must not call the monitor. The view is
-    closed after `count` of them, if that is given.
+    The predictions are for `sensor`; with `hand`, the messages of the hand are read. `on_touch` is called with each message of `touch`,
+    in the executor's thread, and must not call the monitor. The view is closed after `count` of them, if that is given.
     """
 
     def __init__(
@@ -84,7 +82,7 @@ class MonitorNode(GuardedCallbacks, Node):
         *,
         namespace: str = NAMESPACE,
         with_clouds: bool = False,
-        with_hand: bool = False,
+        hand: TactileConfig | None = None,
         on_touch: Callable[[Any], None] | None = None,
         sensor: Sensor = BIOTAC_SP,
         count: int | None = None,
@@ -93,24 +91,24 @@ class MonitorNode(GuardedCallbacks, Node):
         super().__init__("monitor", namespace=namespace, **options)
         self._lock = threading.Lock()
         self._view = View(sensor)
-        touch, topic = (TouchPredictionArray, "touch")
-        if other_sensor(sensor):
-            touch, topic, with_hand = TactilePredictionArray, PREDICTED_TOPIC, False
         self._on_touch, self._count = on_touch, count
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._kept = 32 if with_hand else 8  # clouds: enough to find that of an answer again, or of an executed grasp
-        self._drawable: deque[AnyAnswer] = deque(maxlen=self._kept)
+        self._kept = (
+            8 if hand is None else 32
+        )  # clouds: enough to find that of an answer again, or of an executed grasp
+        self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
         # The last by whether the model does not know the object, and by the touches of it before, up to two.
         self._executed: dict[tuple[bool, int], Drawable] = {}
-        self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
-        self._with_hand = with_hand
+        self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(hand or TactileConfig()))
+        self._with_hand = hand is not None
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-        self.create_subscription(touch, topic, self._receive_touch, reliable)
+        self.create_subscription(TouchPredictionArray, "touch", self._receive_touch, reliable)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 50)
-        if with_hand:
-            self.create_subscription(BiotacAll, TACTILE_TOPIC, partial(self._assemble, "tactile"), reliable)
+        if hand is not None:
+            kind = tactile_class(hand.message_type)
+            self.create_subscription(kind, TACTILE_TOPIC, partial(self._assemble, "tactile"), reliable)
             self.create_subscription(ExecutedGrasp, EXECUTED_TOPIC, partial(self._assemble, "executed"), reliable)
             self.create_subscription(PointCloud2, CLOUD_TOPIC, self._receive_cloud, qos_profile_sensor_data, raw=True)
         if with_clouds:
@@ -150,7 +148,7 @@ class MonitorNode(GuardedCallbacks, Node):
                 found[_is_unfamiliar(one)] = drawn
         return [found[key] for key in sorted(found)]
 
-    def _drawn(self, prediction: AnyPrediction, readings: TouchCut | None = None) -> Drawable | None:
+    def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
@@ -165,7 +163,7 @@ class MonitorNode(GuardedCallbacks, Node):
         drawables = (Drawable(scene, one, prediction, readings) for one in found)
         return next((one for one in drawables if one.target.id == prediction.grasp.object_id), None)
 
-    def _receive_touch(self, message: AnyAnswer) -> None:
+    def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
             if self._closed:
                 return

@@ -39,7 +39,7 @@ from foretouch.ros.recorder.subscriptions import (
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
@@ -279,7 +279,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             GRASPS_TOPIC: "grasps",
             EXECUTED_TOPIC: "executed",
             "touch": "touch",
-            PREDICTED_TOPIC: "touch",
         }
         inputs = {
             name: (roles[one.topic.name], one.topic.message)

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`object_cloud` + `grasps` -> `touch` and `tactile`, the service `predict_touch` and the action `sample_grasps`.
-
-`tactile` holds predictions for the sensor of any model. `touch`, the service and the actions are for the BioTac SP; with a model of
-another sensor they refuse.
+"""`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`, for the sensor of the model.
 
 If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
 tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the
@@ -37,13 +34,23 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig
+from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import FoundObject
 from foretouch.report.taxel_view import TaxelView
-from foretouch.ros.messages.answers import Refusal, TouchAnswer, other_sensor
+from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets, status_name
+from foretouch.ros.messages.requests import (
+    GraspArrays,
+    RefusalError,
+    check_frames,
+    passed_on,
+    read_arrays,
+    read_plane,
+    read_targets,
+    status_name,
+)
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import REQUESTS
 from foretouch.ros.runtime.output_frame import Latest, OutputFrame, in_cloud_frame
@@ -52,6 +59,7 @@ from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.grasp_actions import (
     PLANNER_ACTION,
+    Predicted,
     planner_action_class,
     planner_feedback,
     planner_result,
@@ -61,10 +69,11 @@ from foretouch.ros.touch.grasp_actions import (
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
+from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
-from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Touch
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Float64, Touch
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -72,9 +81,8 @@ from foretouch_msgs.msg import (
     GraspArray,
     Status,
     TablePlane,
-    TactilePredictionArray,
-    TouchPrediction,
     TouchPredictionArray,
+    TouchPredictionBatch,
 )
 from foretouch_msgs.srv import PredictTouch
 
@@ -121,7 +129,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._predictor.keep_to(config.latency_budget_ms, config, self.get_logger().info)
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
-        self._tactile = self.advertise(TactilePredictionArray, PREDICTED_TOPIC)
         self._markers = self.advertise(MarkerArray, "markers")
         self._threads = ThreadPool(self, 2, 100)  # more threads would only share the processor
         closing.callback(self._threads.close)
@@ -227,9 +234,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._adapter.add_grasps(cloud, planned)
         in_output_frame = None if planned is grasps.grasps else grasps.grasps
         published = message if transform is None else transform.answer(message, in_output_frame)
-        self._touch.publish(_configured(self._predictor).end(published, answer, encoded=True))
-        if self._tactile.wanted:
-            self._tactile.publish(published.tactile)
+        self._touch.publish(_configured(self._predictor).end(published, answer))
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
             message.flags = published.flags
             self.internal_errors.guarded("markers", self._draw)(message, transform)
@@ -237,25 +242,27 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _draw(self, answer: TouchAnswer, transform: FrameTransform | None) -> None:
         """Publish the markers of the first prediction in the frame of its cloud, brought to that of the answers."""
-        first, sensor, model = answer.outcomes[0], answer.sensor, _configured(self._predictor).model
+        first, model = answer.outcomes[0], _configured(self._predictor).model
         markers = MarkerArray()
-        if sensor is not None and model is not None and not isinstance(first, Refusal):
-            ranges = model.ranges if other_sensor(sensor) else self.config.ranges.ranges
-            rest = None if model.calibration is None else Touch(model.calibration.rest, sensor.channels)
-            shown = replace(first, flags=(*first.flags, *answer.flags))
+        if model is not None and not isinstance(first, Refusal):
+            rest, ranges = self._scale(model)
+            shown, view = replace(first, flags=(*first.flags, *answer.flags)), TaxelView(model.sensor)
             first_at_g1 = self.config.thumb_takes_g1
-            markers = touch_markers(shown, answer.header, TaxelView(sensor), ranges, rest, thumb_takes_g1=first_at_g1)
+            markers = touch_markers(shown, answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
+
+    def _scale(self, model: TouchModel) -> tuple[Touch | None, Ranges]:
+        """The reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
+        rest = None if model.calibration is None else Touch(model.calibration.rest, model.sensor.channels)
+        return rest, self.config.ranges.ranges if model.sensor.is_biotac else model.ranges
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
-        if self._tactile.wanted:
-            self._tactile.publish(TactilePredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
         self,
         targets: Sequence[FoundObject],
-        grasps: Sequence[Any],
+        grasps: Sequence[Any] | GraspArrays,
         header: Header,
         posing: GeoGraspConfig | None,
         arrived: float,
@@ -268,7 +275,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.get_logger().warning(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
                        f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
         model, reduced = (None, False) if answer is None else (answer.level.model, answer.reduced)
-        message = predictor.array(targets, grasps, header, config, posing, model)
+        predict = predictor.batch if isinstance(grasps, GraspArrays) else predictor.array
+        message = predict(targets, grasps, header, config, posing, model)  # type: ignore[arg-type]
         age_s = self.age_s(stamp_ns(header.stamp))
         return predictor.finish(message, age_s, config.late_after_s, reduced=reduced), answer
 
@@ -335,14 +343,17 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
         try:
-            response.touch = await self._do("predict_touch", partial(self._answer_request, request, time.monotonic()))
+            answer = await self._do("predict_touch", partial(self._answer_request, request, time.monotonic()))
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
         except Exception as err:  # noqa: BLE001  the answer names the request's cloud
             status, reason = Status.FAILED, self.internal_errors.report("predict_touch", err)
         else:
+            name = "batch" if isinstance(answer, TouchPredictionBatch) else "touch"
+            setattr(response, name, answer)
             return response
-        response.touch = TouchPredictionArray(header=request.cloud.header, status=status, reason=reason)
+        refused = {"header": request.cloud.header, "status": status, "reason": reason}
+        response.touch, response.batch = TouchPredictionArray(**refused), TouchPredictionBatch(**refused)
         return response
 
     async def _do(self, name: str, work: Callable[[], _T]) -> _T:
@@ -358,20 +369,12 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._requests[f"{name}.{status_name(outcome).lower()}"] += 1
         return answer
 
-    def _require_biotac(self) -> None:
-        """Refuse requests whose answers cannot hold the predictions of the model."""
-        model = _configured(self._predictor).model
-        if refusal := other_sensor(None if model is None else model.sensor):
-            raise RefusalError(*refusal)
-
-    def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
-        self._require_biotac()
+    def _answer_request(self, request: Any, arrived: float) -> Any:
         config = self.config
-        if len(request.grasps) > config.max_grasps:
-            raise RefusalError(
-                Status.BAD_REQUEST, f"grasps: {len(request.grasps)} is above max_grasps, {config.max_grasps}"
-            )
-        asked = in_cloud_frame(_configured(self._frame), request.cloud, request.table, request.grasps, self._latest)
+        grasps = read_arrays(request) if len(request.contacts) or len(request.rotations) else request.grasps
+        if len(grasps) > config.max_grasps:
+            raise RefusalError(Status.BAD_REQUEST, f"grasps: {len(grasps)} is above max_grasps, {config.max_grasps}")
+        asked = in_cloud_frame(_configured(self._frame), request.cloud, request.table, grasps, self._latest)
         table = read_plane(asked.table[0]) if asked.table else None
         targets = read_targets(asked.cloud, table or ASSUMED_TABLE, config.limits)
         if not asked.grasps:
@@ -382,9 +385,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message.flags += self._frame_flags(asked.cloud.header, asked.transform)
         self._add_requested(asked.cloud, message.answered)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
-            message = asked.transform.answer(message, None if asked.grasps is request.grasps else request.grasps)
-        made: TouchPredictionArray = _configured(self._predictor).end(message, answer)
-        return made
+            message = asked.transform.answer(message, None if asked.grasps is grasps else request.grasps)
+        return _configured(self._predictor).end(message, answer)
 
     # The actions.
 
@@ -414,7 +416,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _sample(self, goal_handle: Any, goal: Any, feedback: Callable[[Any], None]) -> Any:
         """Sample grasps for a `SampleGrasps.Goal`; result and feedback are in the frame of the answers."""
-        self._require_biotac()
         latest, frame, transform = self._latest, _configured(self._frame), None
         flags: tuple[str, ...] = ()
         sampled: PointCloud2 | TargetCloud = goal.cloud
@@ -440,11 +441,16 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._add_requested(sampled, result.grasps)
         return moved(result)
 
-    def _predict_candidates(
-        self, target: FoundObject, grasps: Sequence[Grasp], header: Header
-    ) -> Sequence[TouchPrediction]:
+    def _predict_candidates(self, target: FoundObject, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
-        return list(_configured(self._predictor).end(message, answer).predictions)
+        predictor = _configured(self._predictor)
+        pressed = [None if isinstance(one, Refusal) else self._pressures(one.value) for one in message.outcomes]
+        return list(zip(predictor.end(message, answer).predictions, pressed, strict=True))
+
+    def _pressures(self, touch: Touch | None) -> Float64 | None:
+        """How hard each finger presses in a prediction of the model."""
+        model = _configured(self._predictor).model
+        return None if touch is None or model is None else TaxelView(model.sensor).pressures(touch, *self._scale(model))
 
 
 def _aborted(failure: Callable[[RefusalError], Any], arguments: tuple[Any, ...], reason: str) -> Any:

@@ -29,14 +29,14 @@ from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import FileError, ForetouchError
-from foretouch.ros.messages.conversions import AnyPrediction, duration_to_msg, header_to_msg
+from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
 from foretouch.topics import TAXELS
 from foretouch.types import GraspSample
-from foretouch_msgs.msg import RecorderStatus, Status
+from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
 MARKERS_TOPIC: Final = "/foretouch/sample_markers"
@@ -61,7 +61,7 @@ class SessionStatus:
     bytes_per_s: float = 0.0  # current rate
     free_bytes: int = 0  # space left until the session ends by itself
     operator: OperatorState = OperatorState()
-    last: tuple[AnyPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
+    last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
     error: str = ""  # why it ended by itself, else ""
 
 
@@ -100,7 +100,7 @@ class RecordingSession:
         self._operator = operator
         self._dropping = False  # what is received in a pause
         self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
-        self._last: tuple[AnyPrediction | None, TouchCut] | None = None
+        self._last: tuple[TouchPrediction | None, TouchCut] | None = None
         self._inputs = inputs
         self._losses = losses
         self._warn = warn
@@ -232,13 +232,12 @@ class RecordingSession:
             self.writer.drop(one.topic, "paused")
         return []
 
-    def _prediction(self, sample: GraspSample) -> AnyPrediction | None:
+    def _prediction(self, sample: GraspSample) -> TouchPrediction | None:
         """What was predicted for the grasp of a sample, if that was received."""
         data = self._predictions.get(sample.cloud.stamp_ns)
-        kinds = [kind for role, kind in self._inputs.values() if role == "touch"]
-        found: Sequence[Any] = () if data is None else read_serialized(data, kinds[0]).predictions
+        found: Sequence[Any] = () if data is None else read_serialized(data, TouchPredictionArray).predictions
         sha256 = self.writer.sensor.sha256  # a model of another sensor may predict
-        own = (one for one in found if getattr(one, "sensor_sha256", sha256) == sha256)
+        own = (one for one in found if one.sensor_sha256 == sha256)
         return next((one for one in own if one.grasp.id == sample.grasp.id), None)
 
     def _assemble(self, one: SerializedMessage) -> None:

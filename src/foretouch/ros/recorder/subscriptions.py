@@ -30,8 +30,8 @@ from foretouch.dataset.messages import read_header
 from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, PREDICTED_TOPIC
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TactilePredictionArray, TouchPredictionArray
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
 _RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
@@ -176,9 +176,7 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
         InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
         InputTopic("table", TablePlane, depth),
         InputTopic(GRASPS_TOPIC, GraspArray, depth),
-        InputTopic(PREDICTED_TOPIC, TactilePredictionArray, depth)
-        if config.tactile.sensor
-        else InputTopic("touch", TouchPredictionArray, depth),
+        InputTopic("touch", TouchPredictionArray, depth),
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
         *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]

@@ -23,7 +23,7 @@ from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, GraspError, MissingDependencyError, shown
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.frames import FrameTransform
-from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.messages.requests import GraspArrays, RefusalError
 from foretouch_msgs.msg import Grasp, Status, TablePlane
 
 _ROBOT_FRAMES = {"eye_on_base": "robot_base_frame", "eye_in_hand": "robot_effector_frame"}  # by calibration_type
@@ -116,7 +116,7 @@ class _FramedRequest(NamedTuple):
 
     cloud: PointCloud2 | TargetCloud  # of the object
     table: Sequence[PlaneMsg]  # none, or one
-    grasps: Sequence[Grasp]  # on the object
+    grasps: Sequence[Grasp] | GraspArrays  # on the object
     transform: FrameTransform | None  # of the answer; None if it stays in the frame of the cloud
 
 
@@ -191,7 +191,11 @@ class OutputFrame:
 
 
 def in_cloud_frame(
-    frame: OutputFrame, cloud: PointCloud2, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
+    frame: OutputFrame,
+    cloud: PointCloud2,
+    table: Sequence[PlaneMsg],
+    grasps: Sequence[Grasp] | GraspArrays,
+    latest: Latest | None,
 ) -> _FramedRequest:
     """Bring a request to the frame of the camera; a `RefusalError`: UNKNOWN_FRAME, or EMPTY_CLOUD without a latest cloud.
 
@@ -210,11 +214,15 @@ def in_cloud_frame(
     if transform is None:  # the frame of the answers is the camera's
         return _FramedRequest(cloud, table, grasps, None)
     back = transform.inverse()
-    return _FramedRequest(back.cloud(cloud), [*map(back.plane, table)], [*map(back.grasp, grasps)], transform)
+    return _FramedRequest(back.cloud(cloud), [*map(back.plane, table)], back.grasps(grasps), transform)
 
 
 def _on_latest(
-    frame: OutputFrame, header: Header, table: Sequence[PlaneMsg], grasps: Sequence[Grasp], latest: Latest | None
+    frame: OutputFrame,
+    header: Header,
+    table: Sequence[PlaneMsg],
+    grasps: Sequence[Grasp] | GraspArrays,
+    latest: Latest | None,
 ) -> _FramedRequest:
     if latest is None:
         raise no_latest_cloud()
@@ -225,7 +233,7 @@ def _on_latest(
             known = repr(camera.frame_id) + ("" if transform is None else f" or {transform.target!r}")
             raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {header.frame_id!r} of the request is not {known}")
         back = transform.inverse()
-        table, grasps = [*map(back.plane, table)], [*map(back.grasp, grasps)]
+        table, grasps = [*map(back.plane, table)], back.grasps(grasps)
     own = [latest.table.plane] if latest.table.status == Status.OK else []
     return _FramedRequest(latest.cloud, table or own, grasps, transform)
 

@@ -22,14 +22,17 @@ from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.output_frame import Latest, no_latest_cloud
 from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchPredictorConfig
-from foretouch.tactile import Ranges
+from foretouch.types import Float64
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
 
 PLANNER_ACTION = "sample_grasp_poses"
 """Name of the action; one name cannot have two types."""
 
-Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[TouchPrediction]]
+Predicted: TypeAlias = tuple[TouchPrediction, Float64 | None]
+"""The prediction of a grasp, and (F,) how hard each finger presses (`TaxelView.pressures`); None without a prediction."""
+
+Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[Predicted]]
 
 _BATCH = 100  # grasps that are predicted between two looks for a cancel; predictions do not depend on it
 
@@ -77,7 +80,7 @@ def sample_grasps(
                 break
             grasps = plan.grasps[first : first + _BATCH]
             pairs = zip(grasps, predict(target, grasps, header), strict=True)
-            fresh = [_Candidate(cost_of(cost, touch, config.ranges.ranges), grasp, touch) for grasp, touch in pairs]
+            fresh = [_Candidate(cost_of(cost, grasp, pressed), grasp, touch) for grasp, (touch, pressed) in pairs]
             feedback(SampleGrasps.Feedback(**_fields(fresh, header)))
             candidates += fresh
     if cost != SCORE and candidates and all(math.isinf(c.cost) for c in candidates):
@@ -121,19 +124,17 @@ def refused_goal(refusal: RefusalError) -> Any:
     return SampleGrasps.Result(grasp_state=f"{requests.status_name(refusal.status)}: {refusal}", status=refusal.status)
 
 
-def cost_of(rule: str, prediction: TouchPrediction, ranges: Ranges) -> float:
+def cost_of(rule: str, grasp: Grasp, pressed: Float64 | None) -> float:
     """The cost of a grasp by a rule; infinity for what is not finite, or needs a prediction that there is not.
 
-    Rules: `pressure`, the mean of both fingers' predicted static pressure, each relative to its range, 0 lowest, 1 highest;
-    `harder_finger`, the larger of the two; `score`, the negative score of GeoGrasp.
+    Rules: `pressure`, the mean of how hard both fingers press (`TaxelView.pressures`); `harder_finger`, the larger of the two;
+    `score`, the negative score of GeoGrasp.
     """
     cost = math.inf
     if rule == SCORE:
-        cost = -prediction.grasp.score
-    elif prediction.status == Status.OK:
-        pressures = zip((prediction.pdc_th, prediction.pdc_mf), ranges.limits, strict=False)  # the first two modalities
-        shares = [(pressure.value - low) / (high - low) for pressure, (low, high) in pressures]
-        cost = max(shares) if rule == HARDER_FINGER else float(np.mean(shares))
+        cost = -grasp.score
+    elif pressed is not None:
+        cost = float(np.max(pressed) if rule == HARDER_FINGER else np.mean(pressed))
     return cost if math.isfinite(cost) else math.inf
 
 

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from std_msgs.msg import Header
 
-from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation
-from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
-from foretouch.grasp import GeoGraspConfig, check_closing, hand_rotation, object_axis
+from foretouch.dataset.messages import has_orientation
+from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
+from foretouch.grasp import GeoGraspConfig, check_closing, surely_closing
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr, other_sensor
+from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
-from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.messages.requests import GraspArrays, RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp
+from foretouch.ros.touch.posing import posed_grasps, refusal_of
+from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, TouchPredictions
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Status, TouchPredictionArray
+from foretouch_msgs.msg import Status
 
 if TYPE_CHECKING:  # loaded only for a budget
     from foretouch.models.budget import Answer, LatencyBudget
@@ -95,27 +95,24 @@ class Predictor:
                 model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
                 time.sleep(PAUSE_S)
                 middle = time.thread_time()
-                _made(self.array([target], messages[:count], Header(), config, model=model), encoded=True)
+                _ = self.array([target], messages[:count], Header(), config, model=model).message
                 beyond.append(time.thread_time() - middle - (middle - start))
             around[count] = max(0.0, statistics.median(beyond))
         return around
 
-    def end(self, message: TouchAnswer, answer: "Answer | None", *, encoded: bool = False) -> Any:
-        """The message to be published right after this call, or its bytes if it may be `encoded`.
+    def end(self, message: TouchAnswer, answer: "Answer | None") -> Any:
+        """The `TouchPredictionArray`, or the `TouchPredictionBatch` of arrays, to be published right after this call.
 
         Its predictions are flagged if they miss their budget, of which `answer` is what `LatencyBudget.begin` returned.
         """
         if self.budget is None or answer is None:
-            return _made(message, encoded=encoded)
+            return message.reply
         if self.budget.is_over(answer) and LATE not in message.flags:
             message.flags += (LATE,)
-        made = _made(message, encoded=encoded)
+        made = message.reply
         if self.budget.end(answer) and LATE not in message.flags:  # meanwhile
             message.flags += (LATE,)
-            if isinstance(made, bytes):
-                return message.encoded()
-            for prediction in made.predictions:
-                prediction.flags = [*prediction.flags, LATE]
+            return message.reply
         return made
 
     def array(
@@ -142,19 +139,40 @@ class Predictor:
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
             try:
-                by_target.setdefault(_target_of(grasp, targets), []).append(i)
+                by_target.setdefault(_target_of(grasp.object_id, targets), []).append(i)
             except GraspError as err:
                 outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
-            wanted = [grasps[i] for i in members]
-            found: Sequence[Prediction | Refusal] = [Refusal(Status.NO_MODEL, self.fault)] * len(wanted)
-            if model is not None:
-                found = self._on_target(model, targets[k].cloud, _posed(wanted, targets[k], config, posing), config)
+            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing)
+            found = self._on_target(model, targets[k].cloud, posed, config)
             for i, outcome in zip(members, found, strict=True):
                 outcomes[i] = outcome
         if posing is not None:
             grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
         return TouchAnswer(header, grasps, outcomes, sensor=model.sensor if model is not None else None)
+
+    def batch(
+        self,
+        targets: Sequence[FoundObject],
+        grasps: GraspArrays,
+        header: Header,
+        config: TouchPredictorConfig,
+        posing: GeoGraspConfig | None = None,
+        model: TouchModel | None = None,
+    ) -> TouchAnswer:
+        """As `array`, for the grasps of a request that holds arrays; a `RefusalError` if none of the targets is its object."""
+        model = model or self.model
+        try:
+            target = targets[_target_of(grasps.object_id, targets)]
+        except GraspError as err:
+            raise RefusalError(Status.BAD_GRASP, str(err)) from err
+        posed = posed_grasps(grasps, target, config, posing)
+        outcomes = self._on_target(model, target.cloud, posed, config)
+        none, rotations = np.zeros((3, 3)), None
+        if grasps.rotations is None:
+            rotations = np.array([none if isinstance(one, Refusal) else one.rotation for one in posed])
+        sensor = model.sensor if model is not None else None
+        return TouchAnswer(header, posed, outcomes, sensor=sensor, arrays=True, rotations=rotations)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
@@ -168,8 +186,10 @@ class Predictor:
         return message
 
     def _on_target(
-        self, model: TouchModel, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchPredictorConfig
+        self, model: TouchModel | None, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchPredictorConfig
     ) -> Sequence[Prediction | Refusal]:
+        if model is None:
+            return [Refusal(Status.NO_MODEL, self.fault)] * len(posed)
         usable = [one for one in posed if isinstance(one, Grasp)]
         options: dict[str, Any] = {"limits": config.limits, "reach": config}
         try:
@@ -180,32 +200,12 @@ class Predictor:
             else:
                 found = model.predict(cloud, usable, **options)
         except (CloudError, ModelError) as err:
-            return [one if isinstance(one, Refusal) else _refusal_of(err) for one in posed]
-        predicted = iter(found)
-        return [one if isinstance(one, Refusal) else _outcome(next(predicted)) for one in posed]
-
-
-def _posed(
-    messages: Sequence[GraspMsg], target: FoundObject, config: TouchPredictorConfig, posing: GeoGraspConfig | None
-) -> list[Grasp | Refusal]:
-    """The grasp of each message, posed as by `Pipeline.grasp_between` where it must be, or why there is none."""
-    axis: Float64 | None = None
-    found: list[Grasp | Refusal] = []
-    for decoded, message in zip(decode_grasps(messages), messages, strict=True):
-        grasp = decoded
-        try:
-            if grasp is None and has_orientation(message):
-                grasp = decode_grasp(message)
-            elif grasp is None:
-                if posing is None:
-                    raise GraspError("pose: no orientation, and no table to compute it with")
-                unposed = decode_grasp(message, np.eye(3))
-                axis = _axis(target, config.limits, posing) if axis is None else axis
-                grasp = decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, axis))
-            found.append(grasp)
-        except (GraspError, CloudError, RefusalError) as err:
-            found.append(_refusal_of(err))
-    return found
+            return [one if isinstance(one, Refusal) else refusal_of(err) for one in posed]
+        outcomes = _outcomes(found)
+        if len(usable) == len(posed):
+            return outcomes
+        predicted = iter(outcomes)
+        return [one if isinstance(one, Refusal) else next(predicted) for one in posed]
 
 
 def _as_predicted(message: GraspMsg, outcome: Prediction | Refusal) -> GraspMsg:
@@ -215,44 +215,33 @@ def _as_predicted(message: GraspMsg, outcome: Prediction | Refusal) -> GraspMsg:
     return grasp_to_msg(outcome.grasp, message.status, message.reason)
 
 
-def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:
-    try:
-        check_table(target.plane, limits)
-    except LimitError as err:
-        raise RefusalError(Status.BAD_PLANE, str(err)) from err
-    check_object(target.cloud.xyz, limits)
-    return object_axis(target.cloud, target.plane, config)[0]
+def _outcomes(predictions: Sequence[Prediction]) -> Sequence[Prediction | Refusal]:
+    """The predictions that have a value and whose fingers close along the line of the contacts; else why there is none."""
+    if isinstance(predictions, TouchPredictions):
+        closing = surely_closing(predictions.grasps)
+        if closing.all() and not predictions.refused:
+            return predictions
+    else:
+        closing = surely_closing([one.grasp for one in predictions])
+    return [_outcome(*pair) for pair in zip(predictions, closing.tolist(), strict=True)]
 
 
-def _made(message: TouchAnswer, *, encoded: bool) -> Any:
-    if refusal := other_sensor(message.sensor):
-        return TouchPredictionArray(header=message.header, **refusal._asdict())
-    return message.encoded() if encoded and middleware_reads_cdr() else message.message
-
-
-def _outcome(prediction: Prediction) -> Prediction | Refusal:
-    if prediction.value is not None:
+def _outcome(prediction: Prediction, closing: bool) -> Prediction | Refusal:
+    if prediction.value is None:
+        return Refusal(Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED, prediction.reason)
+    if not closing:  # the constructor of a message makes w = 1, which is an orientation
         try:
-            check_closing(prediction.grasp)  # the constructor of a message makes w = 1, which is an orientation
+            check_closing(prediction.grasp)
         except GraspError as err:
-            return _refusal_of(err)
-        return prediction
-    return Refusal(Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED, prediction.reason)
+            return refusal_of(err)
+    return prediction
 
 
-def _refusal_of(err: ForetouchError) -> Refusal:
-    """What an error keeps from being predicted."""
-    if isinstance(err, RefusalError):
-        return Refusal(err.status, err.reason)
-    statuses = {LimitError: Status.BAD_CLOUD, CloudError: Status.TOO_FEW_POINTS, GraspError: Status.BAD_GRASP}
-    return Refusal(next((code for kind, code in statuses.items() if isinstance(err, kind)), Status.REFUSED), str(err))
-
-
-def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:
+def _target_of(object_id: str, targets: Sequence[FoundObject]) -> int:
     """Index of a grasp's target; a single target matches if it or the grasp has no object id."""
     ids = [target.id for target in targets]
-    if grasp.object_id in ids:
-        return ids.index(grasp.object_id)
-    if len(ids) == 1 and (not grasp.object_id or not ids[0]):
+    if object_id in ids:
+        return ids.index(object_id)
+    if len(ids) == 1 and (not object_id or not ids[0]):
         return 0
-    raise GraspError(f"object_id: {grasp.object_id!r} is none of {', '.join(map(repr, ids)) or 'the objects'}")
+    raise GraspError(f"object_id: {object_id!r} is none of {', '.join(map(repr, ids)) or 'the objects'}")

@@ -14,6 +14,7 @@ from foretouch.types import Float64
 
 _PLACES = 100  # tried for one piece of clutter
 _GAP_M = 0.01  # free table between two bodies
+_RUN_UP_M = 2.0  # from where a body is slid against others
 _SIZE_M = (0.04, 0.12)  # edge of the cube about a piece of clutter
 _VARIANTS = 16  # members of the family of random shapes that are clutter
 
@@ -35,7 +36,10 @@ def _clutter(job: Job, state: SampleState) -> None:
     for _ in range(clutter.count):
         size = np.full(3, draw(rng, _SIZE_M))
         body = Body("random", int(rng.integers(_VARIANTS)), size, np.zeros(3), about_z(rng.uniform(0.0, 2.0 * np.pi)))
-        bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
+        if clutter.touching is None:
+            bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
+        else:
+            bodies.append(_against(bodies, _stood(body), rng))
     state.bodies = bodies
 
 
@@ -70,6 +74,26 @@ def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: 
         if min(apart) > footprint_m(body) + _GAP_M:
             return replace(body, position=place)
     raise SimulationError(f"clutter: a body of {body.size[0]:.3f} m finds no place in {_PLACES} tries", "no_place")
+
+
+def _against(bodies: list[Body], body: Body, rng: np.random.Generator) -> Body:
+    """The body, on the table, slid from a random side towards one of the others until it touches any of them."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    aim = bodies[rng.integers(len(bodies))].position * (1.0, 1.0, 0.0)
+    start = replace(body, position=body.position + aim - _RUN_UP_M * towards)
+    free = min(_free_path(start, other, towards) for other in bodies)
+    if not np.isfinite(free):
+        raise SimulationError(f"clutter: a body of {body.size[0]:.3f} m meets no other one", "no_place")
+    return replace(start, position=start.position + free * towards)
+
+
+def _free_path(body: Body, other: Body, towards: Float64) -> float:
+    """How far a body can move along a unit vector (3,) until it touches another [m]: vertices of one on faces of the other."""
+    mine, theirs = (one.position + (one.mesh.vertices * one.size) @ one.rotation.T for one in (body, other))
+    ahead = other.cast(mine, np.broadcast_to(towards, mine.shape)).t
+    back = body.cast(theirs, np.broadcast_to(-towards, theirs.shape)).t
+    return float(min(ahead.min(), back.min()))
 
 
 EFFECTS = (

@@ -34,7 +34,7 @@ from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
 from foretouch.simulation.scene.objects import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.world import SampleKey
+from foretouch.simulation.world import SampleKey, World
 from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import OTHERS
 from foretouch.types import Float64, Int64, Touch
@@ -173,10 +173,14 @@ def _drift(job: Job, state: SampleState) -> None:
     first = int(np.argmax(state.load > 0.0))
     since = now + age + state.times - state.times[first]
     since[:first] -= age
-    if job.world.array:
-        state.series += warming(config.temperature, np.maximum(since, 0.0))[:, None, None] * job.world.array.kelvin
-    else:
-        state.series += temperature_drift(config.temperature, np.maximum(since, 0.0))[:, None]
+    state.series += drift_of(job.world, config, np.maximum(since, 0.0))
+
+
+def drift_of(world: World, config: DriftConfig, since_s: Float64) -> Float64:
+    """(T, 2, V) by how much readings have drifted at times (T,) since the sensors are on [s]."""
+    if world.array is not None:
+        return np.asarray(warming(config.temperature, since_s)[:, None, None] * world.array.kelvin)
+    return np.asarray(temperature_drift(config.temperature, since_s)[:, None])
 
 
 def _crosstalk(job: Job, state: SampleState) -> None:

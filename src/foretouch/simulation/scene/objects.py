@@ -14,7 +14,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError
 from foretouch.simulation.objects import SHAPES, read_mesh_file
-from foretouch.simulation.scene.ranges import RangedSettings, draw
+from foretouch.simulation.scene.ranges import RangedSettings, Switch, draw
 
 RESTS = ("upright", "side", "any")
 POISSON = 0.3  # Poisson's ratio of soft objects
@@ -114,12 +114,17 @@ class ObjectConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ClutterConfig(RangedSettings):
-    """Other objects around the one that is grasped; they hide it in part but are not touched."""
+    """Other objects around the one that is grasped; they hide it in part but no finger touches them.
+
+    Attributes:
+        touching: Each piece touches the object or another piece.
+    """
 
     count: int = setting(4, "Number of other objects", bounds=(1, 20))
     distance_m: tuple[float, ...] = setting(
         (0.1, 0.25), "Distance between the axes of object and clutter, low and high", maximum=10.0
     )
+    touching: Switch | None = None
 
     LOWEST = 0.005
 

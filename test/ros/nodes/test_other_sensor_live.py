@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions of any sensor on the topic `tactile`, and what the interfaces of the BioTac SP say with a model of another."""
+"""Predictions of a uSkin: topic, service, action, markers, screen and picture."""
 
 import json
 
@@ -10,6 +10,7 @@ from constant_models import constant_model, counted, sensor_with_dead
 from rich.console import Console
 from visualization_msgs.msg import MarkerArray
 
+from foretouch import reading
 from foretouch.cli.answers import answer_record, prediction_from_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.run import _draw
@@ -22,51 +23,10 @@ from foretouch.ros.nodes.monitor import Drawable, MonitorNode
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import Status, TactilePredictionArray
+from foretouch_msgs.msg import Status
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
-
-
-def listen(graph):
-    heard = graph.listen(TactilePredictionArray, "tactile")
-    graph.matched("tactile")
-    return heard
-
-
-def test_the_biotac_is_on_both_topics_with_equal_numbers(graph, predictor, model_card):
-    node, send, touches = predictor(model=model_card)
-    assert not node._tactile.wanted
-    heard = listen(graph)
-    send(5)
-    graph.until(lambda: heard and touches)
-    (one,), (same,) = heard[0].predictions, touches[0].predictions
-    for name in ("header", "grasp", "reference", "status", "reason", "flags", "model", "model_sha256", "input_age",
-                 "touches", "touch_age", "readings", "reading_age"):  # fmt: skip
-        assert str(getattr(one, name)) == str(getattr(same, name)), name  # a score is NaN
-    assert (one.fingers, one.channels, one.scalar_channels) == (["TH", "MF"], ["E"], ["PDC"])
-    assert list(one.scalars) == [same.pdc_th.value, same.pdc_mf.value]
-    assert list(one.values) == [each.value for each in (*same.e_th, *same.e_mf)]
-    assert np.isnan(one.lower).all()
-    assert np.isnan(one.scalars_upper).all()
-    assert len(one.lower) == len(one.upper) == len(one.valid) == 48
-    assert set(one.valid) == {1}
-
-
-def test_a_cloud_without_grasps_is_answered_with_a_reason(graph, predictor, model_card):
-    from sensor_msgs.msg import PointCloud2
-
-    from foretouch_msgs.msg import GraspArray
-
-    _, _, touches = predictor(model=model_card)
-    heard = listen(graph)
-    clouds, grasps = (graph.talk(kind, name) for kind, name in ((PointCloud2, "object_cloud"), (GraspArray, "grasps")))
-    graph.matched("object_cloud", "grasps")
-    message = objects_to_msg(Pipeline().segment(_scene()).targets, "cam", 7)
-    clouds.publish(message)
-    grasps.publish(GraspArray(header=message.header, status=Status.NO_GRASP, reason="too wide"))
-    graph.until(lambda: heard and touches)
-    assert (heard[0].status, heard[0].reason, heard[0].predictions) == (Status.NO_GRASP, touches[0].reason, [])
 
 
 @pytest.fixture
@@ -78,17 +38,12 @@ def uskin(monkeypatch):
     return model
 
 
-def test_another_sensor_is_on_tactile_alone_and_touch_says_so(graph, predictor, uskin):
+def test_another_sensor_is_on_touch_taxel_by_taxel(graph, predictor, uskin):
     _, send, touches = predictor()
-    heard = listen(graph)
     send(9)
-    graph.until(lambda: heard and touches)
-    assert touches[0].predictions == []
-    assert touches[0].status == Status.REFUSED
-    assert "xela_uskin_4x4" in touches[0].reason
-    assert "topic tactile" in touches[0].reason
-    assert heard[0].status == Status.OK
-    (one,) = heard[0].predictions
+    graph.until(lambda: touches)
+    assert touches[0].status == Status.OK
+    (one,) = touches[0].predictions
     packaged = packaged_sensor("xela_uskin_4x4")
     assert (one.sensor, one.sensor_sha256) == ("xela_uskin_4x4", packaged.sha256)
     assert (one.fingers, one.channels, one.scalar_channels) == (["TH", "FF"], ["X", "Y", "Z"], [])
@@ -112,7 +67,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     graph.serve(monitor)
     node, send, _ = predictor()
     markers = graph.listen(MarkerArray, "markers")
-    graph.matched("markers", "tactile")
+    graph.matched("markers", "touch")
     send(9)
     graph.until(lambda: markers and monitor.view().answers)
     spheres = {one.ns: len(one.points) for one in markers[0].markers if one.type == one.SPHERE_LIST}
@@ -142,19 +97,19 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     assert node.notes()["regime"] == warning
 
 
-def test_another_sensor_is_refused_by_the_service_and_the_action_by_name(graph, uskin):
+def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin):
     graph.add("touch_predictor")
     (target, *_) = Pipeline().segment(_scene()).targets
     grasps = [grasp_to_msg(one) for one in Pipeline().plan(target).grasps]
     cloud, table = objects_to_msg([target], "cam", 5), [plane_to_msg(target.plane)]
     request = PredictTouch.Request(cloud=cloud, grasps=grasps, table=table)
-    answer = graph.call(PredictTouch, "predict_touch", request).touch
-    assert (answer.status, answer.predictions) == (Status.REFUSED, [])
-    assert "xela_uskin_4x4" in answer.reason
-    assert "topic tactile" in answer.reason
+    expected = dict(zip(uskin.sensor.channels.modalities, counted(uskin.sensor).reshape(6, 16), strict=True))
+    (one, *_) = graph.call(PredictTouch, "predict_touch", request).touch.predictions
+    np.testing.assert_array_equal(reading(one)["Z"], np.float32([expected["Z_TH"], expected["Z_FF"]]))
     _, result, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(cloud=cloud, table=table))
-    assert result.status == Status.REFUSED
-    assert "xela_uskin_4x4" in result.grasp_state
+    assert (result.status, result.grasp_state) == (Status.OK, "success")
+    assert np.isfinite(result.costs).all()
+    np.testing.assert_array_equal(reading(result.predictions[0])["Z"], reading(one)["Z"])
 
 
 def _scene():

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Are objects that touch separated, beside PCL's local convexity and clusters alone? See README.md."""
+
+import argparse
+import hashlib
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.clutter import lccp, models, physics, piles
+from benchmarks.clutter.metrics import SceneScore, score, summary
+from benchmarks.clutter.picture import Shown, draw
+from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects
+from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from foretouch.types import Float64, Int32
+
+HERE: Final = Path(__file__).parent
+OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
+_SWITCH: Final = "split"  # setting of the segmentation, or of its clusters, that turns splitting off
+_REPEATS: Final = 5
+_COLUMNS: Final = ("precision", "recall", "f", "found", "boundary_precision", "boundary_recall", "boundary_f", "merged", "cut")  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method found in one scene."""
+
+    labels: Int32  # (H, W) int32
+    score: SceneScore  # against the truth
+    whole_ms: float  # CPU time from the cloud to its objects; NaN where it was not measured
+    splitting_ms: float  # of it the splitting
+
+
+Answers = dict[str, list[Answer]]  # by method, in the order of the scenes
+
+
+def without_splitting() -> SegmentationConfig:
+    """The defaults, with the splitting of clusters switched off where there is such a setting."""
+    config = SegmentationConfig()
+    for holder, where in ((config, ""), (config.clusters, "clusters.")):
+        if any(field.name == _SWITCH for field in fields(holder)):
+            return config.updated({where + _SWITCH: False if isinstance(getattr(holder, _SWITCH), bool) else None})
+    return config
+
+
+def answers(scenes: Sequence[LabelledCloud], timed: bool) -> Answers:
+    """What each method finds in each scene."""
+    plain = without_splitting()
+    truth = [_measured(scene, scene.labels) for scene in scenes]
+    ours = [segment(scene.cloud).labels for scene in scenes]
+    clusters = [_measured(scene, segment(scene.cloud, plain).labels) for scene in scenes]
+    perfect = [np.where(found > 0, true, 0) for found, true in zip(clusters, truth, strict=True)]
+    nothing = np.full(len(scenes), np.nan)
+    whole, alone = _times(scenes, plain) if timed else (nothing, nothing)
+    found = {
+        OURS: (ours, whole, whole - alone),
+        CLUSTERS: (clusters, alone, nothing),
+        PERFECT: (perfect, nothing, nothing),
+    }
+    if (program := lccp.program()) is not None:
+        runs = [lccp.split([scene.cloud for scene in scenes], clusters, program) for _ in range(3 if timed else 1)]
+        peer_ms = np.min([times for _, times in runs], axis=0)
+        found[LCCP] = runs[0][0], alone + peer_ms, peer_ms
+    return {
+        method: [
+            Answer(labels, score(_measured(scene, labels), true), float(whole_ms), float(splitting_ms))
+            for scene, true, labels, whole_ms, splitting_ms in zip(scenes, truth, *columns, strict=True)
+        ]
+        for method, columns in found.items()
+    }
+
+
+def _measured(scene: LabelledCloud, labels: Int32) -> Int32:
+    """The labels of pixels with depth, 0 elsewhere."""
+    return np.where(np.isfinite(scene.cloud.xyz[..., 2]), labels, 0).astype(np.int32)
+
+
+def _times(scenes: Sequence[LabelledCloud], plain: SegmentationConfig) -> tuple[Float64, Float64]:
+    """Least CPU times of each scene [ms]: with and without splitting, in turn."""
+    rows = []
+    for scene in scenes:
+        jobs = [partial(_again, scene, config) for config in (None, plain)]
+        rows.append(np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0))
+    both = np.array(rows)
+    return both[:, 0], both[:, 1]
+
+
+def _again(scene: LabelledCloud, config: SegmentationConfig | None) -> None:
+    """Segment a new copy of the cloud, as from a camera."""
+    segment(replace(scene.cloud, xyz=scene.cloud.xyz.copy()), config)
+
+
+def table(name: str, scenes: Sequence[LabelledCloud], found: Answers) -> list[dict[str, Any]]:
+    """A row for each method over all scenes, and for each kind of scene."""
+    kinds = ["all", *dict.fromkeys(scene.kind for scene in scenes)]
+    rows = []
+    for kind in kinds if len(kinds) > 2 else kinds[:1]:
+        chosen = [k for k, scene in enumerate(scenes) if kind in {"all", scene.kind}]
+        for method, every in found.items():
+            some = [every[k] for k in chosen]
+            means = summary(one.score for one in some)
+            row = {"scenes": name, "kind": kind, "count": len(some), "method": method}
+            row |= {column: round(means[column], 3) for column in _COLUMNS}
+            row |= {key: _median([getattr(one, key) for one in some]) for key in ("whole_ms", "splitting_ms")}
+            rows.append(row)
+    return rows
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return None if np.isnan(values).any() else round(float(np.median(values)), 2)
+
+
+def pieces(name: str, scenes: Sequence[LabelledCloud]) -> dict[str, Any]:
+    """Of scenes of one object: how often it is one object, none, or several."""
+    counts = np.array([segment(scene.cloud).labels.max() for scene in scenes])
+    worst = sorted({scene.name.rstrip("0123456789") for scene, n in zip(scenes, counts, strict=True) if n > 1})
+    return {
+        "objects alone": name,
+        "count": len(counts),
+        "in one piece": round(float(np.mean(counts == 1)), 3),
+        "none": int((counts == 0).sum()),
+        "several": int((counts > 1).sum()),
+        "of them": " ".join(worst),
+    }
+
+
+def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
+    """A folder of scenes that are made once for each version of what makes them."""
+    sources = [Path(module.__file__ or "").read_bytes() for module in (piles, models, physics)]
+    name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
+    folder = lccp.cache() / f"{kind}-{name}"
+    if not folder.is_dir():
+        with tempfile.TemporaryDirectory(dir=lccp.cache()) as temporary:
+            write(Path(temporary) / kind)
+            (Path(temporary) / kind).rename(folder)
+    return folder
+
+
+def _shown(scenes: Sequence[LabelledCloud], found: Answers) -> list[Shown]:
+    """The worst and the median scene of ours by F."""
+    order = np.argsort([one.score.f for one in found[OURS]])
+    chosen = {"worst": order[0], "2nd worst": order[1], "median": order[len(order) // 2]}
+    methods = [method for method in (OURS, LCCP, CLUSTERS) if method in found]
+    return [
+        Shown(f"{word}: {scenes[k].name}", scenes[k].labels, {method: found[method][k].labels for method in methods})
+        for word, k in chosen.items()
+    ]
+
+
+def main() -> None:
+    """Print the tables; write them and the picture beside this file if asked."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="more folders of labelled scenes")
+    parser.add_argument("--count", type=int, default=200, help="number of piles")
+    parser.add_argument("--seed", type=int, default=0, help="of the piles")
+    parser.add_argument("--write", action="store_true", help="write results.csv, clutter.png and the README's tables")
+    add_data(parser)
+    options = parser.parse_args()
+    data = None if options.data is None else Path(options.data)
+    sets = {"OSD": data / "osd"} if data is not None and (data / "osd").is_dir() else {}
+    sets |= {folder.name: folder for folder in options.scenes}
+    identity = options.seed, str(data)
+    if find_spec("mujoco") is None:
+        raise SystemExit("piles need MuJoCo: pip install 'foretouch[physics]'")
+    sets["piles"] = made("piles", lambda out: piles.write_piles(out, options.count, options.seed, data), options.count, *identity)  # fmt: skip
+    single = made("single", lambda out: piles.write_singles(out, options.seed, data), *identity)
+    if lccp.program() is None:
+        print("PCL's LCCP is left out: no libpcl-dev or no C++ compiler (apt-get install libpcl-dev g++)\n")
+    rows, shown = [], []
+    for name, folder in sets.items():
+        scenes = list(load_scenes(folder))
+        found = answers(scenes, timed=True)
+        rows += table(name, scenes, found)
+        shown += _shown(scenes, found)
+    print_rows(rows)
+    rendered = list(load_scenes(single))  # views in turn
+    alone = [pieces("rendered, obliquely", rendered[::2]), pieces("rendered, from above", rendered[1::2])]
+    if data is not None and (data / "vision2tactile").is_dir():
+        alone.append(pieces("recorded", list(recorded_objects(data / "vision2tactile"))))
+    print()
+    print_rows(alone)
+    if options.write:
+        write_csv(HERE / "results.csv", rows)
+        draw(shown, HERE / "clutter.png")
+        tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone))  # fmt: skip
+        replace_marked(HERE / "README.md", "\n".join(tables).strip())
+
+
+if __name__ == "__main__":
+    main()

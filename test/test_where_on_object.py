@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands for where on an object: shuffled within it, and never from a later grasp; tables are made of the rows."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from calibrated_models import make_calibration
+from experiment_samples import make_samples
+from numpy.testing import assert_allclose, assert_array_equal
+
+from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, in_order, predicted, recorded, variant
+from foretouch.experiments import find_experiment
+from foretouch.experiments.shared.tables import select
+from foretouch.learning.evaluation.metrics import MEAN
+from foretouch.models.contact.features import CONDITIONS, FEATURES
+from foretouch.models.state_space import TrackerParameters
+from foretouch.tactile import MODALITIES, biotac_touch
+
+SAMPLES = make_samples(3, 8)
+RECORDING, FEATURES_OF = recorded(SAMPLES), features_of(SAMPLES)
+
+
+def parameters() -> TrackerParameters:
+    deviation = np.maximum(FEATURES_OF.std(axis=0), 1e-3) * 4.0
+    return replace(make_calibration().tracker_parameters, where_scale=deviation, where_ratio=np.full(4, 2.0))
+
+
+def test_orders_are_shuffled_within_an_object_or_among_neighbours() -> None:
+    assert variant("level", RECORDING, FEATURES_OF, 0) is None
+    assert_array_equal(variant("where", RECORDING, FEATURES_OF, 0), FEATURES_OF)
+    for name, size in (("shuffled", 8), ("neighbours", 5)):
+        found = variant(name, RECORDING, FEATURES_OF, 0)
+        assert not np.array_equal(found, FEATURES_OF)
+        for first in [k + part for k in (0, 8, 16) for part in range(0, 8, size)]:
+            own = slice(first, min(first + size, 8 * (first // 8 + 1)))
+            assert_array_equal(np.sort(found[own], axis=0), np.sort(FEATURES_OF[own], axis=0))
+    groups = [variant(f"without {name}", RECORDING, FEATURES_OF, 0).shape[1] for name in ("sizes", "contacts", "hand")]
+    assert sum(groups) == 2 * (len(FEATURES) - len(CONDITIONS))  # each feature is left out once
+
+
+def test_no_later_grasp_changes_an_earlier_prediction() -> None:
+    target, own = SAMPLES[8].object, RECORDING.objects == SAMPLES[8].object
+    counts, half = predicted(RECORDING, FEATURES_OF, target, parameters())
+    assert np.isfinite(counts[own]).all()
+    assert np.isnan(counts[~own]).all()
+    later = np.arange(24) > 12
+    changed = replace(RECORDING, readings=RECORDING.readings + 50.0 * later[:, None])
+    others = predicted(changed, FEATURES_OF + 0.01 * later[:, None], target, parameters())
+    for whole, other in zip((counts, half), others, strict=True):
+        assert_array_equal(other[8:13], whole[8:13])
+        assert not np.array_equal(other[13:16], whole[13:16])
+
+
+def test_samples_of_a_day_without_stamps_are_taken_object_by_object() -> None:
+    mixed = [replace(SAMPLES[8 * (k % 3) + k // 3], stamp_ns=0) for k in range(24)]
+    found = in_order(mixed)
+    assert [one.object for one in found] == sorted(one.object for one in mixed)
+    assert_allclose(np.diff([one.stamp_ns for one in found]), 60e9)
+
+
+def test_rows_and_tables_are_those_of_the_cells(tmp_path: Path) -> None:
+    samples = [
+        replace(one, touch=biotac_touch(one.touch.values + 5.0 * np.sin(k + np.arange(50))))
+        for k, one in enumerate(make_samples(6, 6))
+    ]
+    data = Grasps(samples, None, "0" * 64)
+    assert find_experiment("benchmarks.where_on_object") is EXPERIMENT
+    settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where", "shuffled"]})
+    cells = EXPERIMENT.cells(settings, data)
+    assert [cell.values["what"] for cell in cells] == ["predict"] * 6
+    rows = EXPERIMENT.tabulate(
+        settings, [{**cell.values, **row} for cell in cells for row in EXPERIMENT.run(cell, settings, data)]
+    )
+    first, later = (
+        select(rows, regime=regime, object="all", modality=MEAN, variant="where")[0]
+        for regime in ("first three", "later")
+    )
+    assert (first["grasps"], later["grasps"]) == (15, 15)  # nothing was read before the first object
+    assert first["gain"] == 0.0
+    level = select(rows, regime="later", object="all", modality=MEAN, variant="level")[0]
+    assert_allclose(later["gain"], later["skill"] - level["skill"])
+    each = select(rows, regime="later", object="all", variant="where")
+    assert [row["modality"] for row in each] == [*MODALITIES, MEAN]
+    titles = [table.title.partition(":")[0] for table in EXPERIMENT.summarise(rows)]
+    assert titles[:4] == ["Findings", "first three", "later", "Over touches of the object"]
+    (figure,) = EXPERIMENT.draw(rows, tmp_path)
+    assert figure.stat().st_size > 5_000
