@@ -87,7 +87,7 @@ def watch(name: str, slot: int, frames: int) -> list[Stream]:
     label = f"{name} {slot}"
     streams = [
         Stream(label, method, hold, node.grasp_hold_tolerance_m)
-        for method, hold in (("original", 0.0), ("stable", node.grasp_hold))
+        for method, hold in (("original", 0.0), ("completed", node.grasp_hold))
     ]
     previous = None
     for frame in range(frames):

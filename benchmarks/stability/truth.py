@@ -18,7 +18,7 @@ from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
 SCENES = ("rigid", "deformables", "unseen_objects", "clutter")
-METHODS = ("original", "stable")
+METHODS = ("original", "completed")
 BACK_M = 0.03  # outside of the planned contact, where a finger starts to close
 QUANTITIES = {
     "distance from the true surface": "mm",
