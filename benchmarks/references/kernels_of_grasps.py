@@ -3,6 +3,19 @@
 
 import mpmath
 import numpy as np
+from foretouch.grasp.stable import (
+    ObjectFrame,
+    StableRanking,
+    StableSide,
+    WeightedPoints,
+    _third_moment,
+    object_frame,
+    soft_extremes,
+    stable_side,
+    weigh_points,
+)
+from foretouch.grasp.stable import _local_planes as planes_at
+from foretouch.grasp.stable import _onto_surface as surface_mean
 
 from benchmarks.references.reference import (
     Exact,
@@ -26,19 +39,6 @@ from benchmarks.references.reference import (
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 from foretouch.grasp.ranking import GraspPlane, SurfacePoints, _plane_distance, _ScaledSide, _two_rankings
-from foretouch.grasp.stable import (
-    ObjectFrame,
-    StableRanking,
-    StableSide,
-    WeightedPoints,
-    _third_moment,
-    object_frame,
-    soft_extremes,
-    stable_side,
-    weigh_points,
-)
-from foretouch.grasp.stable import _local_planes as planes_at
-from foretouch.grasp.stable import _onto_surface as surface_mean
 from foretouch.types import Plane
 
 CONFIG = GeoGraspConfig()

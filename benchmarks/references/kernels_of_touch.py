@@ -4,11 +4,10 @@
 import mpmath
 import numpy as np
 
-from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel, norm, real, relative_gap, solve, span
-from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit
+from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel, norm, relative_gap, span
 from foretouch.simulation.contact.grip import weigh
 from foretouch.simulation.contact.pad import PadConfig, contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.contact.problem import ContactProblem, Layer
+from foretouch.simulation.contact.problem import Layer
 from foretouch.simulation.fingertip import (
     BOTTOMING_M,
     BULGE_AREA_M2,
@@ -19,48 +18,6 @@ from foretouch.simulation.fingertip import (
 from foretouch.tactile import BIOTAC_SP
 
 GEL = Layer(modulus_pa=1e6, poisson=0.3)
-
-
-@kernel("Hertz: ellipse")
-def _hertz_ellipse(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """From a circle to an ellipse of 1 : 100."""
-    ratio = mpmath.mpf(span(t, 1.0 - 1e-6, 0.0102)) ** rng.uniform(0.95, 1.0)
-    m = 1 - ratio**2
-    k, e = mpmath.ellipk(m), mpmath.ellipe(m)
-    found = _ellipse(float((e / ratio**2 - k) / (k - e)))
-    return 1.0 + (np.log(100.0) / 1999.0) ** 2 / EPS, relative_gap(found, np.array([ratio, k, (k - e) / m], object))
-
-
-@kernel("Hertz: curvature of the gap")
-def _hertz_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """A flatter and flatter paraboloid."""
-    n, step = 9, 1e-4
-    offset = (np.arange(n) - (n - 1) / 2.0) * step
-    x, y = np.meshgrid(offset, offset)
-    curvature = span(t, 200.0, 1e-6)
-    gap_field = curvature * (x**2 + rng.uniform(0.1, 0.9) * y**2)
-    problem = ContactProblem(gap_field, step, (GEL,))
-    found = _fit(problem)
-    patch = exact(gap_field[1:8, 1:8].ravel())
-    i, j = np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0))
-    design = exact(
-        np.column_stack([np.ones(49), i.ravel(), j.ravel(), i.ravel() ** 2, (i * j).ravel(), j.ravel() ** 2])
-    )
-    fit = solve(design.T @ design, design.T @ patch) / exact(step) ** 2
-    mean, half = (fit[3] + fit[5]) / 2, mpmath.sqrt(((fit[3] - fit[5]) / 2) ** 2 + (fit[4] / 2) ** 2)
-    large = float(mean + half)
-    error = gap([found.a, found.b], np.array([mean - half, mean + half], object)) / large
-    return float(np.abs(real(patch)).max()) / (large * step**2), error
-
-
-@kernel("Hertz: displacement")
-def _hertz_displacement(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """From the middle of the footprint to 1e12 of its radii."""
-    rho = span(t, 0.1, 1e12) * rng.uniform(0.5, 1.0)
-    r = mpmath.mpf(rho)
-    wanted = 1 - r**2 / 2 if rho <= 1.0 else ((2 - r**2) * mpmath.asin(1 / r) + mpmath.sqrt(r**2 - 1)) / mpmath.pi
-    kappa = 1.0 if rho > 1e4 else max(1.0, rho**2)
-    return kappa, relative_gap(_displacement(np.array([[rho]]), 1.0), wanted)
 
 
 @kernel("pad: depth of the skin")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
+from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.config import Settings, setting
@@ -104,15 +105,20 @@ class Pipeline:
             self._model = load_model(self.config.model)
         return self._model
 
-    def segment(self, cloud: Cloud, previous: Float64 | None = None) -> SegmentedScene:
+    def segment(
+        self, cloud: Cloud, previous: Float64 | None = None, identity: ObjectIdentity | None = None
+    ) -> SegmentedScene:
         """Find the table and the target objects in a cloud with the table in view.
 
         Args:
             cloud: (H, W, 3) or (N, 3) points.
             previous: (3,) float64 [m], centroid of the target in the previous cloud of a stream; of objects that fit
                 the rule equally well, it stays the target.
+            identity: Ids of the objects in the stream; without, ids are numbers by distance.
         """
         found = segment(cloud, self.config.segmentation)
+        if identity is not None:
+            found = identity.keep(found)
         if found.status != "ok" or found.plane is None:
             return SegmentedScene(found.status, found.reason, found, ())
         chosen, reason = select_targets(found.objects, self.config.target, previous)

@@ -59,34 +59,6 @@ def test_without_filters_the_depth_is_untouched_and_decimation_halves_the_image(
     assert np.nanquantile(heights, 0.9) < 2.0 * pixel_m
 
 
-def test_spatial_and_temporal_smoothing_lower_the_noise(images, config, rng):
-    exact = np.full((240, 424), 1000, np.uint16)
-    noise = [np.rint(exact + rng.normal(0.0, 4.0, exact.shape)).astype(np.uint16) for _ in range(6)]
-    frames = [_Frame(z, images[0].rgb, images[0].K) for z in noise]
-    filters = {
-        "off": {},
-        "spatial": {"spatial": SpatialConfig(enabled=True)},
-        "temporal": {"temporal": TemporalConfig(enabled=True)},
-    }
-    depths = {name: _clouds(frames, config, on)[-1].xyz[20:-20, 20:-20, 2] for name, on in filters.items()}
-    spread = {name: float(np.nanstd(depth)) for name, depth in depths.items()}
-    assert spread["off"] == pytest.approx(0.004, rel=0.1)
-    assert spread["spatial"] < 0.6 * spread["off"]
-    assert spread["temporal"] < 0.7 * spread["off"]
-
-
-def test_a_hole_is_filled_from_the_left_the_farthest_or_the_nearest(images, config):
-    depth = np.full((240, 424), 1000, np.uint16)
-    depth[:, :199] = 900
-    depth[100, 199] = 0
-    frame = _Frame(depth, images[0].rgb, images[0].K)
-    for mode, expected in ((0, 0.9), (1, 1.0), (2, 0.9)):
-        (cloud,) = _clouds([frame], config, {"hole_filling": HoleFillingConfig(enabled=True, mode=mode)})
-        assert cloud.xyz[100, 199, 2] == pytest.approx(expected, abs=1e-6)
-    (unfilled,) = _clouds([frame], config, {})
-    assert np.isnan(unfilled.xyz[100, 199]).all()
-
-
 def test_bounds_and_defaults_are_the_librarys_and_every_setting_reaches_it() -> None:
     def check(block: str, settings: Any, options: dict[str, str]) -> None:
         rs = realsense()

@@ -76,16 +76,6 @@ def test_build_puts_splits_into_a_store_that_can_be_verified(call, dataset, tmp_
     assert call("dataset", "build", dataset, "-o", tmp_path / "store").status == 1
 
 
-def test_export_and_import_come_round(call, dataset, tmp_path) -> None:
-    (out,) = call("dataset", "export", dataset, "-o", tmp_path / "bag", "--format", "rosbag2", "--json").records
-    assert out["samples"] == 16
-    (back,) = call("dataset", "import", tmp_path / "bag", "-o", tmp_path / "again", "--json").records
-    assert (back["samples"], back["labelled"]) == (16, 16)
-    both = (dataset, tmp_path / "again")
-    one, other = (call("dataset", "build", path, "-o", path.with_suffix(".store"), "--json").records for path in both)
-    assert one[0]["sha256"] == other[0]["sha256"]
-
-
 def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:
     none, edit = tmp_path / "nothing", ("edit", dataset)
 

@@ -19,7 +19,7 @@ def test_this_environment_has_no_problem(call) -> None:
 def test_another_version_an_absent_package_and_a_library_that_crashes_are_named(monkeypatch) -> None:
     for needed in (None, "ros"):
         assert doctor._requirement(Requirement("no-such-package"), needed).state == "missing"
-    for extra in ("camera", "sweep", "tensorboard"):
+    for extra in ("camera", "sweep"):
         assert doctor._requirement(Requirement("no-such-package"), extra).state == "optional"
     monkeypatch.setattr(metadata, "version", lambda _: "0.1")
     found = doctor._requirement(Requirement("numpy>=1.26"), None)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scene_builders import table_scene
 
-from foretouch.selftest import table_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane
 
 MANY = 1_000_000  # points of the largest clouds

@@ -225,7 +225,7 @@ def network_cases() -> Cases:
 def _network(clouds: int, precision: str = "float32", size: float = 1.0, *, training: bool = True) -> Any:
     torch.manual_seed(0)
     net = TouchNet(ModelConfig.from_mapping(_MODEL))
-    TrainingDevice.of(DeviceConfig(device="cpu", precision=precision), 2).prepare(net)
+    TrainingDevice.of(DeviceConfig(device="cpu", precision=precision)).prepare(net)
     _multiply(net, size)
     points = torch.rand(1, 32, 3).expand(clouds, 32, 3).contiguous()
     grasps = torch.rand(1, net.config.grasp_size).expand(clouds, -1)

@@ -28,14 +28,14 @@ _ANY = "?"  # answered, or refused by any name
 
 
 def contact_cases() -> Cases:
-    """Contact of a pad with a surface, by all three solvers."""
+    """Contact of a pad with a surface, by both solvers."""
     wide = "compressed by|window is wide"
     offset = (np.arange(24) - 11.5) * 5e-4
     lens = (offset[:, None] ** 2 + offset**2) / 0.02
     lens -= lens.min()
     needle, flat = np.full((24, 24), np.inf), np.zeros((24, 24))
     needle[12, 12] = 0.0
-    for level in ("hertz", "winkler", "layer"):
+    for level in ("winkler", "layer"):
         pressed = partial(_pressed, level)
         for kind, value in (("force_n", 0.0), ("depth_m", 0.0), ("depth_m", -1.0)):
             yield f"contact: {level}, {kind} {value:g}", partial(pressed, lens, **{kind: value}), nearly(0.0)
@@ -45,9 +45,8 @@ def contact_cases() -> Cases:
         yield f"contact: {level}, 1e-30 N", partial(pressed, lens, force_n=1e-30), nearly(1e-30)
         yield f"contact: {level}, 1e30 N", partial(pressed, lens, force_n=1e30), wide
         yield f"contact: {level}, 1 m deep", partial(pressed, lens, depth_m=1.0), wide
-        reason = "too close|is flat|cuts" if level == "hertz" else None
-        yield f"contact: {level}, a needle of one cell", partial(pressed, needle, force_n=0.01), reason
-        yield f"contact: {level}, a flat", partial(pressed, flat, force_n=0.5), reason
+        yield f"contact: {level}, a needle of one cell", partial(pressed, needle, force_n=0.01)
+        yield f"contact: {level}, a flat", partial(pressed, flat, force_n=0.5)
     for name, gap, reason in (
         ("no surface", flat + np.inf, "nowhere in the window"),
         ("NaN", flat + np.nan, "holds NaN"),

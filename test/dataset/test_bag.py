@@ -2,18 +2,13 @@
 """Recordings in all containers, and what becomes of damaged ones."""
 
 import os
-import sqlite3
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from bag_builders import make_clouds, read_bag
 from every_case import every_case, every_refusal
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
@@ -205,14 +200,9 @@ def test_nothing_is_overwritten_or_left_half_and_a_message_that_is_cut_short_is_
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):
     (tmp_path / "notes.txt").write_text("no recording")
     (tmp_path / "folder").mkdir()
-    bomb = tmp_path / "bomb"
-    bomb.mkdir()
-    text = "a: &a [x, x, x, x, x, x, x, x, x]\n"
-    for one, other in zip("abcdefghij", "bcdefghijk", strict=True):
-        text += f"{other}: &{other} [{', '.join([f'*{one}'] * 9)}]\n"
-    (bomb / "metadata.yaml").write_text(text)
-    cases = [(tmp_path / name, "does not exist|is no recording: neither") for name in ("absent", "notes.txt", "folder")]
-    cases.append((bomb, "metadata.yaml: not YAML: more than 2000000 values, aliases included"))
+    cases = [
+        (tmp_path / name, "does not exist|is not a recording: neither") for name in ("absent", "notes.txt", "folder")
+    ]
     for suffix in (".mcap", ".db3", ".bag"):
         for number, content in enumerate((b"", b"not what the name says" * 100)):
             (tmp_path / f"{number}{suffix}").write_bytes(content)
@@ -224,12 +214,7 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):
     ):
         write_bag(tmp_path / f"bag{number}", make_clouds(rng, 1))
         (tmp_path / f"bag{number}" / "metadata.yaml").write_text(metadata)
-        cases.append(
-            (
-                tmp_path / f"bag{number}",
-                "truncated or damaged|not YAML|is not a (mapping|text)|rosbag2_bagfile_information: is missing",
-            )
-        )
+        cases.append((tmp_path / f"bag{number}", "truncated or damaged"))
 
     def check(path: Path, message: str) -> None:
         with pytest.raises(FileError, match=message) as caught:
@@ -275,86 +260,11 @@ def test_a_flipped_byte_is_detected_or_does_no_harm(tmp_path, rng):
     assert detected > 40
 
 
-def test_what_the_files_of_a_folder_would_do_to_a_reader_is_refused_before_it_is_done(tmp_path, rng):
-    message = foreign_message(KILTED, rng.normal(size=(3, 4, 3)).astype(np.float32), stamp_ns=1)
-
-    def sql(*statements: str):
-        def change(storage: Path) -> None:
-            with sqlite3.connect(storage) as database:
-                database.executescript(";".join(statements))
-
-        return change
-
-    def fifo(storage: Path) -> None:
-        storage.unlink()
-        os.mkfifo(storage)
-
-    endless = (
-        "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x AS schema_version FROM c WHERE x < 0"
-    )
-    computed = "ALTER TABLE messages ADD COLUMN big AS (zeroblob(1000000000))"
-    cases = [
-        ("view", sql("DROP TABLE schema", f"CREATE VIEW schema AS {endless}"), "schema is a view or computed"),
-        ("computed", sql(computed), "messages is a view or computed"),
-        ("large", sql("UPDATE messages SET data = zeroblob(70000001)"), "string or blob too big"),
-        ("fifo", fifo, "is a FIFO, not a regular file"),
-        ("name?x", lambda _: None, "needs a path without"),
-    ]
-
-    def check(name: str, change, rule: str) -> None:
-        write_foreign(tmp_path / "made", [message])
-        (tmp_path / "made").rename(tmp_path / name)
-        (storage,) = (tmp_path / name).glob("*.db3")
-        change(storage)
-        for path in (tmp_path / name, storage):
-            with pytest.raises(FileError, match=rule):
-                list(read_bag(path))
-
-    every_case(cases, check)
-
-
-def test_a_chunk_that_unpacks_to_more_than_it_says_or_than_the_limit_takes_no_memory(tmp_path):
-    size, path = 40_000_000, tmp_path / "bomb.mcap"
-
-    def check(compression: CompressionType, declared: int, rule: str) -> None:
-        with path.open("wb") as file:
-            writer = McapWriter(file, compression=compression, chunk_size=1, enable_crcs=False)
-            writer.start("ros2")
-            schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-            writer.add_message(writer.register_channel("/x", "cdr", schema), 1, bytes(size), 1)
-            writer.finish()
-        with path.open("rb") as file:
-            unpacked = make_reader(file).get_summary().chunk_indexes[0].uncompressed_size
-        content, (old, new) = path.read_bytes(), (size.to_bytes(8, "little") for size in (unpacked, declared))
-        head, _, tail = content.replace(old, new, 1).rpartition(old)  # in the chunk, and in the index
-        path.write_bytes(head + new + tail)
-        tracemalloc.start()
-        with pytest.raises(FileError, match=rule), Recording(path) as recording:
-            list(recording.messages())
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert peak < 10_000_000
-
-    list(
-        read_bag(write_bag(tmp_path / "bag", make_clouds(np.random.default_rng(0), 1)) and tmp_path / "bag")
-    )  # imports
-    kinds = (CompressionType.ZSTD, CompressionType.LZ4)
-    cases = [(kind, 1000, "unpacks to more than 1000 bytes") for kind in kinds]
-    every_case([*cases, *((kind, 300_000_000, "300000000 bytes, more than 256000000") for kind in kinds)], check)
-
-
-def test_a_robot_with_many_topics_is_read(tmp_path, rng):
-    write_foreign(
-        tmp_path / "bag", [foreign_message(KILTED, rng.normal(size=(3, 4, 3)).astype(np.float32), stamp_ns=1)]
-    )
-    file = tmp_path / "bag" / "metadata.yaml"
-    document = yaml.safe_load(file.read_text())
-    facts = document["rosbag2_bagfile_information"]
-    entry = facts["topics_with_message_count"][0]
-    for number in range(250):
-        topic = entry["topic_metadata"] | {"name": f"/topic/{number}", "more": "x" * 600}
-        facts["topics_with_message_count"].append({"topic_metadata": topic, "message_count": 0})
-    file.write_text(yaml.safe_dump(document))
-    assert file.stat().st_size > 163_000
-    with Recording(tmp_path / "bag") as recording:
-        assert len(recording.topics) == 251
+def test_a_fifo_in_the_place_of_a_storage_file_is_refused_and_not_waited_for(tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng, 1))
+    (storage,) = (tmp_path / "bag").glob("*.mcap")
+    storage.unlink()
+    os.mkfifo(storage)
+    for path in (tmp_path / "bag", storage):
+        with pytest.raises(FileError, match="is a FIFO, not a regular file"):
+            Recording(path)

@@ -17,15 +17,6 @@ def cloud_of(number: float, size: int = 5, **fields) -> Cloud:
     return Cloud(np.full((size, 3), number, np.float32), **fields)
 
 
-def test_a_file_is_a_source_of_one(tmp_path):
-    for suffix in (".pcd", ".ply", ".npz", ".npy"):
-        path = tmp_path / f"one{suffix}"
-        write_cloud(path, cloud_of(3.0))
-        (item,) = source = open_source(path)
-        assert (source.kind, len(source), item.name, item.sample) == ("clouds", 1, str(path), None)
-        np.testing.assert_array_equal(item.cloud.xyz, cloud_of(3.0).xyz)
-
-
 def test_a_folder_is_played_in_natural_order_with_rising_stamps(tmp_path):
     for number in (10, 9, 1, 2):
         write_cloud(tmp_path / f"frame{number}.npz", cloud_of(number))

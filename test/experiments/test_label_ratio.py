@@ -109,7 +109,7 @@ def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> Non
     for trial, config in found.items():
         assert (config.batch_size, config.epochs, f"P2, {config.loss.loss_variant}") == (10, 30, trial)
         weights = (config.loss.weight_labeled, config.loss.weight_unlabeled, config.loss.weight_fake)
-        assert (*weights, config.loss.gradient_penalty) == (1.0, 10.0, 0.1, 0.0)
+        assert weights == (1.0, 10.0, 0.1)
     tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
     small = {"cached_points": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0], "readings": []}
     generator = {"training.points": 32, "training.generator": {"noise_length": 4, "widths": [4], "stride": 3}}
@@ -223,7 +223,7 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
     """One batch of all points of all labelled samples, so that neither order nor choice makes a difference."""
     for recipe in ("frozen 0.001", "batch 0.001"):
         config = configured(BASE, "pointnet", recipe, 8, updates=5, seed=1)
-        assert config.loss.weight_unlabeled == config.loss.weight_fake == config.loss.gradient_penalty == 0.0
+        assert config.loss.weight_unlabeled == config.loss.weight_fake == 0.0
         nets = []
         for kind in (PointnetTrainer, SrganTrainer):
             trainer = kind(presampled, np.arange(8), np.arange(8, 24), config)

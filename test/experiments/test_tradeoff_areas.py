@@ -149,23 +149,15 @@ def test_springs_are_nearly_right_on_rigid_objects_and_an_effect_left_out_change
     finest = simulated("rigid: finest layer")
     assert finest["pattern_error"] == finest["force_error"] == finest["trained_change"] == 0.0
     assert finest["digits_rigid"] is None
-    springs, spaces = simulated("rigid: winkler 12x12"), simulated("rigid: hertz 24x24")
+    springs, soft = simulated("rigid: winkler 12x12"), simulated("deformables: winkler 12x12")
     assert springs["pattern_error"] < 0.05
-    assert spaces["pattern_error"] > 1.0
+    assert soft["pattern_error"] > 0.1
     assert springs["digits_rigid"] == pytest.approx(-np.log10(springs["pattern_error"]), rel=1e-4)
     assert springs["force_error"] < 1e-6  # the hand closes to a force
-    assert springs["trained_rigid"] > spaces["trained_rigid"]
     assert springs["trained_deformables"] is None
     row = simulated("without noise")
     assert 1.0 < row["counts"] < 20.0  # its deviation is 4 to 5 counts in each of both
     assert row["trained_everything"] is not None
-    shipped, less = (
-        {**one, "factor": factor, "state": "idle", "ms_p50": ms}
-        for one, factor, ms in ((simulated("everything as shipped"), "shipped", 11.0), (row, "other effect", 9.9))
-    )
-    (note,) = tradeoff_simulation.EXPERIMENT.notes([shipped, less])
-    assert note.startswith(f"without noise: readings change by {row['counts']:.3g} counts")
-    assert "), a sample takes 1.1 ms less; a model trained on it has a skill" in note
 
 
 def test_all_variants_of_the_simulator_are_scenes_and_are_timed(tmp_path: Path) -> None:
@@ -203,19 +195,3 @@ def test_more_grasps_are_more_skilful_take_the_robot_longer_and_fewer_are_part_o
     assert abs(answer - labels_of(test[:10])).max() < 1000.0
     epoch = tradeoff_training.EXPERIMENT.timed(network, TRAINING, GRASPS)
     assert (epoch.whole, epoch.answer(1).size) == (60.0, 0)
-
-
-def test_a_sentence_states_what_an_hour_of_the_robot_buys() -> None:
-    rows = [
-        {"variant": variant, "factor": factor, "known": known, "new": None, "one_block": None, "robot_h_known": hours,
-         "robot_h_new": None, "grasps_known": int(60 * hours), "cpu_ms": cpu_ms, "request": 1, "state": "idle"}
-        for variant, factor, known, hours, cpu_ms in (
-            ("contact model as shipped", "shipped", 0.4, 4.0, 3000.0),
-            ("5 grasps an object", "labels", 0.2, 2.0, 1000.0),
-            ("5 trees", "trees", 0.3, 4.0, 1000.0),
-        )
-    ]  # fmt: skip
-    assert tradeoff_training.EXPERIMENT.notes(rows) == [
-        "Robot, known objects, more grasps of each: from 120 to 240 grasps, 2.0 hours, skill 0.200 to 0.400: +0.100 an hour.",
-        "Computer, trees: from 5 trees to contact model as shipped, 2.0 s more of one core, skill 0.300 to 0.400.",
-    ]

@@ -8,6 +8,7 @@ import pytest
 from corpus.clouds import object_cases
 from every_case import every_case
 from kernels.references import points as reference
+from scene_builders import table_scene
 
 from foretouch.cloud.geometry import flying, pcl_filters
 from foretouch.cloud.geometry.pcl_filters import (
@@ -20,7 +21,6 @@ from foretouch.cloud.geometry.pcl_filters import (
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, axis, plan_grasps, preprocessing, ranking, stable
 from foretouch.grasp import geograsp as geograsp_module
-from foretouch.selftest import table_scene
 from foretouch.types import Cloud, Float32, Plane
 
 _MOST = 6000  # points of a case; the references take seconds of more

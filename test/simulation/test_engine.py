@@ -110,7 +110,7 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
     full = scene(*loaded, **common, clutter={}, gravity={}, fingers=EVERY_FINGER_EFFECT | {"sessions": {}})
     campaign = {"tares": "object", "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}], "days": [0, 1]}
     configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}})]
-    configs.append(scene(fidelity="hertz", camera={"segmented": {}}))
+    configs.append(scene(fidelity="winkler", camera={"segmented": {}}))
     array = {
         "sensor": "xela_uskin_4x4",
         "timeline": {},

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--self-test",
         nargs="*",
         metavar="ROW",
-        help="run the shipped models, numerical references, ROS and timings on this machine; or only some rows",
+        help="run the shipped models and ROS on this machine; or only one of the rows models, ROS",
     )
 
 

@@ -1,23 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of a terminal, also over SSH, and what they do to a recording.
-
-The terminal is as before at the end, at Ctrl-Z, and after a crash or `kill -9`: a shell that outlives this process sets it.
-"""
+"""Keys of a terminal, also over SSH, and what they do to a recording."""
 
 import codecs
 import os
 import re
 import select
-import signal
-import subprocess
 import sys
 import termios
 import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
-from types import FrameType
-from typing import Any, Final, Self
+from typing import Final, Self
 
 from rich.text import Text
 
@@ -26,9 +20,7 @@ from foretouch.interrupts import uninterrupted
 from foretouch.ros.recorder.operator import Action, Reply
 
 _SEQUENCE: Final = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.)")  # such as of an arrow key
-_ENTER_SCREEN, _LEAVE_SCREEN = b"\x1b[?1049h\x1b[?25l", b"\x1b[?1049l\x1b[?25h"
-# It waits for a line or, where this process is killed, for the end of its input.
-_GUARD: Final = r"""read -r _ || { stty "$0" <&1; printf '\033[?1049l\033[?25h'; }"""
+_CONTROL_CHARACTERS: Final = 6  # place in the attributes of a terminal
 
 KEYS: Final[dict[str, tuple[Action, str]]] = {
     "o": ("object", "name of the next object (Enter: the next of the list)"),
@@ -52,61 +44,33 @@ def has_keyboard() -> bool:
 
 
 class Keyboard:
-    """Keys of the terminal, one by one and not shown, while the context is open."""
+    """Keys of the terminal, one by one and not shown, while the context is open; Ctrl-Z is ignored meanwhile."""
 
     def __init__(self) -> None:
         self._fd = sys.stdin.fileno()
         self._decode = codecs.getincrementaldecoder("utf-8")("ignore").decode
-        self._is_on = self._was_suspended = False
 
     def __enter__(self) -> Self:
         self._before = termios.tcgetattr(self._fd)
-        self._handlers: dict[int, Any] = {signal.SIGTTOU: signal.signal(signal.SIGTTOU, signal.SIG_IGN)}
-        self._handlers[signal.SIGTSTP] = signal.signal(signal.SIGTSTP, self._suspend)
-        saved = subprocess.check_output(["stty", "-g"], stdin=self._fd, text=True).strip()  # noqa: S607
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._fd, "start_new_session": True}
-        self._guard = subprocess.Popen(["sh", "-c", _GUARD, saved], **pipes)  # noqa: S603, S607
-        self._is_on = has_keyboard()
-        if self._is_on:
-            tty.setcbreak(self._fd, termios.TCSANOW)
+        tty.setcbreak(self._fd, termios.TCSANOW)
+        attributes = termios.tcgetattr(self._fd)
+        attributes[_CONTROL_CHARACTERS][termios.VSUSP] = b"\0"
+        termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._restore()
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        self._guard.communicate(b"\n")
+        with suppress(termios.error):  # it was closed
+            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
 
-    def read(self, timeout_s: float) -> str | None:
-        """What was typed, after this time at the latest; None while another program is in the foreground."""
-        if not has_keyboard():
-            self._is_on = False
-            time.sleep(timeout_s)
-            return None
-        if not self._is_on:
-            tty.setcbreak(self._fd, termios.TCSANOW)
-            self._is_on = True
-            if self._was_suspended:
-                os.write(self._fd, _ENTER_SCREEN)
-        ready = select.select([self._fd], [], [], timeout_s)[0]
-        if not self._is_on:  # it was suspended meanwhile
-            return None
-        with suppress(OSError):  # it was closed
-            return _SEQUENCE.sub("", self._decode(os.read(self._fd, 1024))) if ready else ""
-        return None
-
-    def _restore(self) -> None:
-        if self._is_on:
-            self._is_on = False
-            with suppress(termios.error):  # it was closed
-                termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
-
-    def _suspend(self, _: int, __: FrameType | None) -> None:
-        """Give the terminal back at Ctrl-Z; `read` takes it again once this process is in the foreground."""
-        self._restore()
-        os.write(self._fd, _LEAVE_SCREEN)
-        self._was_suspended = True
-        os.kill(os.getpid(), signal.SIGSTOP)
+    def read(self, timeout_s: float) -> str:
+        """What was typed, after this time at the latest."""
+        if not select.select([self._fd], [], [], timeout_s)[0]:
+            return ""
+        with suppress(OSError):
+            if content := os.read(self._fd, 1024):
+                return _SEQUENCE.sub("", self._decode(content))
+        time.sleep(timeout_s)  # the terminal was closed
+        return ""
 
 
 class RecordingKeys:

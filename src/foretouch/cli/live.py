@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 from math import dist
 from typing import TYPE_CHECKING
 
-from rich.console import RenderableType
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
 from rich.text import Text
 
 from foretouch.cli.answers import modality_text
-from foretouch.cli.screen import FittedPanel, FittedTable
+from foretouch.cli.screen import make_table
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
@@ -22,10 +24,12 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPrediction
 
 
+_SHOWN = 8  # rows of a table
+_LONGEST_TITLE = 50  # characters of a title in the frame
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
 
 
-def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
+def live_panel(view: View, title: str, waiting: str = "") -> Panel:
     """Draw what the graph has reported: nodes, their problems, answers, the last executed grasp and prediction.
 
     `waiting` says what the first answer waits for.
@@ -45,14 +49,22 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
         found = ", ".join(f"{count} {why}" for why, count in _dropped(node.values).items())
         parts += [Text(f"{_short(name)} dropped {found} in all")] * bool(found)
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
-    return FittedPanel(parts, title)
+    return titled(title, parts)
 
 
-def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> FittedTable:
-    return FittedTable(columns, rows, title=title, live=True, limit=8)
+def titled(title: str, parts: Sequence[RenderableType]) -> Panel:
+    """A panel of some parts, the most important first: a low terminal shows as many lines as it has."""
+    if len(title) > _LONGEST_TITLE:  # which rich would cut at the corner
+        return Panel(Group(Text(title, "bold", overflow="fold"), *parts))
+    return Panel(Group(*parts), title=title, title_align="left")
 
 
-def _nodes(nodes: Mapping[str, NodeView]) -> FittedTable:
+def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> Table:
+    more = f", the first {_SHOWN} of {len(rows)}" * (len(rows) > _SHOWN)
+    return make_table(columns, rows[:_SHOWN], title + more, live=True)
+
+
+def _nodes(nodes: Mapping[str, NodeView]) -> Table:
     rows: list[list[str | Text]] = []
     for name, node in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
         values = node.values
@@ -74,7 +86,7 @@ def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     return {reason: count for reason, count in found.items() if count}
 
 
-def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> FittedTable:
+def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Table:
     from foretouch.ros.messages.conversions import reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
@@ -103,7 +115,7 @@ def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequenc
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
 
-def executed_table(prediction: TouchPrediction | None, readings: TouchCut, sensor: Sensor | None = None) -> FittedTable:
+def executed_table(prediction: TouchPrediction | None, readings: TouchCut, sensor: Sensor | None = None) -> Table:
     """The values of an executed grasp: as predicted, if they were, as read, and at rest before; all without a sensor."""
     channels = readings.touch.channels.channel_of
     modalities = TaxelView(sensor).modalities if sensor else list(channels)

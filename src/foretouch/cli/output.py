@@ -21,11 +21,11 @@ def print_json(record: Mapping[str, Any]) -> None:
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a title and, if there are rows, a table; the caller formats numbers and units."""
-    from foretouch.cli.screen import FittedTable, terminal
+    from foretouch.cli.screen import make_table, terminal
 
     print_text(title, "bold")
     if rows:
-        terminal().print(FittedTable(columns, rows))
+        terminal().print(make_table(columns, rows))
 
 
 def print_text(text: str, style: str = "") -> None:

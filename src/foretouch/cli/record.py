@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import RenderableType
+from rich.panel import Panel
+from rich.table import Table
 from rich.text import Text
 
 from foretouch.cli.inputs import add_options, positive_number, positive_value
-from foretouch.cli.live import executed_table
+from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
-from foretouch.cli.screen import FittedPanel, FittedTable, terminal, watch
+from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, stamp_ns
@@ -46,7 +48,7 @@ def record_panel(
     inputs: Mapping[str, TopicStatistics] | None = None,
     keys: Sequence[Text] = (),
     sensor: Sensor | None = None,
-) -> FittedPanel:
+) -> Panel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance.
 
     With `session`, also objects with their outcomes, the last grasp and what is worth doing next; with `inputs`, the age and the
@@ -57,9 +59,9 @@ def record_panel(
         parts += [_objects(session.operator), Text("next: " + "; ".join(session.operator.suggestions), "cyan")]
     if session is not None and session.last is not None:
         parts.append(executed_table(*session.last, sensor))
-    parts += [_grasps(status), _sensors(status), *_invalid(session), _topics(status.topics, inputs)]
     dropped = ", ".join(f"{n} {why}" for why, n in zip(status.drop_reasons, status.drop_counts, strict=True))
-    return FittedPanel([*parts, *[Text(f"dropped: {dropped}")] * bool(dropped)], title)
+    parts += [_grasps(status), _sensors(status), *_invalid(session), *[Text(f"dropped: {dropped}")] * bool(dropped)]
+    return titled(title, [*parts, _topics(status.topics, inputs)])
 
 
 def _samples(status: RecorderStatus) -> Text:
@@ -116,7 +118,7 @@ def _objects(state: OperatorState) -> Text:
     return text
 
 
-def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics] | None) -> FittedTable:
+def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics] | None) -> Table:
     own = [
         topic.topic for topic in topics[1:] if topic.topic.count("/") > 1
     ]  # the first is the hand's, /tf the robot's
@@ -135,7 +137,7 @@ def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
     times = () if inputs is None else ("age s", "clock ms")
-    return FittedTable(("topic", "Hz", *times, "received", "written", "queue", "lost", "dropped"), rows, live=True)
+    return make_table(("topic", "Hz", *times, "received", "written", "queue", "lost", "dropped"), rows, live=True)
 
 
 def _times(one: TopicStatistics | None) -> list[str | Text]:
@@ -270,15 +272,13 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
             return
         keyboard = stack.enter_context(Keyboard())
 
-        def wait(timeout_s: float) -> bool:
-            typed = keyboard.read(timeout_s)
-            keys.press(typed or "")
-            return typed is not None
+        def wait(timeout_s: float) -> None:
+            keys.press(keyboard.read(timeout_s))
 
         watch(lambda: keys.quitted or ended(), partial(_panel, node, keys), report, every_s=1.0, wait=wait)
 
 
-def _panel(node: RecorderNode, keys: RecordingKeys | None) -> FittedPanel:
+def _panel(node: RecorderNode, keys: RecordingKeys | None) -> Panel:
     session = node.session_status()
     lines = [] if keys is None else keys.lines(next(reversed(session.operator.replies), None))
     title = "foretouch record (Ctrl-C ends it)"

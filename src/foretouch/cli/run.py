@@ -11,12 +11,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from rich.panel import Panel
+
 from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import announce, print_json, warn
-from foretouch.cli.screen import FittedPanel, terminal, watch
+from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
@@ -281,7 +283,7 @@ def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
     return played or (arguments.count is not None and graph.answered() >= arguments.count)
 
 
-def _panel(graph: Graph, source: str) -> FittedPanel:
+def _panel(graph: Graph, source: str) -> Panel:
     waiting = f"waiting for the first: {_source_state(graph)}"
     return live_panel(graph.monitor.view(), f"foretouch run: {source} (Ctrl-C to end)", waiting)
 

@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch train`: a model from a configuration and a dataset, resumable at every epoch.
-
-Several processes share each batch, with the gradients of one, when `torchrun` starts the command::
-
-    torchrun --nproc-per-node 2 -m foretouch.cli.main train CONFIG -o RUN
-"""
+"""`foretouch train`: a model from a configuration and a dataset, resumable at every epoch."""
 
 from __future__ import annotations
 
@@ -53,7 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 0 with a model on disk; an error stops the training, and the last good state stays."""
-    from foretouch.learning.training.device import process_group
     from foretouch.learning.training.run_config import load_run_config
 
     config = load_run_config(arguments.config, arguments.overrides)  # before the samples: errors appear at once
@@ -63,15 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.compare:
         return _compare(arguments, config.replace(release=True), load_dataset(config.data))
-    with process_group(config.device) as context:
-        return _train(arguments, config, load_dataset(config.data), quiet=context.rank > 0)
+    return _train(arguments, config, load_dataset(config.data))
 
 
-def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset, *, quiet: bool) -> int:
+def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> int:
     from foretouch.learning.training.run import train_run
 
     options = {"resume": arguments.resume, "workers": arguments.workers}
-    if arguments.json or quiet:
+    if arguments.json:
         train_run(config, data, arguments.out, print_json, **options)
         return 0
     records: list[Mapping[str, Any]] = []

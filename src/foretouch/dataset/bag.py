@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.checked_files import require_existing
-from foretouch.dataset.bag_limits import check_chunks, check_files, limit_decompression
+from foretouch.checked_files import open_regular, require_existing
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, FileError
 from foretouch.topics import TAXELS
@@ -74,10 +73,8 @@ class Recording:
 
             # Recordings of ROS 2 before Iron hold no definitions: fall back to those of a current release.
             self._reader: AnyReader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_KILTED))
-            limit_decompression()
             self._reader.open()
         try:
-            check_chunks(self.path, self._reader)
             with _known_failures(self.path):
                 self._store = self._reader.typestore if self._reader.is2 else _without_seq(self._reader.typestore)
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
@@ -164,15 +161,15 @@ def is_recording(path: Path) -> bool:
 
 
 def _storage_paths(path: Path) -> list[Path]:
-    """The directory or file itself, or the files of a directory without metadata."""
+    """The directory or file itself, or the files of a directory without metadata; all of them are regular files."""
     require_existing(path)
     if not is_recording(path):
         raise FileError(
-            path, f"is no recording: neither a rosbag2 directory nor a file of {', '.join(RECORDING_SUFFIXES)}"
+            path, f"is not a recording: neither a rosbag2 directory nor a file of {', '.join(RECORDING_SUFFIXES)}"
         )
-    files = _loose_files(path) if path.is_dir() else [path]
-    check_files(path, files)
-    return [path] if (path / "metadata.yaml").is_file() else files
+    for file in (one for one in (path.iterdir() if path.is_dir() else [path]) if not one.is_dir()):
+        open_regular(file).close()  # opening a FIFO would wait without end
+    return _loose_files(path) if path.is_dir() and not (path / "metadata.yaml").is_file() else [path]
 
 
 def _loose_files(path: Path) -> list[Path]:

@@ -16,18 +16,25 @@ what was verified, and a file that is changed or truncated meanwhile is refused.
 
 import hashlib
 import json
-import struct
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import count
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
 
 from foretouch.channels import Channels
-from foretouch.checked_files import FileBytes, Version, file_sha256, parse_json, require_schema
+from foretouch.checked_files import (
+    FileBytes,
+    Version,
+    file_sha256,
+    open_regular,
+    parse_json,
+    require_schema,
+    version_of,
+)
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
@@ -58,8 +65,6 @@ _COLUMNS: Final = [
 
 _KEPT_BATCHES: Final = 4
 _ARROW: Final = b"ARROW1\0\0"
-_CONTINUED: Final = 0xFFFFFFFF  # before the head of each message
-_RECORD_BATCH: Final = 3  # kind of message
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
 _verified: dict[tuple[Path, Version | None, int], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
@@ -211,18 +216,12 @@ def _require_hash(path: Path, found: str, wanted: str) -> None:
 
 def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
     """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
-    data = FileBytes(path)
-    key = (path.absolute(), data.version, channels.size)
-    if data.version is None or key not in _verified:
-        digest, ends, at = hashlib.sha256(), [], 0
-        for end in _message_ends(data):
-            digest.update(message := data[at:end])
-            ends.append((at, end, hashlib.sha256(message).digest()))
-            at = end
-        for _, block in data.blocks(at, len(data)):
-            digest.update(block)
-        _require_hash(path, digest.hexdigest(), sha256)
-        _verified[key] = sha256, _check_shard(data, ends, schema_of(channels))
+    with open_regular(path) as file:
+        version = version_of(file)
+        key = (path.absolute(), version, channels.size)
+        if version is None or key not in _verified:
+            _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
+            _verified[key] = sha256, _check_shard(path, file, schema_of(channels))
     found, parts = _verified[key]
     _require_hash(path, found, sha256)
     if (rows := sum(part.samples for part in parts)) != samples:
@@ -230,62 +229,32 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
     return parts
 
 
-def _message_ends(data: FileBytes) -> Iterator[int]:
-    """Where the opening bytes of an Arrow IPC file and each of its messages end, as far as they are whole."""
-    yield (at := len(_ARROW))
-    with suppress(struct.error):
-        while True:
-            marker, size = struct.unpack("<Ii", data[at : at + 8])
-            if marker != _CONTINUED or size <= 0:
-                return
-            at += 8 + size + _message_facts(data[at + 8 : at + 8 + size])[1]
-            if not 0 < size <= at <= len(data):
-                return
-            yield at
-
-
-def _message_facts(head: bytes) -> tuple[int, int, bool]:
-    """Kind of a message, size of its body [bytes], and whether it is compressed; `struct.error` if it is damaged.
-
-    The head is a FlatBuffers table (Message.fbs of Arrow), which pyarrow shows after decompression only.
-    """
-
-    def _field(table: int, number: int) -> int:
-        """Position of a field of a table; 0 if it is absent."""
-        (down,) = struct.unpack_from("<i", head, table)
-        (size,) = struct.unpack_from("<H", head, max(0, table - down))
-        place = 4 + 2 * number
-        (offset,) = struct.unpack_from("<H", head, max(0, table - down) + place) if place < size else (0,)
-        return int(table + offset if offset else 0)
-
-    (root,) = struct.unpack_from("<I", head)
-    kind, content, body = (_field(root, number) for number in (1, 2, 3))
-    found = struct.unpack_from("<B", head, kind)[0] if kind else 0
-    size = struct.unpack_from("<q", head, body)[0] if body else 0
-    if size < 0:
-        raise struct.error("a body of negative size")
-    inner = content + struct.unpack_from("<I", head, content)[0]
-    return found, size, found == _RECORD_BATCH and _field(inner, 3) > 0
-
-
-def _check_shard(data: FileBytes, messages: list[tuple[int, int, bytes]], schema: pa.Schema) -> list[_Part]:
-    """The parts of a shard from the spans of its messages, of which the first two are the opening and the schema."""
-    path, parts = data.path, []
+def _check_shard(path: Path, file: BinaryIO, schema: pa.Schema) -> list[_Part]:
+    """The parts of a shard, an Arrow IPC file, whose messages follow its eight opening bytes one after the other."""
+    parts: list[_Part] = []
+    data = FileBytes(path)
+    file.seek(len(_ARROW))
     try:
-        if data[: len(_ARROW)] != _ARROW or data[-6:] != _ARROW[:6]:
-            raise pa.ArrowInvalid("is no Arrow IPC file, or cut off")
-        if not pa.ipc.read_schema(pa.py_buffer(data[messages[1][0] : messages[1][1]])).equals(schema):
-            raise FileError(path, "has other columns than the schema", field="schema")
-        for number, (start, end, sha256) in enumerate(messages[2:]):
-            size = struct.unpack("<i", data[start + 4 : start + 8])[0]
-            kind, _, compressed = _message_facts(data[start + 8 : start + 8 + size])
-            if kind != _RECORD_BATCH or compressed:
-                raise FileError(path, "is no batch of samples, or compressed", field=f"batch {number}")
-            part = _Part(path, start, end, sha256, 0, schema)
-            batch = _read_batch(part)
-            _check_batch(path, batch, f"batch {number}")
-            parts.append(part._replace(samples=batch.num_rows))
-    except (OSError, IndexError, struct.error, *_ARROW_ERRORS) as err:
+        with pa.PythonFile(file, "r") as source:
+            messages = pa.ipc.MessageReader.open_stream(source)
+            if not pa.ipc.read_schema(messages.read_next_message()).equals(schema):
+                raise FileError(path, "has other columns than the schema", field="schema")
+            for number in count():
+                start = file.tell()
+                try:
+                    message = messages.read_next_message()
+                except StopIteration:
+                    return parts
+                field, content = f"batch {number}", data[start : file.tell()]
+                if message.type != "record batch":
+                    raise FileError(path, "is not a batch of samples", field=field)
+                part = _Part(path, start, file.tell(), hashlib.sha256(content).digest(), 0, schema)
+                batch = _read_batch(part)
+                if batch.get_total_buffer_size() > message.body.size:
+                    raise FileError(path, "is compressed", field=field)
+                _check_batch(path, batch, field)
+                parts.append(part._replace(samples=batch.num_rows))
+    except (OSError, StopIteration, *_ARROW_ERRORS) as err:
         raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
     return parts
 

@@ -391,24 +391,6 @@ def _timed_targets(data: PerceptionData) -> list[FoundObject]:
     return [targets[k] for k in np.linspace(0, len(targets) - 1, min(_TIMED, len(targets))).astype(int)]
 
 
-def _notes(rows: Sequence[Row]) -> list[str]:
-    """What happens to best grasps, and whether those that move are worse."""
-    found = []
-    for row in rows:
-        if not row["moved"] or row["moved_equal"] is None or row["score_change"] is None:
-            continue
-        real = row["touch_half_real"]
-        on_real = "" if real is None else f" (real objects {row['touch_counts_real']:.0f} = {real:.2f})"
-        found.append(
-            f"{row['variant']}: {row['moved']:.0%} of best grasps move more than 5 mm; of these {row['moved_equal']:.0%} score "
-            f"the same within {_EQUAL_SCORE:g}, {row['moved_better']:.0%} better, {row['moved_worse']:.0%} worse; mean "
-            f"change of the score {row['score_change']:+.2f} [{row['score_change_low']:+.2f}, {row['score_change_high']:+.2f}], "
-            f"of touch {row['touch_counts']:.0f} counts = {row['touch_half']:.2f} half widths{on_real}; contacts "
-            f"{row['contact_mm']:.1f} mm from the true surface."
-        )
-    return found
-
-
 EXPERIMENT = Area(
     name="tradeoff_perception",
     question="How well can objects and grasps be found in a few milliseconds?",
@@ -430,6 +412,4 @@ EXPERIMENT = Area(
         Panel("iou", 1, "Segmentation, 848x480: masks of the objects"),
         Panel("score", 1, "GeoGrasp: score of the best grasp at full resolution"),
     ),
-    unit="m",
-    notes=_notes,
 )

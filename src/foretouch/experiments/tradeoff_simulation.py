@@ -20,7 +20,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel, time_column
+from foretouch.experiments.framework.frontier import Panel
 from foretouch.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant, variant_cells
 from foretouch.experiments.shared.scores import interval_columns
 from foretouch.learning.data import labels_of
@@ -44,10 +44,10 @@ _TIMED: Final = 16  # samples that are timed in turn
 _BOOTSTRAP: Final = BootstrapConfig(draws=500)
 
 _LEVELS: Final = (
-    *(("hertz", 24), ("winkler", 12), ("winkler", 24), ("winkler", 48)),
+    *(("winkler", 12), ("winkler", 24), ("winkler", 48)),
     *(("layer", 8), ("layer", 12), ("layer", 16), ("layer", 24), ("layer", 32), ("layer", 48)),
 )
-_FEW_LEVELS: Final = (("hertz", 24), ("winkler", 12), ("winkler", 24), ("layer", 12), ("layer", 24))
+_FEW_LEVELS: Final = (("winkler", 12), ("winkler", 24), ("layer", 12), ("layer", 24))
 
 _DEPTH_EFFECTS: Final = {
     "clutter": "clutter",
@@ -254,30 +254,6 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
     return Timed(lambda _: engine.run(next(keys)).touch.values)
 
 
-def _notes(rows: Sequence[Row]) -> list[str]:
-    found, column = [], time_column(rows)
-    whole = next((row[column] for row in rows if row["variant"] == _shipped(EVERYTHING)), None)
-    for row in [row for row in rows if row["trained_change"] is not None]:
-        change = f"{row['trained_change']:+.2f}"
-        if row["trained_change_low"] is not None:
-            change += f" [{row['trained_change_low']:+.2f}, {row['trained_change_high']:+.2f}]"
-        trained = f"a model trained on it has a skill {change} different from one trained on"
-        if row["pattern_error"]:
-            found.append(
-                f"{row['variant']}: pattern error {100.0 * row['pattern_error']:.2g} % (largest "
-                f"{100.0 * row['pattern_error_largest']:.2g} %), force error {100.0 * round(row['force_error'], 6):.2g} %; "
-                f"{trained} the finest level."
-            )
-        elif row["counts"] is not None and row["factor"] != "shipped":
-            less = None if None in (whole, row[column]) else whole - row[column]
-            cost = "" if less is None else f", a sample takes {abs(less):.1f} ms {'more' if less < 0.0 else 'less'}"
-            found.append(
-                f"{row['variant']}: readings change by {row['counts']:.3g} counts (largest {row['counts_largest']:.0f}){cost}; "
-                f"{trained} all effects."
-            )
-    return found
-
-
 EXPERIMENT = Area(
     name="tradeoff_simulation",
     question="How exact must the simulator be, and what does a sample cost?",
@@ -307,5 +283,4 @@ EXPERIMENT = Area(
         Panel("trained_deformables", 1, "Deformable objects: skill of a model trained on it, on the finest level"),
         Panel("trained_everything", 1, "Effects left out: skill of a model trained without, with all effects"),
     ),
-    notes=_notes,
 )

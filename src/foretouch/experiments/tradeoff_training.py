@@ -4,7 +4,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel, of_request
+from foretouch.experiments.framework.frontier import Panel
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
 from foretouch.experiments.shared.predictors import network
@@ -52,14 +51,6 @@ _NETWORKS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
     ("epochs x cloud size", {"train.epochs": 240, "train.points": 128}),
     ("epochs x cloud size", {"train.epochs": 60, "train.points": 64}),
 )
-# Factors that cost time of the robot, with the column of the skill and what is said about it.
-_ROBOT: Final = {
-    "labels": ("known", "known objects, more grasps of each"),
-    "objects": ("new", "new objects, more objects"),
-}
-
-# Factors that cost time of the computer, with the column of the skill and the variant in which they are as shipped.
-_COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (_ONE_BLOCK, NETWORK), "cloud size": (_ONE_BLOCK, NETWORK)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,34 +204,6 @@ def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
     return Timed(epoch, whole=float(recipe.train.epochs))
 
 
-def _notes(rows: Sequence[Row]) -> list[str]:
-    """Sentences about steps from less to more, of the robot and of the computer."""
-    rows, found = of_request(rows, 1), []
-    for factor, (column, text) in _ROBOT.items():
-        for less, more in pairwise(_series(rows, factor, column, f"robot_h_{column}", CONTACT)):
-            hours, gain = more[f"robot_h_{column}"] - less[f"robot_h_{column}"], more[column] - less[column]
-            each = f": {gain / hours:+.3f} an hour" if hours > 0.0 else ""
-            found.append(
-                f"Robot, {text}: from {less[f'grasps_{column}']} to {more[f'grasps_{column}']} grasps, {hours:.1f} hours, "
-                f"skill {less[column]:.3f} to {more[column]:.3f}{each}."
-            )
-    for factor, (column, shipped) in _COMPUTER.items():
-        for less, more in pairwise(_series(rows, factor, column, "cpu_ms", shipped)):
-            seconds = 1e-3 * (more["cpu_ms"] - less["cpu_ms"])
-            found.append(
-                f"Computer, {factor}: from {less['variant']} to {more['variant']}, {seconds:.1f} s more of one core, skill "
-                f"{less[column]:.3f} to {more[column]:.3f}."
-            )
-    return found
-
-
-def _series(rows: Sequence[Row], factor: str, column: str, order: str, shipped: str) -> list[Row]:
-    """Rows of one factor and the shipped one, by what they cost."""
-    own = [row for row in rows if row["factor"] == factor or row["variant"] == shipped]
-    own = [row for row in own if None not in (row[column], row[order])]
-    return sorted(own, key=lambda row: row[order]) if len(own) > 1 else []
-
-
 EXPERIMENT = Area(
     name="tradeoff_training",
     question="What does one more hour buy, of the robot that grasps or of the computer that trains?",
@@ -267,5 +230,4 @@ EXPERIMENT = Area(
         Panel("new", 1, "Contact model: skill on new objects (left out)"),
         Panel(_ONE_BLOCK, 1, "Networks and contact models: skill on the first block of time"),
     ),
-    notes=_notes,
 )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import Clusters, _pixel_pitch, in_range
+from foretouch.cloud.segmentation.clusters import Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import ObjectSegment
 
 Array = np.ndarray[Any, Any]
@@ -71,7 +71,7 @@ def write_ids(image, window, ids) -> int:
 
 def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None) -> list[Clusters]:
     """Windows around the patches of the coarse grid, each labelled on the grid and then refined."""
-    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), _pixel_pitch(coarse) / stride
+    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
 
     def step(z, slope):
         return np.maximum(z * np.float32(slope * pitch), np.float32(config.gap_m))

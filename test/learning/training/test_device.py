@@ -16,9 +16,9 @@ from foretouch.models.network.networks import GeneratorConfig
 def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    assert TrainingDevice.of(TrainConfig(), 8).device == torch.device("cpu")
+    assert TrainingDevice.of(TrainConfig()).device == torch.device("cpu")
     with pytest.raises(ConfigError, match=r"device: cuda: torch finds no GPU; choose auto or cpu"):
-        TrainingDevice.of(TrainConfig(device="cuda"), 8)
+        TrainingDevice.of(TrainConfig(device="cuda"))
 
 
 def test_a_search_in_bfloat16_learns_as_much_and_leaves_float32_weights(samples, small) -> None:

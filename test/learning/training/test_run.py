@@ -23,7 +23,7 @@ from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
 from foretouch.learning.training.run import train_run
 from foretouch.learning.training.run_config import RunConfig, load_run_config
-from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, TENSORBOARD_FOLDER, read_state, write_state
+from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, read_state, write_state
 from foretouch.tactile import P2_RANGES
 
 
@@ -203,49 +203,3 @@ def test_the_recipes_that_come_along_are_understood_and_that_of_p2s_srgan_is_the
     assert (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake) == (1.0, 10.0, 0.1)
     assert (chosen.model.n_points, chosen.model.channel_count, chosen.model.head_size) == (750, 6, 1039)
     assert chosen.srgan.generator.n_points == 750
-
-
-def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
-    pytest.importorskip("tensorboard", reason="an extra")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    train_run(run_config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
-    logged = [json.loads(line) for line in (tmp_path / "run" / LOG_FILE).read_text().splitlines()]
-    shown = EventAccumulator(str(tmp_path / "run" / TENSORBOARD_FOLDER))
-    shown.Reload()
-    for tag, values in (
-        ("losses/loss", [line["losses"]["loss"] for line in logged]),
-        ("validation", [line["validation"] for line in logged]),
-    ):
-        assert [scalar.step for scalar in shown.Scalars(tag)] == [0, 1, 2, 3]
-        assert [scalar.value for scalar in shown.Scalars(tag)] == pytest.approx(values, rel=1e-6)
-
-
-def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(ConfigError, match=r"tensorboard: needs TensorBoard: pip install 'foretouch\[tensorboard\]'"):
-        train_run(run_config(tensorboard=True), data, tmp_path / "run", quiet)
-
-
-TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone"]
-
-
-@pytest.mark.slow
-def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
-    """Started as a user starts them; gradients are compared in test_distributed."""
-    changes = {"train": {**BASE["train"], "epochs": 2, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05}}
-    file = tmp_path / "tiny.yaml"
-    file.write_text(yaml.safe_dump(run_config(**changes).to_mapping()))
-    words = ["-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "-o", str(tmp_path / "two")]
-    env = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run([*TWO, *words], capture_output=True, env=env, text=True, check=False, timeout=100)
-    assert done.returncode == 0, done.stderr[-2000:]
-    said: list[dict] = []
-    train_run(run_config(**changes), data, tmp_path / "one", said.append)
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [line.get("epoch") for line in lines] == [0, 1, None]  # the first process alone speaks
-    for one, two in zip(said[:-1], lines[:-1], strict=True):
-        assert two["losses"] == pytest.approx(one["losses"], rel=1e-5)
-    ours, theirs = (read_state(tmp_path / name / STATE_FILE)[0] for name in ("one", "two"))
-    for name, value in theirs.items():
-        torch.testing.assert_close(value, ours[name], rtol=1e-4, atol=1e-5)

@@ -58,9 +58,3 @@ def test_transform_starts_as_identity_and_turns_coordinates_only() -> None:
     turned = transform(points)
     torch.testing.assert_close(turned[..., :3], torch.stack([-points[..., 1], points[..., 0], points[..., 2]], -1))
     assert torch.equal(turned[..., 3:], points[..., 3:])
-
-
-def test_scaling_is_inverted(make_net) -> None:
-    net = make_net()
-    counts = torch.linspace(1000, 3000, 100).view(2, 50)
-    torch.testing.assert_close(net.to_scaled(counts) * net.target_scale + net.target_mean, counts)

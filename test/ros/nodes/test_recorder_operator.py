@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator's actions over real DDS, by service and joystick: in the log of the dataset, undone, refused, or waiting."""
+"""The operator's actions over real DDS, by service: in the log of the dataset, undone, refused, or waiting."""
 
 import errno
 import os
@@ -9,13 +9,11 @@ from pathlib import Path
 import pytest
 from pair_builders import level
 from robot_builders import MS, accounts, outcomes, start
-from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool, Trigger
 
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch_msgs.srv import LabelGrasp
 
@@ -138,32 +136,6 @@ def test_a_pause_records_nothing_counts_what_it_leaves_out_and_ends(graph, tmp_p
     assert report.counts.topics["/rh/tactile"].dropped == {"paused": 75}
     for counts in report.counts.topics.values():
         assert counts.pending == 0
-
-
-def test_buttons_of_a_joystick_act_once_when_they_are_pressed(graph, tmp_path):
-    node, robot, _ = start(graph, tmp_path / "set", joy_topic="joy", joy_buttons=["failure", "", "undo", "quit"])
-    joystick = graph.talk_matched(Joy, "joy")
-    robot.record("g-0", 0)
-
-    def press(*buttons):
-        for pressed in (buttons, buttons, ()):  # held for two messages
-            joystick.publish(Joy(buttons=[int(number in pressed) for number in range(5)]))
-            time.sleep(0.05)
-
-    press()
-    press(0, 1, 4)
-    graph.until(lambda: samples(tmp_path / "set")[0].outcome == "failure")
-    assert len(read_edits(tmp_path / "set").edits) == 1
-    press(2)
-    graph.until(lambda: samples(tmp_path / "set")[0].outcome == "success")
-    press(2)
-    press(3)
-    graph.until(lambda: not node.recording)
-    with pytest.raises(ConfigError, match="nothing is being recorded"):
-        node.act("success")
-    press(0)
-    time.sleep(0.2)
-    assert len(read_edits(tmp_path / "set").edits) == 2
 
 
 def test_an_action_on_a_full_disk_is_not_done_and_is_told_and_can_be_repeated_until_the_session_has_ended(

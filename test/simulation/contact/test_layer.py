@@ -7,12 +7,14 @@ import pytest
 from contact_builders import RADIUS, grid, half_space, paraboloid, skin
 from every_case import every_case
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact import layer as module
-from foretouch.simulation.contact.closed_form import bed_stiffness
 from foretouch.simulation.contact.layer import solve_layer
 from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch.simulation.contact.winkler import bed_stiffness
 
 TIGHT = {"tolerance": 1e-9}
 
@@ -40,6 +42,26 @@ def test_layer_under_even_pressure_is_the_winkler_bed_and_a_thick_one_a_half_spa
 
 def hertz_force(layer, depth):
     return 4 / 3 * layer.plane_modulus_pa * math.sqrt(RADIUS) * depth**1.5
+
+
+def hertz_ellipse_force(layer, depth, ratio):
+    """Johnson 1985, eqs. 4.26 to 4.28, for the gap (x² + ratio y²) / 2R; b/a from eq. 4.26 by bisection."""
+
+    def curvatures(b_over_a):
+        k, e = ellipk(1 - b_over_a**2), ellipe(1 - b_over_a**2)
+        return (e / b_over_a**2 - k) / (k - e)
+
+    b_over_a = brentq(lambda one: curvatures(one) - ratio, 1e-3, 1 - 1e-6)
+    k, e = ellipk(1 - b_over_a**2), ellipe(1 - b_over_a**2)
+    d, curvature = (k - e) / (1 - b_over_a**2), 1 / (2 * RADIUS)
+    a = math.sqrt(depth * d / (curvature * k))
+    return 2 * math.pi * layer.plane_modulus_pa * curvature * a**3 / (3 * d)
+
+
+def test_the_force_on_an_elliptic_footprint_is_that_of_hertz():
+    for ratio in (2.0, 8.0):
+        solved = solve_layer(paraboloid(96, 0.0036, ratio=ratio), Command(depth_m=8e-5), tolerance=1e-6)
+        assert_allclose(solved.force_n, hertz_ellipse_force(half_space(), 8e-5, ratio), rtol=0.006)
 
 
 def dimitriadis_force(layer, depth):

@@ -17,10 +17,10 @@ BALL = (X**2 + Y**2) / (2.0 * RADIUS_M)
 
 
 def shear(
-    tangential_n: tuple[float, float], level: str = "winkler", friction: float = FRICTION
+    tangential_n: tuple[float, float], level: str = "winkler", friction: float = FRICTION, thickness_m: float = 0.003
 ) -> tuple[Float64, Float64]:
     """Pressure and tractions of a ball that presses on a flat pad, without the slopes of the skin."""
-    layer = Layer(modulus_pa=5e5, poisson=0.3, thickness_m=math.inf if level == "hertz" else 0.003)
+    layer = Layer(modulus_pa=5e5, poisson=0.3, thickness_m=thickness_m)
     problem = ContactProblem(BALL - BALL.min(), STEP_M, (layer,))
 
     def press(force_n: float) -> Float64:
@@ -31,7 +31,7 @@ def shear(
     return contact.pressure, found
 
 
-@pytest.mark.parametrize("level", ["winkler", "layer", "hertz"])
+@pytest.mark.parametrize("level", ["winkler", "layer"])
 def test_friction_carries_the_tangential_force_within_coulombs_limit_in_each_cell(level: str) -> None:
     pressure, found = shear((0.4, -0.3), level)
     assert_allclose(found[..., :2].sum(axis=(0, 1)) * STEP_M**2, (0.4, -0.3), rtol=2e-3)
@@ -45,7 +45,7 @@ def test_friction_carries_the_tangential_force_within_coulombs_limit_in_each_cel
 
 def test_the_stick_radius_is_that_of_mindlin() -> None:
     """c / a = (1 - T / (µ N))^(1/3) for a ball on a half-space (Johnson 1985, eq. 7.43)."""
-    pressure, found = shear((0.5, 0.0), "hertz")
+    pressure, found = shear((0.5, 0.0), "layer", thickness_m=math.inf)
     slipping = found[..., 0] > 0.999 * FRICTION * pressure
     stick_m2 = (~slipping & (pressure > 0.0)).sum() / (pressure > 0.0).sum()
     assert math.sqrt(stick_m2) == pytest.approx((1.0 - 0.5 / (FRICTION * FORCE_N)) ** (1.0 / 3.0), abs=0.06)

@@ -80,7 +80,7 @@ def test_contradictions_are_named() -> None:
         ),
         ({"camera": {"noise": {"sub_pixel": -0.1}}}, r"sub_pixel: -0.1 is below 0"),
         ({"gravity": {}}, r"mass_kg: absent, but the scene has gravity"),
-        ({"fidelity": "exact"}, r"fidelity: 'exact' is none of auto, hertz"),
+        ({"fidelity": "exact"}, r"fidelity: 'exact' is none of auto, winkler"),
         ({"fingers": {"creep": {}}}, r"creep: acts over time, but there is no timeline"),
         ({"fingers": {"noise": {"electrode_counts": -4}}}, r"electrode_counts: -4.0 is below 0"),
         ({"grasps": {"middle": {"force_n": [1, 2]}}}, r"middle: .*balanced fingers share one force"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import read_bytes
+from foretouch.checked_files import open_regular, read_bytes
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.io.records import (
     HEADER_LIMIT,
@@ -27,6 +27,7 @@ from foretouch.errors import FileError
 from foretouch.types import Cloud, UInt8
 
 _SIZES = {"F": "48", "I": "1248", "U": "1248"}
+_POINT_LIMIT = 20_000_000  # of a cloud: ten images of 1920x1080
 _COUNT_LIMIT = 65536  # numbers of one field; the largest descriptors of the Point Cloud Library have about 2000
 
 
@@ -37,10 +38,14 @@ def read_pcd(path: Path) -> Cloud:
         FileError: If the header is incomplete, contradicts itself or the data, or there is no x, y, z.
         OSError: If the file cannot be read.
     """
-    content = read_bytes(path, SIZE_LIMIT)
-    entries, start = _header(path, content)
+    with open_regular(path) as file:
+        entries, _ = _header(path, file.read(HEADER_LIMIT) or b"")
     width, height = (whole_number(path, " ".join(entries[name]), name) for name in ("WIDTH", "HEIGHT"))
     points = width * height
+    if points > _POINT_LIMIT:  # before the file is read: a sparse one has that size, but takes no room on disk
+        raise FileError(path, f"WIDTH {width} x HEIGHT {height} exceeds {_POINT_LIMIT} points", field="WIDTH")
+    content = read_bytes(path, SIZE_LIMIT)
+    entries, start = _header(path, content)
     if "POINTS" in entries and whole_number(path, " ".join(entries["POINTS"]), "POINTS") != points:
         raise FileError(path, f"{entries['POINTS'][0]} is not WIDTH {width} x HEIGHT {height}", field="POINTS")
     dtype, body = _dtype(path, entries), content[start:]

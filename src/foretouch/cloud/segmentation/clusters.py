@@ -128,7 +128,7 @@ def label_organised(
     """
     image, grid = xyz.shape[:2], coarse.shape[:2]
     # The smallest number of pixels of the coarse grid that may belong to an object.
-    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), _pixel_pitch(coarse) / stride
+    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
     settings = np.array(
         [
             *threshold.plane.coefficients,
@@ -169,7 +169,7 @@ def label_organised(
     return windows
 
 
-def _pixel_pitch(xyz: Float32) -> float:
+def pixel_pitch(xyz: Float32) -> float:
     """Lateral distance of horizontal neighbours per depth: 1/f of a pinhole camera; 0 if there are none."""
     rows = xyz[:: max(1, len(xyz) // 4)]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

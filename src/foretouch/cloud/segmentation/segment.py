@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.segmentation.clusters import (
     ClusterConfig,
     CropConfig,
@@ -18,8 +19,10 @@ from foretouch.cloud.segmentation.clusters import (
     in_range,
     label_organised,
     label_unorganised,
+    pixel_pitch,
 )
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
+from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.config import Settings, setting
@@ -37,6 +40,7 @@ _coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np
 _MIN_POINTS = 100  # in range
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _HIGHEST_M = 0.6  # above the table: no object reaches it
+_LARGEST_LIST = 4_000_000  # points: two images of 1920x1080
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
 
@@ -48,6 +52,7 @@ class SegmentationConfig(Settings):
     rays: RayConfig = RayConfig()
     plane: PlaneConfig = PlaneConfig()
     clusters: ClusterConfig = ClusterConfig()
+    split: SplitConfig = SplitConfig()
     grid_rows: int = setting(
         120,
         "Rows of the coarse grid on which objects are found: of 480 rows each fourth; fewer are faster, outlines suffer",
@@ -64,7 +69,9 @@ class Segmentation:
     Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
     points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
     affect the result are checked; background is the table, points below it, isolated points and those without x or y;
-    rejected are the points of `n_rejected` implausible clusters.
+    rejected are the points of `n_rejected` implausible clusters. `clusters` are split into `parts`; `joined_small`,
+    `joined_hollow` and `joined_hidden` are the fragments that each rule joined again (see `parts`), all 0 where nothing
+    calls for splitting.
     """
 
     status: SegmentationStatus  # "ok" with at least one object, else what is missing
@@ -97,12 +104,13 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
         "n_rejected",
         "flying",
         "objects",
+        *SPLIT_COUNTS,
     )
     counts = dict.fromkeys(names, 0)
     ms: dict[str, float] = {}
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
-        status, reason, plane, objects, labels = _segment(cloud, config, counts, ms)
+        status, reason, plane, objects, labels = _segment_list(cloud, config, counts, ms)
         if status != "ok" and (frame := not_optical(cloud.xyz, config.rays)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
@@ -112,6 +120,35 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
 
 
 _Result = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...], Int32]
+
+
+def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
+    """As `_segment`; a list of the points of an image, in any order, is processed as that image."""
+    if cloud.organised or cloud.size > _LARGEST_LIST:
+        return _segment(cloud, config, counts, ms)
+    rows = np.flatnonzero(in_range(cloud.xyz[:, 2], config.crop) & finite_rows(cloud.xyz))
+    points = cloud.xyz[rows]
+    in_view = len(rows) >= _MIN_POINTS and not out_of_view(points, config.rays).any()
+    grid = PixelGrid.from_rays(points) if in_view else None
+    if grid is None or min(grid.height, grid.width) < 2:
+        return _segment(cloud, config, counts, ms)
+    place = np.full(grid.height * grid.width, -1, np.intp)
+    place[grid.row * grid.width + grid.column] = rows
+    xyz = np.full((grid.height, grid.width, 3), np.nan, np.float32)
+    xyz[grid.row, grid.column] = points
+    status, reason, plane, found, image = _segment(Cloud(xyz), config, counts, ms)
+    finite, usable = _count_depths(cloud.xyz, config.crop)
+    counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
+    labels = np.zeros(cloud.size, np.int32)
+    labels[rows] = image[grid.row, grid.column]
+    return status, reason, plane, tuple(_listed(one, cloud, place) for one in found), labels
+
+
+def _listed(one: ObjectSegment, cloud: Cloud, place: Index) -> ObjectSegment:
+    """An object of an image as one of the list of its points, by the row of each pixel in that list."""
+    pixels = np.sort(place[one.pixels])
+    rgb = None if cloud.rgb is None else cloud.rgb[pixels]
+    return replace(one, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
@@ -150,6 +187,8 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         threshold = HeightThreshold(fit.plane, limits.min_height_m, limits.noise_factor * fit.noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
+            windows, parts = split_clusters(xyz, windows, threshold, pixel_pitch(coarse) / stride, config.split)
+            counts |= parts
         else:
             windows = label_unorganised(xyz, config.crop, threshold)
         if rays is not None:

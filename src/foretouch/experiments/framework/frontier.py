@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables, sentences and picture.
+"""The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables and picture.
 
 Where variants were compared in pairs, those that do not differ significantly from the same most skilful one count as
 equal: of these, the fastest is on the frontier.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -14,7 +14,6 @@ import numpy as np
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.report.panels import Axes, new_figure, save_small
 
-_BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _LINE: Final = 0.05  # height of a label, as a share of the axes
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
 _COLUMNS: Final = {
@@ -77,24 +76,21 @@ def _level(row: Row, skill: str, rows: Sequence[Row]) -> float:
 
 
 def tables(panels: Sequence[Panel], rows: Sequence[Row]) -> list[Table]:
-    """A table of the frontier and plain sentences for each panel that has rows."""
+    """For each panel that has rows, the settings on the frontier with their skill and times; a `*` marks the shipped one."""
     found = []
     for panel in panels:
-        chosen, skill = of_request(rows, panel.request), panel.skill
-        if not (line := frontier(chosen, skill)):
-            continue
-        paired = line[0].get(f"{skill}_equals") is not None
-        columns = {name: text for name, text in _COLUMNS.items() if line[0].get(name) is not None or name == "ratio"}
-        compared = ["less than the best, 95 % interval", "as skilful, and slower"] if paired else []
-        head = ["frontier", "skill", *compared, *columns.values()]
-        body = []
-        for row in line:
-            level = _level(row, skill, chosen)
-            equal = [one for one in known(chosen, skill) if one is not row and _level(one, skill, chosen) == level]
-            paired_cells = [interval(row, f"{skill}_behind"), _counted(equal, skill)] if paired else []
-            times = ("" if row[name] is None else f"{row[name]:.3g}" for name in columns)
-            body.append([row["variant"], f"{row[skill]:.3f}", *paired_cells, *times])
-        found.append(Table(panel.title, head, body, list(_sentences(panel, chosen, line))))
+        line = frontier(of_request(rows, panel.request), panel.skill)
+        columns = {name: text for name, text in _COLUMNS.items() if line and line[0].get(name) is not None}
+        body = [
+            [
+                row["variant"] + " *" * (row["factor"] == "shipped"),
+                interval(row, panel.skill),
+                *("" if row[name] is None else f"{row[name]:.3g}" for name in columns),
+            ]
+            for row in line
+        ]
+        if body:
+            found.append(Table(panel.title, ["frontier", "skill", *columns.values()], body))
     return found
 
 
@@ -102,57 +98,16 @@ def interval(row: Row, name: str) -> str:
     """A skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
     if row.get(name) is None:
         return ""
-    ends = [row[f"{name}_low"], row[f"{name}_high"]]
-    return f"{row[name]:.3f}" + ("" if None in ends else " [{:.2f}, {:.2f}]".format(*ends))
+    low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
+    return f"{row[name]:.3f}" + ("" if low is None or high is None else f" [{low:.2f}, {high:.2f}]")
 
 
-def _counted(rows: Sequence[Row], skill: str) -> str:
-    """The most skilful of some rows, and how many others there are."""
-    if not rows:
-        return ""
-    best = max(rows, key=lambda row: row[skill])
-    return f"{best['variant']} ({best[skill]:.3f})" + (f" and {len(rows) - 1} others" if len(rows) > 1 else "")
-
-
-def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row]) -> Iterator[str]:
-    skill, column = panel.skill, time_column(rows)
-
-    def at(row: Row) -> str:
-        return f"{row['variant']}, skill {row[skill]:.2f} in {row[column]:.3g} ms"
-
-    yield f"Fastest: {at(line[0])}."
-    yield f"Most skilful on the frontier: {at(line[-1])}."
-    if column == "cpu_ms":
-        yield "The machine was loaded: processor times, and nothing is said about answers within a time."
-    said = ""
-    for budget in _BUDGETS_MS if column == "ms_p50" else ():
-        within = [row for row in line if row["ms_p95"] <= budget]
-        if within and within[-1]["variant"] != said:
-            said = within[-1]["variant"]
-            yield f"Within {budget:g} ms in 95 of 100 calls: {said}, skill {within[-1][skill]:.2f} (p99 {within[-1]['ms_p99']:.3g} ms)."
-    for row in known(rows, skill):
-        if row["factor"] == "shipped":
-            ratio = ""
-            if row["ratio"] and row["reference"] != row["variant"]:
-                ratio = f", {row['ratio']:.1f} times as fast as {row['reference']} in the same run"
-            text = "is on the frontier" if row in line else "is not on the frontier"
-            yield f"{row['variant']} (shipped) {text}: skill {row[skill]:.2f} in {row[column]:.3g} ms{ratio}."
-
-
-def general_notes(rows: Sequence[Row], skills: Sequence[str]) -> Iterator[str]:
-    """Which variants have no skill or could not run, and on what machine they were timed."""
-    timed = [row for row in rows if not row["skipped"]]
-    without = sorted({row["variant"] for row in timed if all(row.get(skill) is None for skill in skills)})
-    if without:
-        yield f"Times without a skill: {', '.join(without)}."
-    for row in rows:
-        if row["skipped"]:
-            yield f"Skipped: {row['variant']}: {row['skipped']}."
-    first, column = rows[0], "wall time" if time_column(timed) == "ms_p50" else "processor time"
-    yield (
-        f"Measured on {first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores. "
-        f"Frontiers are of the median {column}."
-    )
+def machine_notes(rows: Sequence[Row]) -> list[str]:
+    """Which settings could not run, and on what machine the others were timed."""
+    first, wall = rows[0], time_column([row for row in rows if not row["skipped"]]) == "ms_p50"
+    machine = f"{first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores"
+    skipped = [f"Skipped: {row['variant']}: {row['skipped']}." for row in rows if row["skipped"]]
+    return [*skipped, f"Measured on {machine}. Frontiers are of the median {'wall' if wall else 'processor'} time."]
 
 
 def draw(panels: Sequence[Panel], skills: Mapping[str, str], rows: Sequence[Row], folder: Path) -> list[Path]:

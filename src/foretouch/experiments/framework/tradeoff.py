@@ -87,8 +87,6 @@ class Area(Experiment[S, D]):
         reference: Name of the variant that ratios of times are taken to.
         skills: Columns of skills, each with its meaning.
         panels: Diagrams of the picture.
-        unit: Unit of the answers.
-        notes: Further sentences from the rows of the table.
     """
 
     variants: Callable[[S], Iterable[Variant]]
@@ -97,8 +95,6 @@ class Area(Experiment[S, D]):
     reference: str
     skills: Mapping[str, str]
     panels: Sequence[frontier.Panel]
-    unit: str = "counts"
-    notes: Callable[[Sequence[Row]], Sequence[str]] = lambda _: ()
     summarise: Callable[[Sequence[Row]], Sequence[Table]] = lambda _: ()
     results: str = "tradeoff.csv"
     order: int = 900
@@ -151,10 +147,10 @@ class Area(Experiment[S, D]):
         }
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """What the area summarises, frontiers, and what is true of all variants, on the idle machine if it was idle once."""
+        """What the area summarises, frontiers, and the machine: the idle one if it was idle once."""
         rows = frontier.best_state(rows)
-        general = [*self.notes(rows), *_answers(self, rows), *frontier.general_notes(rows, tuple(self.skills))]
-        return [*self.summarise(rows), *frontier.tables(self.panels, rows), Table("All settings", [], [], general)]
+        machine = Table("Machine", [], [], frontier.machine_notes(rows))
+        return [*self.summarise(rows), *frontier.tables(self.panels, rows), machine]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
         """Draw `tradeoff.png`, and the figure of the area's own."""
@@ -266,12 +262,3 @@ def _largest_difference(answer: Answer | None, other: Answer | None) -> float | 
     if answer is None or other is None or answer.shape != other.shape:
         return None
     return float(np.abs(answer.astype(np.float64) - other.astype(np.float64)).max(initial=0.0))
-
-
-def _answers(area: Area[Any, Any], rows: Sequence[Row]) -> Iterator[str]:
-    """Of variants that are compared with another one than the shipped: how much their answers differ."""
-    shipped = {row["variant"] for row in rows if row["factor"] == "shipped"}
-    differences = {(row["variant"], row["compared_with"]): row["difference"] for row in rows}
-    for (name, other), difference in differences.items():
-        if difference is not None and other not in {name, *shipped}:
-            yield f"{name} answers like {other} within {difference:.2g} {area.unit}."

@@ -49,12 +49,7 @@ POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
 MODELS: Final = (POINTNET, SRGAN)
 
-_SUPERVISED: Final = {
-    "loss_variant": "as_printed",
-    "weight_unlabeled": 0.0,
-    "weight_fake": 0.0,
-    "gradient_penalty": 0.0,
-}
+_SUPERVISED: Final = {"loss_variant": "as_printed", "weight_unlabeled": 0.0, "weight_fake": 0.0}
 
 
 def _recipe(batch_norm: str, rate: float, schedule: str = "cosine") -> dict[str, Any]:

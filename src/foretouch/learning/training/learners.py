@@ -21,9 +21,8 @@ from foretouch.learning.data.folds import Fold, Indices
 from foretouch.learning.data.training_set import TrainingSet, predict_set
 from foretouch.learning.training.calibration import calibrate_on_folds
 from foretouch.learning.training.contact import ContactPredictor, describe_objects
-from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import TENSORBOARD_FOLDER, RunFolder
+from foretouch.learning.training.run_folder import RunFolder
 from foretouch.learning.training.srgan import SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer
 from foretouch.learning.training.trainer import Trainer
@@ -162,8 +161,6 @@ class NetworkLearner(Learner):
             )
             raise ConfigError(f"method: {rule}; use contact")
         super().__init__(config, data, split)
-        if config.calibrates and DistributedContext.of_process_group().world_size > 1:
-            raise ConfigError("calibrate: requires a single process; start the training without torchrun")
         self._prepared = TrainingSet.build(data.samples, config.model, unlabelled=True)
         self._best = _Best(-1, float("inf"), {})
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
@@ -219,28 +216,17 @@ class NetworkLearner(Learner):
             weights, facts = run.restore(trainer)
             if weights:
                 self._best = _Best(facts["epoch"], facts["error"], weights)
-        first = trainer.training_device.context.rank == 0
-        if first:
-            run.keep_log(trainer.epoch)
-        writer = _tensorboard_writer(run.path / TENSORBOARD_FOLDER) if self.config.tensorboard and first else None
+        run.keep_log(trainer.epoch)
         while trainer.epoch < trainer.epochs and not self._patience_over(trainer):
             losses = trainer.run_epoch()
             record: dict[str, Any] = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
             if len(self.split.validation):
                 record["validation"] = self._validate(trainer)
-            if first:
-                # The log first: a line without its state is removed at resume; a state without its line would shift them.
-                run.log(record)
-                error = self._best.error if self._best.weights else None  # JSON has no infinity
-                run.store(trainer, self._best.weights, {"epoch": self._best.epoch, "error": error})
-                run.report(record)
-            if writer is not None:
-                for name, value in losses.items():
-                    writer.add_scalar(f"losses/{name}", value, record["epoch"])
-                if "validation" in record:
-                    writer.add_scalar("validation", record["validation"], record["epoch"])
-        if writer is not None:
-            writer.close()
+            # The log first: a line without its state is removed at resume; a state without its line would shift them.
+            run.log(record)
+            error = self._best.error if self._best.weights else None  # JSON has no infinity
+            run.store(trainer, self._best.weights, {"epoch": self._best.epoch, "error": error})
+            run.report(record)
 
     def _validate(self, trainer: Trainer) -> float:
         """Root mean square of the scaled validation errors; keeps the weights if it is the least so far."""
@@ -256,12 +242,3 @@ class NetworkLearner(Learner):
     def _patience_over(self, trainer: Trainer) -> bool:
         patience, best = self.config.patience, self._best.epoch
         return patience is not None and best >= 0 and trainer.epoch - 1 - best >= patience
-
-
-def _tensorboard_writer(folder: Path) -> Any:
-    """A writer in `folder`, beside the events of an earlier part of the same run; a `ConfigError` without TensorBoard."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as err:
-        raise ConfigError("tensorboard: needs TensorBoard: pip install 'foretouch[tensorboard]'") from err
-    return SummaryWriter(str(folder))

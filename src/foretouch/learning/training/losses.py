@@ -23,12 +23,10 @@ as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the origina
 Eq. 3 to the letter compares unrelated pairs of clouds. Its expectation is 2 tr Cov(f), so with w_U = 10 over 1024 features it
 penalises the variance of the features themselves, and all clouds become one (`docs/papers.md`).
 
-With several processes, a loss is that of the batch which they share.
-
 Shapes: B samples, F features, M outputs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -37,7 +35,6 @@ from torch import Tensor
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.learning.training.device import DistributedContext
 
 _LEAST_ROOT: Final = 1e-6
 _OF_MEANS: Final = ("batch_means", "srgan")  # variants that compare the mean features of two batches
@@ -55,9 +52,6 @@ class SrganLossConfig(Settings):
     weight_labeled: float = setting(1.0, "w_L", bounds=(0.0, 1e6))
     weight_unlabeled: float = setting(10.0, "w_U", bounds=(0.0, 1e6))
     weight_fake: float = setting(0.1, "w_F", bounds=(0.0, 1e6))
-    gradient_penalty: float = setting(
-        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", bounds=(0.0, 1e6)
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +79,6 @@ def labeled_loss(
 ) -> Tensor:
     """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
-    Squares and their number are summed over all processes before the root: the mean of each process's own root is a
-    different loss.
-
     Args:
         scaled: (B, M) predictions, floating; half precision is computed in float32.
         target: (B, M) labels on the same scale.
@@ -100,26 +91,20 @@ def labeled_loss(
     """
     if len(scaled) == 0:
         raise DatasetError("losses: there is no sample")
-    means, context = [], DistributedContext.of_process_group()
-    for part in torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1):
-        count = context.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
-        means.append(context.shared_sum(part.square().sum()) / count)
-    stacked = torch.stack(means)
+    parts = torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1)
+    stacked = torch.stack([part.square().sum() / part.numel() for part in parts])
     if kind == "mse":
         return stacked.mean()
     return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else _safe_root(stacked)).mean()
 
 
-def discriminator_loss(
-    labeled: Tensor, features: Features, config: SrganLossConfig, penalty: Tensor | None = None
-) -> dict[str, Tensor]:
+def discriminator_loss(labeled: Tensor, features: Features, config: SrganLossConfig) -> dict[str, Tensor]:
     """The parts of eq. 1 by name, before their weights, and their `total`.
 
     Args:
         labeled: Result of `labeled_loss`.
         features: Features of the discriminator; those of the fake clouds detached from the generator.
         config: Variant and weights.
-        penalty: Result of `gradient_penalty`, if it is used.
 
     Raises:
         DatasetError: If samples are compared in pairs and the batches differ in size.
@@ -128,9 +113,6 @@ def discriminator_loss(
     fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
-    if penalty is not None:
-        parts["penalty"] = penalty
-        total = total + config.gradient_penalty * penalty
     return {**parts, "total": total}
 
 
@@ -147,32 +129,6 @@ def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     return delta.square().sum(dim=1).mean()
 
 
-def gradient_penalty(
-    features: Callable[[Tensor], Tensor], unlabeled: Tensor, fake: Tensor, rng: torch.Generator
-) -> Tensor:
-    """Mean of max(‖∇‖ - 1, 0)², one-sided, of the norm of the features at clouds between real and fake ones.
-
-    After Olmschenk et al. 2019; P2 omits it, as it had no effect and took time. Point k of a real cloud is
-    mixed with point k of a fake one, though neither has an order: any pairing gives clouds in between.
-
-    Args:
-        features: Maps (B, N, C) clouds to (B, F). Its batch norm must be frozen: in training mode the penalty includes
-            the statistics of the batch and starts in the millions.
-        unlabeled: (B, N, C) real clouds of this process.
-        fake: (B, N', C) fake clouds; both are cut to the smaller number of points.
-        rng: Draws the mixing weight of each pair of clouds.
-    """
-    context = DistributedContext.of_process_group()
-    points = min(unlabeled.shape[1], fake.shape[1])
-    share = context.shard(torch.rand(len(unlabeled) * context.world_size, 1, 1, generator=rng)).to(unlabeled)
-    between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
-    between.requires_grad_()
-    norms = _safe_root(features(between).square().sum(dim=1))
-    (slopes,) = torch.autograd.grad(norms.sum(), between, create_graph=True)
-    steepness = _safe_root(slopes.square().flatten(1).sum(dim=1))
-    return (steepness - 1.0).clamp(min=0.0).square().mean()
-
-
 def _contrast(features: Features, config: SrganLossConfig) -> Tensor:
     """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
     if features.fake is None:
@@ -187,7 +143,7 @@ def _difference(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b
-    return _mean(a) - _mean(b)
+    return (a.sum(dim=0, keepdim=True) / len(a)) - (b.sum(dim=0, keepdim=True) / len(b))
 
 
 def _wide(values: Tensor) -> Tensor:
@@ -195,10 +151,3 @@ def _wide(values: Tensor) -> Tensor:
     if not values.is_floating_point():
         raise DatasetError(f"losses: dtype {values.dtype} is not floating")
     return values.float() if values.dtype in (torch.bfloat16, torch.float16) else values
-
-
-def _mean(features: Tensor) -> Tensor:
-    """(1, F) mean over the batches of all processes."""
-    context = DistributedContext.of_process_group()
-    count = context.sum(torch.tensor(float(len(features)), dtype=features.dtype, device=features.device))
-    return context.shared_sum(features.sum(dim=0, keepdim=True)) / count

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One training from settings to a model folder with weights, calibration and card, resumable at every epoch.
-
-With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
-"""
+"""One training from settings to a model folder with weights, calibration and card, resumable at every epoch."""
 
 import re
 import time
@@ -24,7 +21,6 @@ from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evalua
 from foretouch.learning.evaluation.metrics import mean_skill
 from foretouch.learning.training.calibration import GUESSED, calibration_folds, guarantee
 from foretouch.learning.training.contact import FEWEST_SAMPLES
-from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import STATE_FILE, RunFolder
@@ -72,14 +68,10 @@ def train_run(
         raise ConfigError(f"name: {config.name!r} is that of the training's own file; give name=NAME")
     learner = make_learner(config, data)
     folder = RunFolder(out, report)
-    context = DistributedContext.of_process_group()
     # The path of a dataset is no part of its identity.
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
-    found = context.rank == 0 and folder.open(resolved, resume=resume)
-    folder.resumed = context.any(found, config.device)
+    folder.open(resolved, resume=resume)
     learner.fit(run=folder)
-    if context.rank > 0:
-        return out / f"{config.name}.json"
     skill, predicted = compare_splits(learner, SPLITS, report, workers) if config.release else ({}, None)
     facts = _facts(learner, data)
     calibration = None

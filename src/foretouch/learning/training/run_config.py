@@ -56,7 +56,6 @@ class RunConfig(Settings):
     validation: float = setting(
         0.0, "Share of the labelled samples set aside to choose the best epoch", bounds=(0.0, 0.5)
     )
-    tensorboard: bool = setting(False, "Write the log for TensorBoard, too; requires foretouch[tensorboard]")
     patience: int | None = setting(None, "Stop after this many epochs without a better validation error", minimum=1)
     calibrate: bool | None = setting(
         None,

@@ -6,7 +6,6 @@ RUN/log.jsonl          one line per epoch
 RUN/state.safetensors  state of the last epoch that was finite, from which --resume continues
 RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
 RUN/<name>.trust.safetensors             its calibration
-RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboard`
 
 The state is one safetensors file, tensors and JSON with their checksum, that is replaced as a whole or not at all.
 """
@@ -30,7 +29,6 @@ from foretouch.learning.training.trainer import Trainer
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"
-TENSORBOARD_FOLDER: Final = "tensorboard"
 STATE_FILE: Final = "state.safetensors"
 
 _KEY: Final = "foretouch-training"
@@ -94,7 +92,7 @@ class RunFolder:
         self.report = report
         self.resumed = False
 
-    def open(self, resolved: Mapping[str, Any], *, resume: bool) -> bool:
+    def open(self, resolved: Mapping[str, Any], *, resume: bool) -> None:
         """Begin a run, or check that the folder holds this very run.
 
         In a folder without any weights nothing can be lost, and a run begins in it; so a run that was refused
@@ -103,9 +101,6 @@ class RunFolder:
         Args:
             resolved: The settings, and the hash of the data.
             resume: Whether the folder may hold a run.
-
-        Returns:
-            Whether there is a state to resume from.
 
         Raises:
             FileError: If there are weights and `resume` is off, or the folder cannot be written.
@@ -120,9 +115,9 @@ class RunFolder:
                 if before.get(key) != value:
                     text = f"{key}: {before.get(key)!r} is not {value!r}; a run resumes as it began"
                     raise ConfigError(f"{file}: {text}")
-            return (self.path / STATE_FILE).exists()
+            self.resumed = (self.path / STATE_FILE).exists()
+            return
         write_text(file, dump_yaml(resolved))
-        return False
 
     def keep_log(self, epochs: int) -> None:
         """Remove the lines after so many epochs: those whose state was not written before a kill."""

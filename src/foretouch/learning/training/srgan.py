@@ -21,7 +21,6 @@ Departures from P2, which specifies neither:
 Shapes: B samples, N points, C channels, F features.
 """
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,11 +31,9 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.config import setting
-from foretouch.errors import ConfigError
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training import losses as loss_terms
-from foretouch.learning.training.device import SINGLE_PROCESS
 from foretouch.learning.training.trainer import EpochsConfig, Trainer, other_default, shuffled_batches
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
@@ -49,7 +46,7 @@ class SrganConfig(EpochsConfig):
     """Settings of the training of an SR-GAN; the defaults are P2's where P2 specifies them.
 
     Raises:
-        ConfigError: If a setting is out of its bounds, or a gradient penalty is set without frozen batch norm.
+        ConfigError: If a setting is out of its bounds.
     """
 
     epochs: int = other_default("epochs", 30)
@@ -67,11 +64,6 @@ class SrganConfig(EpochsConfig):
     batch_norm: str = setting("frozen", "Statistics of batch norm; see the module", choices=("frozen", "per_source"))
     generator: GeneratorConfig = GeneratorConfig()
     loss: loss_terms.SrganLossConfig = loss_terms.SrganLossConfig()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.loss.gradient_penalty > 0.0 and self.batch_norm != "frozen":
-            raise ConfigError("loss.gradient_penalty: needs batch_norm frozen; else it starts in the millions")
 
 
 class SrganTrainer(Trainer):
@@ -96,10 +88,7 @@ class SrganTrainer(Trainer):
         self._labelled, self._unlabelled = labelled, unlabelled
         super().__init__(data, labelled, config)
         if config.batch_norm == "frozen":
-            # Each process for itself and over whole batches, so that processes do not differ by rounding.
-            dataclasses.replace(self.training_device, context=SINGLE_PROCESS).prepare(self.net)
             calibrate(self.net, self._calibration())
-            self.training_device.prepare(self.net)
 
     def _make_modules(self) -> dict[str, nn.Module]:
         self.generator = CloudGenerator(self.config.generator, self.data.config)
@@ -128,19 +117,15 @@ class SrganTrainer(Trainer):
         return len(counted) // self.config.batch_size
 
     def _regressor_step(self, number: int, labelled: Indices, unlabelled: Indices, real: Tensor) -> dict[str, float]:
-        context = self.training_device.context
         with torch.no_grad():
             fake = self._fake(len(unlabelled))
         features = self._all_features(self._clouds(labelled), real, fake)
         scaled = self.net.regress(features.labeled, self._grasps(labelled))
-        error = scaled - self.net.to_scaled(self.training_device.shard(self._labels[labelled]))
-        penalty = None
-        if self.config.loss.gradient_penalty > 0.0:
-            penalty = loss_terms.gradient_penalty(self.net.features, real, fake, torch.default_generator)
+        error = scaled - self.net.to_scaled(self._labels[labelled].to(self.training_device.device))
         labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
-        losses = loss_terms.discriminator_loss(labeled, features, self.config.loss, penalty)
-        self.require_finite({"labeled": labeled}, number, context.shard(labelled), error, features.labeled)
-        self.require_finite(losses, number, context.shard(unlabelled), features.unlabeled)
+        losses = loss_terms.discriminator_loss(labeled, features, self.config.loss)
+        self.require_finite({"labeled": labeled}, number, labelled, error, features.labeled)
+        self.require_finite(losses, number, unlabelled, features.unlabeled)
         self.optimisers["net"].step(losses["total"])
         return {name: float(value.detach()) for name, value in losses.items()}
 
@@ -150,7 +135,7 @@ class SrganTrainer(Trainer):
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(unlabelled)))
             loss = loss_terms.matching_loss(made, aim, self.config.loss)
-            self.require_finite({"generator": loss}, number, self.training_device.context.shard(unlabelled), aim)
+            self.require_finite({"generator": loss}, number, unlabelled, aim)
             self.optimisers["generator"].step(loss)
         return {"generator": float(loss.detach())}
 
@@ -169,21 +154,21 @@ class SrganTrainer(Trainer):
 
     def _fake(self, count: int) -> Tensor:
         noise = draw_noise(count, self.config.generator, torch.default_generator)
-        return self.generator.clouds(self.training_device.shard(noise))
+        return self.generator.clouds(noise.to(self.training_device.device))
 
     def _clouds(self, batch: Indices) -> Tensor:
-        return self.training_device.shard(self._points(batch))
+        return self._points(batch).to(self.training_device.device)
 
     def _grasps(self, batch: Indices) -> Tensor | None:
-        return self.training_device.shard(self._grasp_inputs[batch]) if self.data.config.use_grasp else None
+        if not self.data.config.use_grasp:
+            return None
+        return self._grasp_inputs[batch].to(self.training_device.device)
 
     def _calibration(self) -> Iterator[Inputs]:
         """Batches of real clouds, labelled or not."""
         everything = np.union1d(self._labelled, self._unlabelled)
-        device = self.training_device.device
         for batch in _repeated_batches(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng):
-            points = self._points(batch).to(device)
-            yield points, self._grasp_inputs[batch].to(device) if self.data.config.use_grasp else None
+            yield self._clouds(batch), self._grasps(batch)
 
 
 def _repeated_batches(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:

@@ -86,7 +86,7 @@ class SupervisedTrainer(Trainer):
         for number, (batch, points, grasps, target) in enumerate(self.batches()):
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
             loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.config.root_epsilon)
-            self.require_finite({"loss": loss}, number, self.training_device.context.shard(batch), scaled - target)
+            self.require_finite({"loss": loss}, number, batch, scaled - target)
             self.optimisers["net"].step(loss)
             yield {"loss": float(loss.detach())}
 
@@ -95,11 +95,11 @@ class SupervisedTrainer(Trainer):
         return whole + (1 if rest > 1 and self.config.partial_batches else 0)
 
     def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
-        """One epoch of samples with this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
+        """One epoch of samples with points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
         partial = self.config.partial_batches
         for batch in shuffled_batches(self._index, self.config.batch_size, self.rng, partial=partial):
             points, grasps = self._inputs(batch)
-            yield batch, points, grasps, self.net.to_scaled(self.training_device.shard(self._labels[batch]))
+            yield batch, points, grasps, self.net.to_scaled(self._labels[batch].to(self.training_device.device))
 
     def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
         points = self._points(batch)
@@ -107,7 +107,7 @@ class SupervisedTrainer(Trainer):
         if self.config.turn_deg > 0.0:
             rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
             points, grasps = turn(points, grasps, torch.from_numpy(rotations), self.data.config)
-        return self.training_device.shard(points), self.training_device.shard(grasps)
+        return points.to(self.training_device.device), grasps.to(self.training_device.device)
 
 
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:

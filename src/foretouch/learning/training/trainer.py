@@ -3,7 +3,7 @@
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from foretouch.config import setting
 from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, DistributedContext, TrainingDevice
+from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.models.files import under
 from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import BIOTAC
@@ -61,14 +61,10 @@ def other_default(name: str, default: Any) -> Any:
 class _ScheduledOptimiser:
     """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
 
-    def __init__(
-        self, module: nn.Module, config: EpochsConfig, steps: int, context: DistributedContext = SINGLE_PROCESS
-    ) -> None:
+    def __init__(self, module: nn.Module, config: EpochsConfig, steps: int) -> None:
         # One kernel for all weights: the time of a small network's step is its number of calls.
         options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
-        self._weights = list(module.parameters())
-        self._context = context
-        self._optimiser = _OPTIMISERS[config.optimiser](self._weights, **options)
+        self._optimiser = _OPTIMISERS[config.optimiser](list(module.parameters()), **options)
         self._schedule: LRScheduler = (
             CosineAnnealingLR(self._optimiser, T_max=steps)
             if config.schedule == "cosine"
@@ -79,7 +75,6 @@ class _ScheduledOptimiser:
         """Differentiate a scalar loss and take one step."""
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._context.average_gradients(self._weights)
         self._optimiser.step()
         self._schedule.step()
 
@@ -134,7 +129,7 @@ class Trainer(ABC):
     def __init__(self, data: TrainingSet, index: Indices, config: EpochsConfig) -> None:
         self._require_batch(index, config.batch_size)
         self.data = data
-        self.training_device = TrainingDevice.of(config, config.batch_size)
+        self.training_device = TrainingDevice.of(config)
         self.epochs = config.epochs
         self.epoch = 0
         self._randomness: dict[str, Tensor] = {}
@@ -150,10 +145,8 @@ class Trainer(ABC):
         _set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
         for module in self.modules.values():
             self.training_device.prepare(module)
-        steps, context = config.epochs * self.batch_count, self.training_device.context
-        self.optimisers = {
-            name: _ScheduledOptimiser(module, config, steps, context) for name, module in self.modules.items()
-        }
+        steps = config.epochs * self.batch_count
+        self.optimisers = {name: _ScheduledOptimiser(module, config, steps) for name, module in self.modules.items()}
         self.sizes = [len(BIOTAC.columns([name])) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
@@ -175,7 +168,7 @@ class Trainer(ABC):
             batches = list(self._epoch())
         self._require_finite_weights()
         self.epoch += 1
-        return self._means(batches)
+        return {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
 
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Copies of all tensors by name and the rest as plain data: all that `restore` requires."""
@@ -250,17 +243,6 @@ class Trainer(ABC):
             self._randomness = {_TORCH_RNG: torch.get_rng_state()}
             if cuda is not None:
                 self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
-
-    def _means(self, batches: Sequence[Mapping[str, float]]) -> dict[str, float]:
-        """Mean of each loss over batches and processes."""
-        names = list(batches[0])
-        means = torch.tensor(
-            [float(np.mean([batch[name] for batch in batches])) for name in names], dtype=torch.float64
-        )
-        context = self.training_device.context
-        if context.world_size > 1:
-            means = context.sum(means.to(self.training_device.device)).cpu() / context.world_size
-        return dict(zip(names, means.tolist(), strict=True))
 
     def _require_finite_weights(self) -> None:
         for name, module in self.modules.items():

@@ -23,7 +23,7 @@ product with a K x K matrix. Functions that control the running statistics of a 
 Shapes: B clouds, N points, n = B N rows, K inputs, F outputs.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeAlias
 
@@ -34,13 +34,8 @@ from torch.autograd.function import once_differentiable
 Inputs: TypeAlias = tuple[Tensor, Tensor | None]
 """Points (B, N, C) and grasps (B, G) of one batch."""
 
-Total: TypeAlias = Callable[[Tensor], Tensor]
-"""The sum of a tensor over all processes that split the batch, without a gradient."""
 
-
-def batch_affine(
-    x: Tensor, linear: nn.Linear, norm: nn.BatchNorm1d, total: Total | None = None
-) -> tuple[Tensor, Tensor]:
+def batch_affine(x: Tensor, linear: nn.Linear, norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
     """Weight and bias of a linear map with batch norm in training; updates the running statistics as torch does.
 
     Small matrices are computed in float64; sums over rows in the dtype of `x`, centred, cloud by cloud.
@@ -49,26 +44,15 @@ def batch_affine(
         x: (B, N, K) floating. Second derivatives are not supported.
         linear: K to F.
         norm: Of F channels, with weight and bias.
-        total: Sums over the other processes; none by default.
 
     Returns:
         (F, K) and (F,), dtype of `linear`.
     """
     weight, bias, mean, variance, count = _BatchAffine.apply(  # type: ignore[no-untyped-call]
-        x, linear.weight, linear.bias, norm.weight, norm.bias, norm.eps, total
+        x, linear.weight, linear.bias, norm.weight, norm.bias, norm.eps
     )
     update_statistics(norm, mean, variance, float(count))
     return weight, bias
-
-
-def synced_norm(z: Tensor, norm: nn.BatchNorm1d, total: Total) -> Tensor:
-    """Batch norm in training of (B, F) rows, B of them in each process, with the statistics of all processes."""
-    count = float(total(torch.tensor(float(len(z)), dtype=torch.float64, device=z.device)))
-    mean = _all_sum(z.sum(dim=0), total) / count
-    centred = z - mean
-    variance = _all_sum(centred.square().sum(dim=0), total) / count
-    update_statistics(norm, mean.detach(), variance.detach(), count)
-    return centred * torch.rsqrt(variance + norm.eps) * norm.weight + norm.bias
 
 
 @torch.no_grad()
@@ -82,7 +66,7 @@ def update_statistics(norm: nn.BatchNorm1d, mean: Tensor, variance: Tensor, coun
     norm.running_var.lerp_(variance * (count / max(count - 1.0, 1.0)), share)
 
 
-def _moments(x: Tensor, total: Total | None) -> tuple[Tensor, Tensor, float]:
+def _moments(x: Tensor) -> tuple[Tensor, Tensor, float]:
     """Mean (K,) and covariance (K, K), divided by n, in float64, and n."""
     count = float(x.shape[0] * x.shape[1])
     shift = x.mean(dim=(0, 1))
@@ -90,14 +74,7 @@ def _moments(x: Tensor, total: Total | None) -> tuple[Tensor, Tensor, float]:
     rest = centred.sum(dim=(0, 1)).double() / count
     spread = torch.bmm(centred.transpose(1, 2), centred).sum(dim=0, dtype=torch.float64) / count
     spread = spread - torch.outer(rest, rest)
-    mean = shift.double() + rest
-    if total is None:
-        return mean, spread, count
-    size = len(mean)
-    packed = total(torch.cat([mean.new_ones(1), mean, (spread + torch.outer(mean, mean)).flatten()]) * count)
-    count = float(packed[0])
-    mean = packed[1 : size + 1] / count
-    return mean, packed[size + 1 :].view(size, size) / count - torch.outer(mean, mean), count
+    return shift.double() + rest, spread, count
 
 
 class _BatchAffine(torch.autograd.Function):
@@ -105,16 +82,16 @@ class _BatchAffine(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor, beta: Tensor, eps: float, total: Total | None
+        ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor, beta: Tensor, eps: float
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        mean, covariance, count = _moments(x, total)
+        mean, covariance, count = _moments(x)
         w = weight.double()
         through, spread = w @ mean, w @ covariance
         variance = (spread * w).sum(dim=1).clamp_(min=0.0)
         root = torch.sqrt(variance + eps)
         scale = gamma.double() / root
         ctx.save_for_backward(x, weight, mean, spread, through, root, scale)
-        ctx.total, ctx.count = total, count
+        ctx.count = count
         means, variances = (through + bias).to(weight.dtype), variance.to(weight.dtype)
         number = torch.tensor(count, dtype=torch.float64)
         ctx.mark_non_differentiable(means, variances, number)
@@ -133,33 +110,11 @@ class _BatchAffine(torch.autograd.Function):
         if ctx.needs_input_grad[0]:
             g_covariance = w.T @ (g_variance[:, None] * w)
             g_mean = -(scale * g_b) @ w
-            if ctx.total is not None:  # the statistics depend on the rows of other processes too
-                both = ctx.total(torch.cat([g_covariance, g_mean[None]]))
-                g_covariance, g_mean = both[:-1], both[-1]
             turn = g_covariance * (2.0 / ctx.count)
             row = g_mean / ctx.count - mean @ turn
             g_x = torch.addmm(row.to(x.dtype), x.flatten(0, 1), turn.to(x.dtype)).view_as(x)
         to = weight.dtype
-        return g_x, own.to(to), torch.zeros_like(scale, dtype=to), (g_scale / root).to(to), g_b.to(to), None, None
-
-
-class _AllSum(torch.autograd.Function):
-    """The sum over all processes, whose gradient is summed over them too."""
-
-    @staticmethod
-    def forward(ctx: Any, value: Tensor, total: Total) -> Tensor:
-        ctx.total = total
-        return total(value)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, g: Tensor) -> tuple[Tensor, None]:
-        return ctx.total(g), None
-
-
-def _all_sum(value: Tensor, total: Total) -> Tensor:
-    summed: Tensor = _AllSum.apply(value, total)  # type: ignore[no-untyped-call]
-    return summed
+        return g_x, own.to(to), torch.zeros_like(scale, dtype=to), (g_scale / root).to(to), g_b.to(to), None
 
 
 def freeze(net: nn.Module) -> None:

@@ -24,11 +24,12 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from foretouch.errors import ModelError
 from foretouch.kernels import Kernel
-from foretouch.models.network.batch_norm import Total, batch_affine, synced_norm
+from foretouch.models.network.batch_norm import batch_affine
 from foretouch.models.network.config import ModelConfig
 
 _LARGEST: Final = {
@@ -103,12 +104,9 @@ class _ProductsAt(torch.autograd.Function):
         return products
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         x, weight, rows = ctx.saved_tensors
-        if torch.is_grad_enabled():  # a second derivative, as of the gradient penalty, needs a graph of this one
-            each = slope[..., None]
-            by_x = torch.zeros_like(x).index_add(0, rows.flatten(), (each * weight).flatten(0, 1))
-            return by_x, (each * _at(x, rows)).sum(dim=0), None
         g_x, g_weight = (
             torch.zeros_like(one) if need else None
             for one, need in zip((x, weight), ctx.needs_input_grad[:2], strict=True)
@@ -177,12 +175,9 @@ class Layer(nn.Module):
     Shapes: (..., in_width) to (..., out_width).
 
     Attributes:
-        total: Sums over the processes that split a batch, for the statistics of batch norm; None for a single
-            process. It is no part of the weights.
         moments: Whether batch norm in training may be computed by moments, which `torch.vmap` does not support.
     """
 
-    total: Total | None = None
     moments: bool = True
 
     def __init__(self, in_width: int, out_width: int, *, norm: bool = True, relu: bool = True) -> None:
@@ -215,7 +210,7 @@ class Layer(nn.Module):
         if self.norm is None or not self.norm.training:
             return self.folded() if self.training or torch.is_grad_enabled() else None
         worth = self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear)
-        return batch_affine(x, self.linear, self.norm, self.total) if worth else None
+        return batch_affine(x, self.linear, self.norm) if worth else None
 
     def forward(self, x: Tensor) -> Tensor:
         """Apply the layer."""
@@ -226,8 +221,6 @@ class Layer(nn.Module):
         if self.norm is None:
             return self._activated(y)
         rows = y.flatten(0, -2)
-        if self.norm.training and self.total is not None:
-            return self._activated(synced_norm(rows, self.norm, self.total).view_as(y))
         return self._activated(self.norm(rows).view_as(y))
 
     def _activated(self, y: Tensor) -> Tensor:

@@ -62,7 +62,7 @@ def plane_to_msg(plane: Plane | None) -> PlaneMsg:
     return PlaneMsg(coef=np.zeros(4) if plane is None else plane.coefficients)
 
 
-def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, "array.array[Any]"]:
+def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, Any]:
     """The fields of `TablePlane` that hold the points of all objects of a scene."""
     if obstacles is None:
         return {}

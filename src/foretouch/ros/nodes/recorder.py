@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool, Trigger
 
 from foretouch.config import Settings, setting
@@ -25,7 +24,7 @@ from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.operator import ACTIONS, Action, Operator
+from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import (
     ROBOT_TOPICS,
@@ -71,15 +70,6 @@ class RecorderConfig(NodeConfig, TactileInput):
         (), "Labels of the objects to record, in order: `next_object` takes the next; the first, if `object` is empty",
         read_only=True,
     )  # fmt: skip
-    joy_topic: str = setting(
-        "", "Topic of a joystick (sensor_msgs/Joy) whose buttons act on the last grasp; empty for none", read_only=True
-    )
-    joy_buttons: tuple[str, ...] = setting(
-        ("success", "failure", "drop", "undo", "relabel", "note", "pause", "object"),
-        "Action of each button, by its number; empty for none",
-        choices=("", *ACTIONS, "quit"),
-        read_only=True,
-    )
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
     viewer_topics: tuple[str, ...] = setting(
         ROBOT_TOPICS, "Topics to record for viewers too, as far as they are published; drawing `markers` takes the graph "
@@ -139,7 +129,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
         self._duration_s = 0.0
-        self._pressed: tuple[int, ...] = ()  # buttons of the joystick
         super().__init__(name, RecorderConfig, **options)
 
     def _setup(self) -> None:
@@ -165,8 +154,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         )
         for kind, name, act in services:
             self.serve(kind, name, partial(self._answer, act), group)
-        if self.config.joy_topic:
-            self.subscribe(Joy, self.config.joy_topic, self._receive_buttons)
 
     def _start(self) -> None:
         if self.config.record:
@@ -377,18 +364,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if not edits:
             raise ConfigError("the request changes nothing: set object, outcome, note or discard")
         return "; ".join(self.act(action, text, request.grasp_id) for action, text in edits)
-
-    def _receive_buttons(self, message: Any) -> None:
-        """Do what the buttons stand for that were pressed since the last message; those held at the first one are not."""
-        before, self._pressed = self._pressed or tuple(message.buttons), tuple(message.buttons)
-        for action, was_pressed, is_pressed in zip(self.config.joy_buttons, before, self._pressed, strict=False):
-            try:
-                if is_pressed and not was_pressed and action == "quit":
-                    self.end()
-                elif is_pressed and not was_pressed and action:
-                    self.act(cast("Action", action))
-            except ForetouchError as err:
-                self.get_logger().warning(f"{self.config.joy_topic}: {action}: {err}")
 
     def _tick(self) -> None:
         inputs = self.input_topics

@@ -9,6 +9,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
+from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
@@ -51,6 +52,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
 
     def _config_changed(self, config: SegmentationNodeConfig) -> None:
         self._pipeline = Pipeline(PipelineConfig(segmentation=config.segmentation, target=config.target))
+        self._identity = ObjectIdentity()
         self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
         self._frames: dict[str, float] = {}  # when a cloud in each frame came last (`time.monotonic`) [s]
 
@@ -68,7 +70,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
             raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is none of {', '.join(allowed)}")
         self._frames[frame] = time.monotonic()
         cloud = read_cloud(messages["points"])
-        scene = self._pipeline.segment(cloud, self._previous)
+        scene = self._pipeline.segment(cloud, self._previous, self._identity)
         ids = [target.id for target in scene.targets]
         centroids = [one.centroid for one in scene.segmentation.objects if [str(one.id)] == ids]
         self._previous = centroids[0] if centroids else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the operator does during a session, by key, service or joystick: each action is an edit in the dataset's log.
+"""What the operator does during a session, by key or service: each action is an edit in the dataset's log.
 
 An action on the last grasp while one is being executed waits for that grasp, so that it is not taken for the one before.
 """

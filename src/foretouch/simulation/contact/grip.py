@@ -24,13 +24,12 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError
-from foretouch.simulation.contact.closed_form import solve_hertz, solve_winkler
 from foretouch.simulation.contact.layer import solve_layer
 from foretouch.simulation.contact.problem import Command, ContactProblem, ContactSolution, Layer
+from foretouch.simulation.contact.winkler import solve_winkler
 from foretouch.types import Float64
 
 _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]] = {
-    "hertz": solve_hertz,
     "winkler": solve_winkler,
     "layer": solve_layer,
 }

@@ -38,7 +38,6 @@ import numpy.typing as npt
 
 from foretouch.errors import ContactError, ConvergenceError
 from foretouch.kernels import Kernel
-from foretouch.simulation.contact.closed_form import bed_stiffness
 from foretouch.simulation.contact.problem import (
     Command,
     ContactProblem,
@@ -47,6 +46,7 @@ from foretouch.simulation.contact.problem import (
     no_contact,
     refuse_overload,
 )
+from foretouch.simulation.contact.winkler import bed_stiffness
 from foretouch.types import Float64
 
 Complex128 = npt.NDArray[np.complex128]

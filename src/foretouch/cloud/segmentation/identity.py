@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same id for the same object in all clouds of a stream, where `segment` numbers each cloud by distance.
+
+An object is the one before with which it shares most pixels, if these are more than half of the smaller of both. Clouds
+that are no images, or of another size, are compared by centroid. Objects that a hand hides are remembered for a while.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Final
+
+import numpy as np
+
+from foretouch.cloud.segmentation.objects import ObjectSegment
+from foretouch.cloud.segmentation.segment import Segmentation
+from foretouch.types import Float64, Int32, Int64
+
+_SAME_PLACE_M: Final = 0.03  # between the centroids of an object in two clouds
+_REMEMBERED: Final = 90  # clouds without the object: 3 s at 30 Hz
+_LAST: Final = 2**31 - 1  # an id is an int32 in the labels
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """An object when it was seen last."""
+
+    pixels: Int64  # flat indices
+    centroid: Float64  # [m]
+    shape: tuple[int, ...]  # of the cloud
+    at: int  # number of the cloud
+
+
+class ObjectIdentity:
+    """The ids of the objects in a stream of clouds."""
+
+    def __init__(self) -> None:
+        self._seen: dict[int, _Seen] = {}
+        self._ids = count(1)
+        self._clouds = 0
+
+    def keep(self, found: Segmentation) -> Segmentation:
+        """The segmentation of the next cloud with the ids of the stream, in its objects and labels.
+
+        Its counts get `new_ids`: objects that were not seen before.
+        """
+        self._clouds += 1
+        known = self._known(found)
+        names = np.zeros(len(found.objects) + 1, np.int32)
+        for one in found.objects:
+            names[one.id] = known.get(one.id) or next(self._ids) % _LAST
+        objects = tuple(replace(one, id=int(names[one.id])) for one in found.objects)
+        shape = found.labels.shape
+        self._seen |= {one.id: _Seen(one.pixels, one.centroid, shape, self._clouds) for one in objects}
+        self._seen = {id_: one for id_, one in self._seen.items() if self._clouds - one.at < _REMEMBERED}
+        labels = found.labels if np.array_equal(names, np.arange(len(names))) else names[found.labels]
+        return replace(
+            found, objects=objects, labels=labels, counts=found.counts | {"new_ids": len(objects) - len(known)}
+        )
+
+    def _known(self, found: Segmentation) -> dict[int, int]:
+        """The id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
+        pairs: list[tuple[int, float, int, int]] = []
+        for id_, seen in self._seen.items():
+            shares = _shared(seen, found.labels, found.objects)
+            pairs += [
+                (self._clouds - seen.at, -share, id_, one.id)
+                for one, share in zip(found.objects, shares, strict=True)
+                if share
+            ]
+        known: dict[int, int] = {}
+        for _, _, id_, one in sorted(pairs):
+            if one not in known and id_ not in known.values():
+                known[one] = id_
+        return known
+
+
+def _shared(seen: _Seen, labels: Int32, objects: Sequence[ObjectSegment]) -> list[float]:
+    """How much each object of a cloud has in common with one seen before; 0 if it is another."""
+    if labels.ndim == 1 or labels.shape != seen.shape:
+        apart = [float(np.linalg.norm(one.centroid - seen.centroid)) for one in objects]
+        return [max(0.0, _SAME_PLACE_M - one) for one in apart]
+    shared = np.bincount(labels.reshape(-1).take(seen.pixels), minlength=len(objects) + 1)
+    sizes = [min(len(seen.pixels), one.n_points) for one in objects]
+    return [float(n) if 2 * n > size else 0.0 for n, size in zip(shared[1:].tolist(), sizes, strict=True)]

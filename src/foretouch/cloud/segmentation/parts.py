@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Objects that touch, split by local convexity (`kernels/split.c`).
+
+Household objects are mostly convex, and where two of them touch, the visible surface has a concave edge or a step in depth
+(Stein, Schoeler, Papon, Wörgötter: Object Partitioning using Local Convexity, CVPR 2014). A cluster is divided into fragments
+along such edges, and fragments are joined while the border between two of them bends less than `angle_deg` on average over
+its whole length: an edge that fades out, or that bends only at its end, does not separate.
+
+Whole objects stay whole by three rules, each counted:
+
+- `joined_small`: a fragment smaller than a fingertip belongs to the neighbour from which it is separated least (a handle).
+- `joined_hollow`: hollow fragments are one wall, and belong to the rim that is as high as they are (a bowl, a cup).
+- `joined_hidden`: fragments on both sides of a nearer object are one where the surface of one continues in the other.
+
+An image with neither a concave surface nor two clusters next to each other is not processed further.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold
+from foretouch.config import Settings, setting
+from foretouch.kernels import Kernel
+from foretouch.types import Float32
+
+_split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64, np.uint8, np.int32, np.int64)
+_concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
+
+SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden")
+_CELL_M = 0.005  # side of a cell at the median depth of the clusters, as the noise of a stereo camera it grows with depth² beyond 1 m
+_MAX_CELL = 8  # pixels
+_ARM_M = 0.02  # over which a concave surface is looked for
+_SAG_M = 0.002  # its depth below the straight line between both ends
+_STRIDE = 4  # pixels between the points that are looked at
+_FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitConfig(Settings):
+    """Where a cluster is split into objects that touch."""
+
+    angle_deg: float = setting(
+        25.0,
+        "A border that is concave by more than this on average separates two objects; 180 does not split at all",
+        bounds=(5.0, 180.0),
+    )
+    step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
+    min_part_m: float = setting(
+        0.02, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
+    )
+
+
+def split_clusters(
+    xyz: Float32, windows: Sequence[Clusters], threshold: HeightThreshold, pitch: float, config: SplitConfig
+) -> tuple[list[Clusters], dict[str, int]]:
+    """Split clusters of an image into parts.
+
+    Args:
+        xyz: (H, W, 3) float32 [m], contiguous, camera optical frame.
+        windows: Its labelled windows.
+        threshold: Height threshold above the table, with the noise of the depth.
+        pitch: Lateral distance of neighbouring pixels per depth.
+        config: Settings.
+
+    Returns:
+        The windows as they are, or one window with all parts; and the counts `clusters`, `parts`, `joined_small`,
+        `joined_hollow` and `joined_hidden`, all 0 if nothing calls for splitting.
+    """
+    counts = dict.fromkeys(SPLIT_COUNTS, 0)
+    if config.angle_deg >= 180.0 or not windows or pitch <= 0.0:
+        return list(windows), counts
+    one = _in_one_window(windows) if len(windows) > 1 else windows[0]
+    view, (h, w) = xyz[one.rows :, one.columns :], one.labels.shape
+    first = xyz.reshape(-1, 3)[one.rows * xyz.shape[1] + one.columns :]
+    coarse = np.s_[::_STRIDE, ::_STRIDE]
+    depths = view[:h, :w, 2][coarse][one.solid[coarse]]
+    if not len(depths):
+        return list(windows), counts
+    depth = float(np.median(depths))
+    side = pitch * depth  # of a pixel [m]
+    arm, found = max(1, round(_ARM_M / side)), np.zeros(4, np.int64)
+    _concave(first, xyz.shape[1], h, w, _STRIDE, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
+    if found[:2].max() < _FEW:
+        return list(windows), counts
+    cell = min(max(round(_CELL_M * max(1.0, depth**2) / side), 1), _MAX_CELL)
+    settings = [
+        np.radians(config.angle_deg),
+        config.step_m,
+        config.min_part_m**2,
+        *threshold.plane.coefficients,
+        pitch * cell,
+    ]
+    labels = one.labels.copy()
+    _split(first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels, found)
+    if found[0] < 0:
+        raise MemoryError("split_clusters")
+    parts, *joined = found.tolist()
+    clusters = sum(len(np.unique(window.labels[window.labels > 0])) for window in windows)
+    counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
+    return [Clusters(labels, one.solid & (labels > 0), parts, one.rows, one.columns)], counts
+
+
+def _in_one_window(windows: Sequence[Clusters]) -> Clusters:
+    """Windows of an image as one, whose labels are all different."""
+    top, left = min(one.rows for one in windows), min(one.columns for one in windows)
+    bottom = max(one.rows + one.labels.shape[0] for one in windows)
+    right = max(one.columns + one.labels.shape[1] for one in windows)
+    labels, solid, count = (
+        np.zeros((bottom - top, right - left), np.int32),
+        np.zeros((bottom - top, right - left), np.bool_),
+        0,
+    )
+    for one in windows:
+        h, w = one.labels.shape
+        part = np.s_[one.rows - top : one.rows - top + h, one.columns - left : one.columns - left + w]
+        found = one.labels > 0
+        np.copyto(labels[part], one.labels + np.int32(count), where=found)
+        np.copyto(solid[part], one.solid, where=found)
+        count += one.n_labels
+    return Clusters(labels, solid, count, top, left)

@@ -1,0 +1,525 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Parts of clusters, by local convexity: two convex objects that touch meet in a concave edge or at a step in depth.
+ *
+ * A window is divided into square cells of a few millimetres. A surface is fitted to the inverse depth of each cell and its
+ * neighbours: the image of a plane is linear in it, and the noise of a stereo camera has the same size everywhere. Across each
+ * edge between two cells the normals some cells away from it are compared: `bend`, positive where concave, STEP where the
+ * depth jumps. Cells away from concave edges are connected to fragments, which grow over the rest; a border between two
+ * fragments then has a mean bend along its whole length, and the fragments whose border bends least are joined first. */
+#include "kernels.h"
+
+enum { BEND, STEP_M, PART_M2, PLANE, PITCH = PLANE + 4, SETTINGS }; /* of `settings` */
+enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, COUNTS };                      /* of `counts` */
+
+#define STEP 2.0f   /* bend of a step in depth: chord of opposite normals */
+#define FULL 0.7f   /* a sharper bend counts as much as this one, of 40 degrees, and a convex one as none */
+#define REACH 2     /* cells from an edge to the normals that are compared, and from a normal to the edge of its window */
+#define SLOPE 4.0f  /* depth per lateral distance of cells that have no further neighbours */
+#define TURN 0.25f /* chord of the normals of one surface on both sides of a nearer part */
+#define SKEW 0.05f /* and how far it may be off for each metre between them */
+#define LINES 4    /* of cells on which they agree, at least */
+#define BRIDGE 3    /* cells between two parts that are next to each other */
+#define SHARP 0.35f /* bend of a rim */
+#define TOUCH 0.03f /* depth between a small part and its neighbour, and height between a hollow part and its rim [m] */
+#define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
+#define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
+
+typedef struct {
+    float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
+    int32_t label, part;
+} cell;
+
+typedef struct {
+    int32_t a, b, next; /* fragments, a < b; the next border of a */
+    int32_t steps, length, convex, behind; /* edges; those where b is behind a less those where it is before */
+    float near; /* smallest difference in depth [m] */
+    double bend; /* sum */
+} border;
+
+typedef struct {
+    double area, tops; /* m2; largest height above the table */
+    int32_t cells, hollow, rim, to, first;
+} fragment;
+
+typedef struct {
+    int64_t h, w, n, n_fragments, n_borders;
+    cell *cells;
+    float *bends; /* right and down (n, 2); NAN where there is no edge */
+    int32_t *root;
+    fragment *fragments;
+    border *borders;
+    const double *s;
+} graph;
+
+INLINE int broken(const cell *c, const cell *o, const cell *before, const cell *after, float step) {
+    const float limit = step * c->d * o->d, by = o->d - c->d;
+    const float slope = SLOPE * sqrtf((o->p[0] - c->p[0]) * (o->p[0] - c->p[0]) + (o->p[1] - c->p[1]) * (o->p[1] - c->p[1]));
+    const float left = before && before->label == c->label ? by - (c->d - before->d) : NAN;
+    const float right = after && after->label == c->label ? by - (after->d - o->d) : NAN;
+    if (left != left && right != right) {
+        return fabsf(by) > limit + slope * c->d * o->d;
+    }
+    return fabsf(by) > limit + slope / 2 * c->d * o->d && !(fabsf(left) <= limit) && !(fabsf(right) <= limit);
+}
+
+static void make_cells(graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, const int32_t *labels,
+                       const uint8_t *solid, int64_t k) {
+    for (int64_t i = 0; i < g->h; i++) {
+        for (int64_t j = 0; j < g->w; j++) {
+            cell *c = g->cells + i * g->w + j;
+            const int64_t bottom = (i + 1) * k < h ? (i + 1) * k : h, right = (j + 1) * k < w ? (j + 1) * k : w;
+            const int64_t y0 = (i * k + bottom) / 2, x0 = (j * k + right) / 2;
+            int64_t at = y0 * w + x0;
+            for (int64_t y = i * k; y < bottom && !solid[at]; y++) { /* a point at the middle, else any */
+                for (int64_t x = j * k; x < right; x++) {
+                    at = solid[y * w + x] ? y * w + x : at;
+                }
+            }
+            const float z = xyz[3 * (at / w * across + at % w) + 2], gap = (float)g->s[STEP_M];
+            float sum[4] = {0.0f};
+            c->label = solid[at] ? labels[at] : 0;
+            for (int64_t y = i * k; y < bottom && c->label; y++) {
+                for (int64_t x = j * k; x < right; x++) {
+                    const float *p = xyz + 3 * (y * across + x);
+                    if (solid[y * w + x] && labels[y * w + x] == c->label && fabsf(p[2] - z) < gap) {
+                        const float d = 1.0f / p[2];
+                        sum[0] += p[0] * d, sum[1] += p[1] * d, sum[2] += d, sum[3] += 1.0f;
+                    }
+                }
+            }
+            c->part = 0;
+            c->d = c->label ? sum[2] / sum[3] : 1.0f / z;
+            c->p[0] = sum[0] / sum[3] / c->d, c->p[1] = sum[1] / sum[3] / c->d, c->p[2] = 1.0f / c->d;
+        }
+    }
+}
+
+/* The step in depth across each edge, before there are normals. */
+static void find_steps(graph *g) {
+    for (int dir = 0; dir < 2; dir++) {
+        const int64_t to = dir ? g->w : 1;
+        for (int64_t i = 0; i < g->n; i++) {
+            const int64_t at = dir ? i / g->w : i % g->w, length = dir ? g->h : g->w;
+            const cell *c = g->cells + i;
+            g->bends[2 * i + dir] = NAN;
+            if (at + 1 < length && c->label && c[to].label) {
+                const int jump = c[to].label != c->label || broken(c, c + to, at ? c - to : NULL, at + 2 < length ? c + 2 * to : NULL, (float)g->s[STEP_M]);
+                g->bends[2 * i + dir] = jump ? STEP : 0.0f;
+            }
+        }
+    }
+}
+
+/* The cell up to `most` cells along a line without a step: dir 0 right, 1 down; sign -1 backwards. */
+INLINE int64_t walk(const graph *g, int64_t i, int dir, int sign, int most) {
+    const int64_t to = dir ? g->w : 1, length = dir ? g->h : g->w;
+    int64_t at = dir ? i / g->w : i % g->w;
+    for (int t = 0; t < most && at + sign >= 0 && at + sign < length; t++, at += sign, i += sign * to) {
+        const float edge = g->bends[2 * (sign > 0 ? i : i - to) + dir];
+        if (edge != edge || edge == STEP) {
+            break;
+        }
+    }
+    return i;
+}
+
+static void make_normals(graph *g) {
+    for (int64_t i = 0; i < g->n; i++) {
+        cell *c = g->cells + i;
+        c->n[0] = c->n[1] = c->n[2] = NAN;
+        if (!c->label) {
+            continue;
+        }
+        const float u0 = c->p[0] * c->d, v0 = c->p[1] * c->d;
+        float m[9] = {0.0f};
+        const int64_t top = walk(g, i, 1, -1, REACH), end = walk(g, i, 1, 1, REACH);
+        for (int64_t middle = top; middle <= end; middle += g->w) {
+            const int64_t last = walk(g, middle, 0, 1, REACH);
+            for (int64_t b = walk(g, middle, 0, -1, REACH); b <= last; b++) {
+                const cell *o = g->cells + b;
+                const float u = o->p[0] * o->d - u0, v = o->p[1] * o->d - v0, d = o->d - c->d;
+                m[0] += 1.0f, m[1] += u, m[2] += v, m[3] += d;
+                m[4] += u * u, m[5] += u * v, m[6] += v * v, m[7] += u * d, m[8] += v * d;
+            }
+        }
+        const float uu = m[4] - m[1] * m[1] / m[0], uv = m[5] - m[1] * m[2] / m[0], vv = m[6] - m[2] * m[2] / m[0];
+        const float ud = m[7] - m[1] * m[3] / m[0], vd = m[8] - m[2] * m[3] / m[0], det = uu * vv - uv * uv;
+        if (m[0] >= 5.0f && det > 1e-3f * uu * vv) { /* a x + b y + e z = 1 */
+            const float a = (ud * vv - vd * uv) / det, b = (vd * uu - ud * uv) / det;
+            const float e = c->d + (m[3] - a * m[1] - b * m[2]) / m[0] - a * u0 - b * v0, size = sqrtf(a * a + b * b + e * e);
+            c->n[0] = -a / size, c->n[1] = -b / size, c->n[2] = -e / size;
+        }
+    }
+}
+
+static void make_bends(graph *g) {
+    float *bends = malloc((size_t)(2 * g->n) * sizeof(float) + 1);
+    for (int64_t k = 0; bends && k < 2 * g->n; k++) {
+        const int dir = k & 1;
+        bends[k] = g->bends[k];
+        if (bends[k] == 0.0f) {
+            const cell *a = g->cells + walk(g, k / 2, dir, -1, REACH);
+            const cell *b = g->cells + walk(g, k / 2 + (dir ? g->w : 1), dir, 1, REACH);
+            float chord = 0.0f, side = 0.0f;
+            for (int x = 0; x < 3; x++) {
+                const float turn = a->n[x] - b->n[x];
+                chord += turn * turn, side += turn * (a->p[x] - b->p[x]);
+            }
+            bends[k] = chord == chord ? (side < 0.0f ? sqrtf(chord) : -sqrtf(chord)) : 0.0f;
+        }
+    }
+    if (bends) {
+        memcpy(g->bends, bends, (size_t)(2 * g->n) * sizeof(float));
+    }
+    free(bends);
+}
+
+INLINE int32_t root_of(int32_t *root, int32_t i) {
+    while (root[i] != i) {
+        i = root[i] = root[root[i]];
+    }
+    return i;
+}
+
+/* Fragments: cells away from concave edges, connected; they grow over the other cells in order of the edges' bend. */
+static void make_fragments(graph *g) {
+    const float least = (float)(g->s[BEND] * 2.0 / 3.0);
+    int32_t count = 0;
+    for (int64_t i = 0; i < g->n; i++) {
+        g->root[i] = g->cells[i].label && g->cells[i].n[0] == g->cells[i].n[0] ? (int32_t)i : -1;
+    }
+    for (int64_t k = 0; k < 2 * g->n; k++) {
+        if (g->bends[k] > least) {
+            g->root[k / 2] = g->root[k / 2 + (k & 1 ? g->w : 1)] = -1;
+        }
+    }
+    for (int64_t k = 0; k < 2 * g->n; k++) {
+        const int64_t o = k / 2 + (k & 1 ? g->w : 1);
+        if (g->bends[k] <= least && g->root[k / 2] >= 0 && g->root[o] >= 0) {
+            const int32_t a = root_of(g->root, (int32_t)(k / 2)), b = root_of(g->root, (int32_t)o);
+            g->root[a > b ? a : b] = a < b ? a : b;
+        }
+    }
+    for (int64_t i = 0; i < g->n; i++) { /* a root comes before its members */
+        g->cells[i].part = g->root[i] < 0 ? 0 : root_of(g->root, (int32_t)i) == i ? ++count : g->cells[g->root[i]].part;
+    }
+    for (float limit = least; limit <= 2.0f * STEP; limit = limit < FULL ? limit + 0.14f : 2.0f * limit) {
+        for (int changed = 1; changed;) {
+            changed = 0;
+            for (int64_t i = 0; i < g->n; i++) {
+                g->root[i] = g->cells[i].part;
+            }
+            for (int64_t k = 0; k < 2 * g->n; k++) {
+                const int64_t i = k / 2, o = i + (k & 1 ? g->w : 1);
+                if (g->bends[k] <= limit && !g->root[i] != !g->root[o]) {
+                    g->cells[g->root[i] ? o : i].part = g->root[i] + g->root[o];
+                    changed = 1;
+                }
+            }
+        }
+    }
+    for (int64_t i = 0; i < g->n; i++) { /* cells that nothing reaches */
+        g->cells[i].part = g->cells[i].label && !g->cells[i].part ? ++count : g->cells[i].part;
+    }
+    g->n_fragments = count;
+}
+
+/* The border of two fragments, made if there is none; NULL without memory. */
+static border *border_of(graph *g, int32_t a, int32_t b) {
+    const int32_t first = a < b ? a : b, second = a < b ? b : a;
+    int32_t *at = &g->fragments[first].first;
+    while (*at >= 0 && g->borders[*at].b != second) {
+        at = &g->borders[*at].next;
+    }
+    if (*at < 0) {
+        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, INFINITY, 0.0};
+        *at = (int32_t)g->n_borders++;
+    }
+    return g->borders + *at;
+}
+
+static void measure(graph *g) {
+    for (int64_t i = 0; i <= g->n_fragments; i++) {
+        g->fragments[i] = (fragment){0.0, -INFINITY, 0, 0, 0, (int32_t)i, -1};
+    }
+    for (int64_t i = 0; i < g->n; i++) {
+        const cell *c = g->cells + i;
+        if (c->part) {
+            fragment *f = g->fragments + c->part;
+            const double *t = g->s + PLANE, side = g->s[PITCH] * c->p[2];
+            const double height = c->p[0] * t[0] + c->p[1] * t[1] + c->p[2] * t[2] + t[3];
+            f->tops = height > f->tops ? height : f->tops;
+            f->area += side * side;
+            f->cells++;
+            f->hollow += (g->bends[2 * i] > HOLLOW && g->bends[2 * i] < STEP) || (g->bends[2 * i + 1] > HOLLOW && g->bends[2 * i + 1] < STEP);
+        }
+        for (int dir = 0; dir < 2; dir++) {
+            const int64_t to = dir ? g->w : 1, rest = dir ? g->h - i / g->w : g->w - i % g->w;
+            int64_t t = 1;
+            while (t < rest && t < BRIDGE && !c[t * to].label) {
+                t++;
+            }
+            if (c->part && t < rest && c[t * to].label && c->part != c[t * to].part) {
+                const float bend = t > 1 ? STEP : g->bends[2 * i + dir], by = fabsf(c->p[2] - c[t * to].p[2]);
+                border *one = border_of(g, c->part, c[t * to].part);
+                one->bend += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
+                one->steps += bend == STEP;
+                one->convex += bend < -SHARP;
+                one->length++;
+                one->behind += (c->p[2] < c[t * to].p[2]) == (c->part == one->a) ? 1 : -1;
+                one->near = by < one->near ? by : one->near;
+            }
+        }
+    }
+}
+
+/* More than half of its cells are; one that has joined its rim counts as solid. */
+INLINE int is_hollow(const fragment *f) { return !f->rim && 2 * f->hollow > f->cells; }
+
+static void join(graph *g, int32_t a, int32_t b) {
+    fragment *to = g->fragments + a, *from = g->fragments + b;
+    to->area += from->area, to->cells += from->cells, to->hollow += from->hollow, to->rim |= from->rim;
+    to->tops = to->tops > from->tops ? to->tops : from->tops;
+    for (int64_t i = 1; i <= g->n_fragments; i++) {
+        g->fragments[i].to = g->fragments[i].to == b ? a : g->fragments[i].to;
+        g->fragments[i].first = -1; /* from here on: the border of a with this one */
+    }
+    int64_t kept = 0;
+    for (int64_t k = 0; k < g->n_borders; k++) {
+        border one = g->borders[k];
+        one.a = one.a == b ? a : one.a, one.b = one.b == b ? a : one.b;
+        if (one.a > one.b) {
+            const int32_t first = one.b;
+            one.b = one.a, one.a = first, one.behind = -one.behind;
+        }
+        const int32_t other = one.a == a ? one.b : one.b == a ? one.a : 0;
+        if (other == a) {
+            continue;
+        }
+        if (other && g->fragments[other].first >= 0) {
+            border *same = g->borders + g->fragments[other].first;
+            same->bend += one.bend, same->steps += one.steps, same->length += one.length;
+            same->convex += one.convex, same->behind += one.behind;
+            same->near = same->near < one.near ? same->near : one.near;
+        } else {
+            if (other) {
+                g->fragments[other].first = (int32_t)kept;
+            }
+            g->borders[kept++] = one;
+        }
+    }
+    g->n_borders = kept;
+}
+
+/* Whether a border may be that of a hollow fragment with its rim: as high, and mostly before it. */
+INLINE int rim_of(const graph *g, const border *one) {
+    const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
+    const int front = is_hollow(a) && !is_hollow(b) ? -one->behind : is_hollow(b) && !is_hollow(a) ? one->behind : -1;
+    return front >= 0 && fabs(a->tops - b->tops) < TOUCH;
+}
+
+/* Joins fragments whose border bends least, as long as it bends less than the limit. A fragment smaller than a fingertip joins
+ * the neighbour from which it is separated least; two hollow ones are one wall; a hollow one joins its rim. */
+static void join_all(graph *g, int64_t *counts) {
+    for (;;) {
+        const border *best = NULL;
+        double least = g->s[BEND];
+        const border *rim = NULL;
+        int why = -1;
+        for (int64_t k = 0; k < g->n_borders; k++) {
+            const border *one = g->borders + k;
+            const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
+            double bend = one->bend / one->length;
+            int reason = -1;
+            if ((a->area < g->s[PART_M2] || b->area < g->s[PART_M2]) && one->near < TOUCH) {
+                reason = bend < least ? -1 : BY_SIZE;
+                bend -= 10.0;
+            } else if (is_hollow(a) && is_hollow(b) && 2 * one->convex > one->length) {
+                continue; /* two bowls whose rims touch */
+            } else if (is_hollow(a) && is_hollow(b) && 2 * one->steps < one->length) {
+                reason = bend < least ? -1 : BY_HOLLOW;
+                bend -= 5.0;
+            }
+            if (bend < least) {
+                least = bend, best = one, why = reason;
+            }
+        }
+        for (int64_t k = 0; k < g->n_borders && why < 0 && !best; k++) { /* a hollow fragment and its longest border */
+            rim = rim_of(g, g->borders + k) && (!rim || g->borders[k].length > rim->length) ? g->borders + k : rim;
+        }
+        if (rim && !best) {
+            best = rim, why = BY_HOLLOW;
+            g->fragments[rim->a].rim = 1;
+        }
+        if (!best) {
+            break;
+        }
+        if (why >= 0) {
+            counts[why]++;
+        }
+        join(g, best->a, best->b);
+    }
+}
+
+static void name_parts(graph *g) {
+    for (int64_t i = 0; i < g->n; i++) {
+        g->cells[i].part = g->fragments[g->cells[i].part].to;
+    }
+}
+
+/* Depth of the plane of cell a on the ray of cell b, minus that of b [m]. */
+INLINE float behind(const cell *a, const cell *b) {
+    const float *n = a->n, u = b->p[0] * b->d, v = b->p[1] * b->d;
+    return (n[0] * a->p[0] + n[1] * a->p[1] + n[2] * a->p[2]) / (n[0] * u + n[1] * v + n[2]) - b->p[2];
+}
+
+/* The first cell beyond a nearer part that hides the surface of cell `i` along a line of cells; -1 if there is none. */
+static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
+    const int64_t to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w, length = dir ? g->h : g->w;
+    int hidden = 0, open = 0; /* cells */
+    for (int64_t t = 1; at + t < length; t++) {
+        const cell *o = g->cells + i + t * to;
+        const float u = o->p[0] * o->d, v = o->p[1] * o->d;
+        const float d = (a->n[0] * u + a->n[1] * v + a->n[2]) / (a->n[0] * a->p[0] + a->n[1] * a->p[1] + a->n[2] * a->p[2]);
+        const float step = (float)g->s[STEP_M] * d * d;
+        if (o->label && o->part == g->cells[i].part) {
+            return -1;
+        }
+        if (o->d > d + step && o->label) {
+            hidden++;
+        } else if (o->label && hidden) {
+            return i + t * to;
+        } else if (o->label || o->d < d - step) { /* seen past it: a flying pixel, or nothing hides the surface */
+            if (++open > 2) {
+                return -1;
+            }
+        }
+    }
+    return -1;
+}
+
+/* Joins parts on both sides of a nearer one where their surfaces agree along most lines of cells. */
+static void join_hidden(graph *g, int64_t *counts) {
+    g->n_borders = 0;
+    for (int64_t i = 1; i <= g->n_fragments; i++) {
+        g->fragments[i].first = -1;
+    }
+    for (int64_t k = 0; k < 2 * g->n; k++) {
+        const int dir = k & 1;
+        const int64_t i = k / 2, to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w;
+        if (!g->cells[i].label || at + 1 >= (dir ? g->h : g->w) || g->cells[i + to].part == g->cells[i].part) {
+            continue;
+        }
+        const cell *a = g->cells + walk(g, i, dir, -1, REACH);
+        const int64_t other = a->part == g->cells[i].part && a->n[0] == a->n[0] ? beyond(g, i, a, dir) : -1;
+        if (other < 0) {
+            continue;
+        }
+        const cell *b = g->cells + walk(g, other, dir, 1, REACH);
+        float chord = 0.0f, apart = 0.0f;
+        for (int x = 0; x < 3; x++) {
+            chord += (a->n[x] - b->n[x]) * (a->n[x] - b->n[x]), apart += (a->p[x] - b->p[x]) * (a->p[x] - b->p[x]);
+        }
+        const float limit = (float)g->s[STEP_M] + SKEW * sqrtf(apart);
+        border *one = border_of(g, g->cells[i].part, g->cells[other].part);
+        one->steps += chord < TURN * TURN && fabsf(behind(a, b)) < limit && fabsf(behind(b, a)) < limit;
+        one->length++;
+    }
+    for (int64_t k = 0; k < g->n_borders; k++) {
+        const border *one = g->borders + k;
+        if (one->steps >= LINES && 2 * one->steps > one->length) {
+            counts[BY_VIEW]++;
+            join(g, one->a, one->b);
+            k = -1;
+        }
+    }
+}
+
+/* Gives each pixel the part of the cell of its cluster that is nearest: in cells, and in depth by LIKE. */
+static int64_t write_parts(const graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, int32_t *labels) {
+    int32_t *names = g->root, count = 0;
+    memset(names, 0, (size_t)g->n * sizeof(int32_t));
+    for (int64_t y = 0; y < h; y++) {
+        for (int64_t x = 0; x < w; x++) {
+            const int32_t label = labels[y * w + x];
+            const float z = xyz[3 * (y * across + x) + 2];
+            float best = INFINITY;
+            int32_t part = 0;
+            for (int64_t near = 0; near < 9 && label; near++) {
+                const int64_t i = y / k + near / 3 - 1, j = x / k + near % 3 - 1;
+                const cell *c = g->cells + i * g->w + j;
+                if (i < 0 || j < 0 || i >= g->h || j >= g->w || c->label != label) {
+                    continue;
+                }
+                const float dy = ((float)y + 0.5f) / (float)k - (float)i - 0.5f, dx = ((float)x + 0.5f) / (float)k - (float)j - 0.5f;
+                const float dz = (z - c->p[2]) / LIKE, apart = dx * dx + dy * dy + dz * dz;
+                if (apart < best) {
+                    best = apart, part = c->part;
+                }
+            }
+            if (part && !names[part - 1]) {
+                names[part - 1] = ++count;
+            }
+            labels[y * w + x] = part ? names[part - 1] : 0;
+        }
+    }
+    return count;
+}
+
+/* Splits the clusters of a window (h, w) of an image, at `xyz`, whose rows have `across` points.
+ *
+ * k: side of a cell in pixels. solid: (h, w), pixels with a reliable depth. labels: (h, w), in: the clusters, out: the parts, from
+ * 1. counts: (COUNTS), the number of parts, and of those that each rule joined; -1 in the first without memory. */
+VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, const double *settings,
+                               const uint8_t *solid, int32_t *labels, int64_t *counts) {
+    graph g = {(h + k - 1) / k, (w + k - 1) / k, 0, 0, 0, NULL, NULL, NULL, NULL, NULL, settings};
+    const size_t n = (size_t)(g.n = g.h * g.w);
+    memset(counts, 0, COUNTS * sizeof(int64_t));
+    g.cells = malloc((n + 1) * sizeof(cell));
+    g.bends = malloc((2 * n + 1) * sizeof(float));
+    g.root = malloc((n + 1) * sizeof(int32_t));
+    g.fragments = malloc((n + 1) * sizeof(fragment));
+    g.borders = malloc((2 * n + 1) * sizeof(border));
+    if (g.cells && g.bends && g.root && g.fragments && g.borders) {
+        make_cells(&g, xyz, across, h, w, labels, solid, k);
+        find_steps(&g);
+        make_normals(&g);
+        make_bends(&g);
+        make_fragments(&g);
+        measure(&g);
+        join_all(&g, counts);
+        name_parts(&g);
+        join_hidden(&g, counts);
+        name_parts(&g);
+        counts[PARTS] = write_parts(&g, xyz, across, h, w, k, labels);
+    } else {
+        counts[PARTS] = -1;
+    }
+    free(g.cells);
+    free(g.bends);
+    free(g.root);
+    free(g.fragments);
+    free(g.borders);
+}
+
+/* Whether clusters of a window call for splitting or joining, from every `stride`-th pixel: the nodes that lie deeper than the
+ * middle between two of their cluster `arm` pixels away by more than sag + noise z^2, and those next to another cluster. */
+void concave_nodes(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t stride, int64_t arm, double sag, double noise,
+                   const int32_t *labels, int64_t *counts) {
+    counts[0] = counts[1] = 0;
+    for (int dir = 0; dir < 2; dir++) {
+        const int64_t row = dir ? arm : 0, column = dir ? 0 : arm;
+        for (int64_t y = row; y < h - row; y += stride) {
+            for (int64_t x = column; x < w - column; x += stride) {
+                const int32_t one = labels[(y - row) * w + x - column], two = labels[(y + row) * w + x + column];
+                if (one && two && one == labels[y * w + x] && one == two) {
+                    const float *p = xyz + 3 * (y * across + x) + 2;
+                    const float d = 0.5f / p[-3 * (row * across + column)] + 0.5f / p[3 * (row * across + column)], z = *p;
+                    counts[0] += z - 1.0f / d > (float)sag + (float)noise * z * z;
+                } else {
+                    counts[1] += one && two && one != two;
+                }
+            }
+        }
+    }
+}

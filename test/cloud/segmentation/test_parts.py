@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Objects that touch, in images of solids whose labels are known exactly."""
+
+import time
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.types import AnyArray, Cloud, Float32, Float64
+
+_F, _H, _W = 500.0, 360, 480
+_EYE = np.array([0.0, -0.6, 0.65])  # above the table z = 0, which is seen at 47 degrees
+_AXES = np.array([[1.0, 0.0, 0.0], [0.0, -0.735, -0.678], [0.0, 0.678, -0.735]])  # of the camera: right, down, forward
+_NO_SPLIT = SegmentationConfig().updated({"split.angle_deg": 180.0})
+_Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
+def _rays() -> Float64:
+    v, u = np.indices((_H, _W))
+    pixels = np.stack([(u - (_W - 1) / 2) / _F, (v - (_H - 1) / 2) / _F, np.ones((_H, _W))], axis=-1)
+    return np.asarray(pixels @ _AXES)
+
+
+def _box_hit(rays: Float64, low: AnyArray, high: AnyArray) -> Float64:
+    """Depth of a box, by its slabs."""
+    with np.errstate(divide="ignore"):
+        near, far = np.sort([(low - _EYE) / rays, (high - _EYE) / rays], axis=0)
+    first, last = near.max(axis=-1), far.min(axis=-1)
+    return np.where(first < last, first, np.inf)
+
+
+def _ball_hit(rays: Float64, centre: AnyArray, radius: float) -> Float64:
+    a, b = (rays * rays).sum(-1), rays @ (_EYE - centre)
+    inside = b * b - a * ((_EYE - centre) @ (_EYE - centre) - radius**2)
+    return np.where(inside > 0.0, (-b - np.sqrt(np.maximum(inside, 0.0))) / a, np.inf)
+
+
+def _scene(
+    boxes: list[_Box], balls: list[tuple[tuple[float, float, float], float]] = (), noise: float = 0.0005
+) -> tuple[Float32, AnyArray]:  # type: ignore[assignment]
+    """(H, W, 3) points and (H, W) true labels, the table 0."""
+    rays = _rays()
+    hits = [-_EYE[2] / rays[..., 2]]
+    hits += [_box_hit(rays, np.array(low), np.array(high)) for low, high in boxes]
+    hits += [_ball_hit(rays, np.array(centre), radius) for centre, radius in balls]
+    depth = np.min(hits, axis=0) + np.random.default_rng(0).normal(0.0, noise, (_H, _W))
+    v, u = np.indices((_H, _W))
+    xyz = np.stack([(u - (_W - 1) / 2) / _F * depth, (v - (_H - 1) / 2) / _F * depth, depth], axis=-1)
+    return xyz.astype(np.float32), np.argmin(hits, axis=0)
+
+
+def _iou(found: Segmentation, truth: AnyArray) -> list[float]:
+    """Of each true object with the one that has most of it."""
+    result = []
+    for k in range(1, int(truth.max()) + 1):
+        ids, sizes = np.unique(found.labels[truth == k], return_counts=True)
+        best = ids[np.argmax(np.where(ids > 0, sizes, -1))]
+        result.append(((found.labels == best) & (truth == k)).sum() / ((found.labels == best) | (truth == k)).sum())
+    return result
+
+
+_LOW: _Box = ((-0.08, -0.05, 0.0), (0.08, 0.09, 0.06))
+_TOUCHING = {
+    "one on another": ([_LOW, ((-0.04, -0.01, 0.06), (0.04, 0.06, 0.12))], []),
+    "a ball on a box": ([_LOW], [((0.0, 0.02, 0.1), 0.04)]),
+    "two balls": ([], [((-0.04, 0.0, 0.04), 0.04), ((0.04, 0.0, 0.04), 0.04)]),
+    "a ball beside a box": ([_LOW], [((0.125, 0.02, 0.045), 0.045)]),
+}
+
+
+@pytest.mark.parametrize("name", _TOUCHING)
+def test_solids_that_touch_are_parts(name: str) -> None:
+    xyz, truth = _scene(*_TOUCHING[name])
+    assert len(segment(Cloud(xyz), _NO_SPLIT).objects) == 1  # the scene is one cluster
+    found = segment(Cloud(xyz))
+    assert len(found.objects) == 2
+    assert min(_iou(found, truth)) > 0.85
+    assert (found.counts["clusters"], found.counts["parts"]) == (1, 2)
+
+
+@pytest.mark.parametrize("name", _TOUCHING)
+def test_a_mirrored_image_and_a_list_of_its_points_have_the_same_parts(name: str) -> None:
+    xyz, truth = _scene(*_TOUCHING[name])
+    mirrored = np.ascontiguousarray(xyz[:, ::-1] * np.array([-1, 1, 1], np.float32))
+    assert min(_iou(segment(Cloud(mirrored)), truth[:, ::-1])) > 0.85
+    order = np.random.default_rng(1).permutation(_H * _W)
+    listed = segment(Cloud(xyz.reshape(-1, 3)[order]))
+    image = segment(Cloud(xyz))
+    assert len(listed.objects) == len(image.objects)
+    assert (np.sort(listed.labels) == np.sort(image.labels.ravel())).mean() > 0.999
+
+
+@pytest.mark.parametrize("solid", [([_LOW], []), ([], [((0.0, 0.0, 0.06), 0.06)])])
+def test_one_convex_solid_is_not_processed(
+    solid: tuple[list[_Box], list[tuple[tuple[float, float, float], float]]],
+) -> None:
+    found = segment(Cloud(_scene(*solid)[0]))
+    assert len(found.objects) == 1
+    assert found.counts["clusters"] == found.counts["parts"] == 0
+
+
+def test_a_box_on_both_sides_of_a_nearer_one_is_one_and_two_of_other_heights_are_two() -> None:
+    post: _Box = ((-0.03, -0.12, 0.0), (0.03, -0.06, 0.2))
+    whole = segment(Cloud(_scene([((-0.13, 0.02, 0.0), (0.13, 0.08, 0.08)), post])[0]))
+    assert (len(whole.objects), whole.counts["joined_hidden"]) == (2, 1)
+    other: list[_Box] = [((-0.13, 0.02, 0.0), (-0.01, 0.08, 0.08)), ((0.01, 0.05, 0.0), (0.13, 0.11, 0.11)), post]
+    assert len(segment(Cloud(_scene(other)[0])).objects) == 3
+
+
+def test_a_handle_joins_and_an_angle_of_180_degrees_splits_nothing() -> None:
+    handle: _Box = ((0.08, 0.0, 0.02), (0.093, 0.015, 0.04))
+    assert len(segment(Cloud(_scene([_LOW, handle])[0])).objects) == 1
+    found = segment(Cloud(_scene(*_TOUCHING["one on another"])[0]), _NO_SPLIT)
+    assert len(found.objects) == 1
+
+
+def test_hard_images_give_finite_parts_in_time() -> None:
+    xyz, _ = _scene(*_TOUCHING["one on another"])
+    border = xyz.copy()
+    border[:40] = border[-40:] = border[:, :40] = border[:, -40:] = np.nan
+    steps = xyz / xyz[..., 2:] * (np.rint(xyz[..., 2:] / 0.005) * 0.005)
+    plane = _scene([], noise=0.0)[0]
+    v, u = np.indices((_H, _W))
+    depth = np.where((v % 16 < 11) & (u % 20 < 14), 0.77, 0.8)  # 540 objects, seen from above
+    many = np.stack([(u - (_W - 1) / 2) / _F * depth, (v - (_H - 1) / 2) / _F * depth, depth], axis=-1)
+    for name, image, count in (
+        ("border", border, 2),
+        ("steps", steps, 2),
+        ("plane", plane, 0),
+        ("row", xyz[200:201], None),
+        ("500", many, None),
+    ):
+        start = time.process_time()
+        found = segment(Cloud(np.ascontiguousarray(image, np.float32)))
+        assert time.process_time() - start < 1.0, name
+        assert count is None or len(found.objects) == count, name
+        assert all(np.isfinite(one.cloud.xyz).all() for one in found.objects)
+        used = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
+        assert found.counts["received"] == sum(found.counts[one] for one in used)
