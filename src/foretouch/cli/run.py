@@ -267,6 +267,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     try:
         watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), every_s=5.0)
     except KeyboardInterrupt:
+        arguments.state = _source_state(graph)  # a source that was stopped is neither absent nor stalled
         graph.stop_source()  # or answers would still arrive after the counts
         return True
     announce("waiting for the last answers")
@@ -319,7 +320,8 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
-        warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
+        state = getattr(arguments, "state", "") or _source_state(graph)
+        warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {state}")
         return 3
     untouched = view.executed is not None and at_rest(view.executed[1])
     if untouched:
