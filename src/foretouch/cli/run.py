@@ -331,6 +331,8 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
+    for cause in graph.nodes["camera"].warnings() if not predicted and "camera" in graph.nodes else ():
+        warn(f"no prediction: {cause}")
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 
 
