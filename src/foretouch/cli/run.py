@@ -27,7 +27,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in
 
 if TYPE_CHECKING:
-    from foretouch.dataset.pairing import TouchCut
+    from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.hand import HandNode
@@ -265,7 +265,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     replay = graph.replay
     draw = None if arguments.json else partial(_panel, graph, arguments.source)
     try:
-        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), every_s=5.0)
+        watch(partial(_ended, graph, arguments), draw, partial(_report, graph, arguments), every_s=5.0)
     except KeyboardInterrupt:
         arguments.state = _source_state(graph)  # a source that was stopped is neither absent nor stalled
         graph.stop_source()  # or answers would still arrive after the counts
@@ -290,9 +290,11 @@ def _panel(graph: Graph, source: str) -> Panel:
     return live_panel(graph.monitor.view(), f"foretouch run: {source} (Ctrl-C to end)", waiting)
 
 
-def _warn_of_waiting(graph: Graph) -> None:
+def _report(graph: Graph, arguments: argparse.Namespace) -> None:
     if not graph.played():
         warn(f"waiting for the first cloud: {_source_state(graph)}")
+    elif not arguments.json:
+        warn(f"{graph.answered()}{f' of {arguments.count}' if arguments.count else ''} clouds answered")
 
 
 def _source_state(graph: Graph) -> str:
@@ -320,11 +322,13 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
-        state = getattr(arguments, "state", "") or _source_state(graph)
-        warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {state}")
+        source, state = (
+            "scene" if "hand" in graph.nodes else "camera",
+            getattr(arguments, "state", _source_state(graph)),
+        )
+        warn(f"no cloud came from the {source}: {state}")
         return 3
-    untouched = view.executed is not None and at_rest(view.executed[1])
-    if untouched:
+    if untouched := at_rest(view.executed and view.executed[1]):
         warn("the last executed grasp touched nothing: its readings are those at rest")
     if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
@@ -356,17 +360,17 @@ def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
     if prediction.value is not None:
         first = ["before the first touch"] * (readings is not None and not message.touches)
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
-        nothing = (
-            "; touched nothing: the readings are those at rest" if readings is not None and at_rest(readings) else ""
-        )
+        nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"
     drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
     return drawn if readings is None else replace(drawn, rest=readings.tare, read=readings.touch)
 
 
-def at_rest(readings: TouchCut) -> bool:
-    """Whether no finger was in contact in an executed grasp."""
-    return all(f"no_contact_{finger}" in readings.flags for finger in readings.touch.channels.fingers)
+def at_rest(readings: TouchCut | None) -> bool:
+    """Whether a grasp was executed, and no finger in contact."""
+    return readings is not None and all(
+        f"no_contact_{finger}" in readings.flags for finger in readings.touch.channels.fingers
+    )
 
 
 class _Printer:
