@@ -8,6 +8,8 @@ CONSTRAINTS := -c constraints.txt -c constraints-$(ROS).txt
 BIN := $(VENV)/bin
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/foretouch
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
+# Says what it downloads and installs: a loaded machine or a slow network takes many minutes.
+SHOWN_PIP := $(BIN)/pip --disable-pip-version-check
 
 # The messages take a compiler and most of a minute: their wheel is built once for each content and Python, and kept.
 MESSAGE_FILES := $(sort $(shell find foretouch_msgs -type f -not -name '*.pyc'))
@@ -30,16 +32,16 @@ setup: $(VENV)/.installed
 $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two)"
-	@$(PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera]'
+	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two; on a loaded machine more)"
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
 	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.runtime
-	@echo "setup: installing what the tests need (half a minute)"
-	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,physics,docs,test,dev]'
+	@echo "setup: installing what the tests need (half a minute; on a loaded machine more)"
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,physics,docs,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 

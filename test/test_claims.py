@@ -94,6 +94,7 @@ WITH_VISION = {
     "history of the hand and temperature": "history + temperature",
     "touches of this object": "touches",
     "history, temperature and touches": "history + touches + temperature",
+    "history, touches and the temperature of the grasp before": "history + touches + last temperature",
 }
 """Rows of the README's table of the first three grasps, with what is known besides vision."""
 

@@ -28,6 +28,7 @@ from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, s
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least
+_MOST_GROUPS: Final = 1000  # of a list, such as fingers; each takes a tenth of a millisecond and more
 
 EMPTY: Final = "\0"
 """Stands for the value of `key:` in YAML and of `key=`, which has none; no setting accepts this text."""
@@ -395,6 +396,8 @@ def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
     if value is None and optional:
         return None
     if is_list and isinstance(value, list):
+        if len(value) > _MOST_GROUPS:
+            raise ConfigError(f"{source}{name}: holds {len(value)}, more than {_MOST_GROUPS}")
         return tuple(_field_value(item, one, source, f"{name}[{i}]") for i, one in enumerate(value))
     if is_list:
         raise ConfigError(f"{source}{name}: {quoted(value)} is not a list")

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,8 @@ from foretouch.cli import run as run_command
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.models.registry import find_card
+from foretouch.ros.nodes.monitor import View
+from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import packaged_sensor, with_sensor
 
 pytestmark = pytest.mark.ros
@@ -148,7 +151,8 @@ def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_statu
         _, rest = process.communicate(timeout=60)
     assert process.returncode == 3, rest
     assert "no RealSense device" in lines[-1], lines
-    assert "no cloud came from the camera" in rest
+    last = rest.splitlines()[-1]
+    assert "no cloud came from the camera: absent: camera: no RealSense device is connected" in last
     assert "Traceback" not in "".join(lines) + rest
 
 
@@ -199,3 +203,18 @@ def test_what_is_shown_is_for_the_sensor_of_the_model_from_the_option_or_the_par
     ):
         given: Any = SimpleNamespace(params=file)
         assert run_command._sensor(given, nodes).config.name == name
+
+
+@pytest.mark.parametrize(
+    ("flags", "status"), [(("no_contact_TH", "no_contact_MF"), 1), (("no_contact_TH",), 0), ((), 0)]
+)
+def test_a_hand_that_touches_nothing_is_named_and_decides_the_exit_status(flags, status, capsys) -> None:
+    readings = SimpleNamespace(flags=flags, touch=SimpleNamespace(channels=BIOTAC))
+    view = View(answers=Counter(ok=2), executed=(None, readings))
+    monitor = SimpleNamespace(close_view=lambda: view)
+    graph = SimpleNamespace(monitor=monitor, nodes={}, replay=None, played=lambda: 2, conflicts=list)
+    assert (
+        run_command._finish(graph, argparse.Namespace(json=True, picture=None, source="a.yaml"), complete=True)
+        == status
+    )
+    assert ("touched nothing: its readings are those at rest" in capsys.readouterr().err) == bool(status)

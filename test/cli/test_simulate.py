@@ -75,6 +75,7 @@ def test_seed_and_settings_from_the_command_line(scene, tmp_path, call) -> None:
     assert "contact_winkler" in table
     assert "failed tries: none" in table
     assert not (tmp_path / "a" / SHEET).exists()
+    assert "simulated, without a clock" in call("dataset", "info", tmp_path / "a").out  # and no day in 1970
     again = call("simulate", scene, *words, "-o", tmp_path / "b", "--json").records[-1]
     other = call("simulate", scene, *words, "-o", tmp_path / "c", "--seed", 1, "--json").records[-1]
     first = Store(tmp_path / "a")

@@ -67,6 +67,8 @@ def test_a_sample_is_rendered_once_with_noise_of_each_image_and_without_a_place_
     camera, _, _ = images(scene(camera=SMALL, clutter={"count": 20, "distance_m": [0.1, 0.1]}))
     assert not camera(0).depth_mm.any()
     assert "finds no place" in caplog.text
+    assert camera.fault in caplog.text
+    assert camera.fault.startswith("scene: sample ")
 
 
 def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() -> None:

@@ -7,7 +7,7 @@ from every_case import every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES, P2_RANGES, TactileRanges
+from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES, P2_RANGES, Ranges, TactileRanges
 from foretouch.tactile.channels import BIOTAC_SP
 
 
@@ -43,6 +43,19 @@ def test_settings_may_be_given_in_part_and_bad_ones_are_named() -> None:
         ("is not a list", {"pdc_th": 3}),
     )
     every_refusal(ConfigError, cases, lambda change: TactileRanges.from_mapping(change, "hand.yaml"))
+    card = P1_RANGES.ranges.to_mapping()
+    odd = (
+        [[500.0], 3400.0],
+        ["500", 3400.0],
+        [True, 3400.0],
+        [None, None],
+        [-(10**400), 0.5],
+        [float("nan"), 1.0],
+        {"0": 1},
+        "01",
+    )
+    cases = tuple((r"card: pdc_th: .* is not \[low, high\]", {**card, "pdc_th": limits}) for limits in odd)
+    every_refusal(ConfigError, cases, lambda change: Ranges.from_mapping(BIOTAC, change, "card"))
 
 
 def test_electrodes_are_mirrored_metres_with_radial_normals_towards_the_pad() -> None:

@@ -197,6 +197,13 @@ def test_taxels_that_break_a_rule_are_named_by_their_line(tmp_path) -> None:
     every_refusal(FileError, cases, refuse)
 
 
+def test_more_fingers_or_channels_than_any_hand_has_are_refused_unread() -> None:
+    for name in ("fingers", "values", "scalars"):
+        stated = BIOTAC_SP.to_mapping() | {name: [{"name": "not read"}] * 100_000}
+        with pytest.raises(ConfigError, match=f"card: {name}: holds 100000, more than 1000"):
+            sensor_of(stated, "card")
+
+
 def test_what_is_no_description_is_refused(tmp_path) -> None:
     (tmp_path / "taxels.yaml").mkdir()
     cases = (

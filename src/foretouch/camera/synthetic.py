@@ -55,10 +55,10 @@ class SyntheticCamera(DeviceSource):
     ) -> None:
         if not callable(frames) and not frames:
             raise CameraError("synthetic camera: no frames to feed")
-        self._frame = frames if callable(frames) else lambda number: frames[number % len(frames)]
+        self.frame = frames if callable(frames) else lambda number: frames[number % len(frames)]
         self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
-        first = self._frame(0)
+        first = self.frame(0)
         self._shape = first.depth_mm.shape
         self._device, self._sensors, self._profiles = _software_device(first, fps, serial)
         self.colour = True  # whether the colour sensor sends
@@ -83,7 +83,7 @@ class SyntheticCamera(DeviceSource):
         """Feed one frame now and return its number; a `CameraError` if it has another size than the first."""
         with self._lock:
             number = self._number
-            frame = self._frame(number)
+            frame = self.frame(number)
             if frame.depth_mm.shape != self._shape:
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
             stamp_ns = self._stamp_ns(number)

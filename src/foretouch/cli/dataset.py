@@ -155,7 +155,8 @@ def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "outcomes", _counts(found.outcomes)
     yield "flags", _counts(found.flags)
     if found.samples:
-        yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
+        period = f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
+        yield "time", period if found.last_ns else "simulated, without a clock"
         yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
     yield "sensor", found.sensor
     yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found.dead.items())

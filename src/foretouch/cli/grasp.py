@@ -58,7 +58,7 @@ def _plan(
 
 def _show(record: dict[str, Any]) -> None:
     rows = [
-        [str(rank), _point(grasp["g1"]), _point(grasp["g2"]), f"{grasp['score']:.3f}"]
+        [str(rank), _point(grasp["g1"]), _point(grasp["g2"]), f"{grasp['score']:.3f}".replace("nan", "–")]
         for rank, grasp in enumerate(record["grasps"], 1)
     ]
     print_table(inputs.heading(record), ["rank", "g1 [m]", "g2 [m]", "score (higher is better)"], rows)

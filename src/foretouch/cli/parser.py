@@ -23,7 +23,7 @@ STATUSES: Final = (
     "0 done; 1 a known failure, in one line that names what and why; 2 wrong usage; 128 + n ended by signal n"
 )
 _MORE_STATUSES: Final = {
-    "run": "; 1 also if a cloud was not answered; 3 if the camera never sent a cloud",
+    "run": "; 1 also if a cloud was not answered, none got a prediction, or the last grasp touched nothing; 3 if the camera never sent a cloud",
     "doctor": "; 1 also if something must be fixed",
     "models": "; 1 also if a model is damaged",
     "dataset verify": "; 1 also if a file is damaged",

@@ -27,6 +27,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in
 
 if TYPE_CHECKING:
+    from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.hand import HandNode
@@ -115,7 +116,7 @@ def _address(text: str) -> tuple[str, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Return exit status 1 if a node did not start, a cloud was not answered, or there was no prediction at all.
+    """Return exit status 1 if a node did not start, a cloud was not answered, there was no prediction at all, or the last grasp touched nothing.
 
     3 if the camera never sent a cloud.
     """
@@ -264,8 +265,9 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     replay = graph.replay
     draw = None if arguments.json else partial(_panel, graph, arguments.source)
     try:
-        watch(partial(_ended, graph, arguments), draw, partial(_warn_of_waiting, graph), every_s=5.0)
+        watch(partial(_ended, graph, arguments), draw, partial(_report, graph, arguments), every_s=5.0)
     except KeyboardInterrupt:
+        arguments.state = _source_state(graph)  # a source that was stopped is neither absent nor stalled
         graph.stop_source()  # or answers would still arrive after the counts
         return True
     announce("waiting for the last answers")
@@ -288,9 +290,11 @@ def _panel(graph: Graph, source: str) -> Panel:
     return live_panel(graph.monitor.view(), f"foretouch run: {source} (Ctrl-C to end)", waiting)
 
 
-def _warn_of_waiting(graph: Graph) -> None:
+def _report(graph: Graph, arguments: argparse.Namespace) -> None:
     if not graph.played():
         warn(f"waiting for the first cloud: {_source_state(graph)}")
+    elif not arguments.json:
+        warn(f"{graph.answered()}{f' of {arguments.count}' if arguments.count else ''} clouds answered")
 
 
 def _source_state(graph: Graph) -> str:
@@ -318,14 +322,22 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
-        warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
+        source, state = (
+            "scene" if "hand" in graph.nodes else "camera",
+            getattr(arguments, "state", _source_state(graph)),
+        )
+        warn(f"no cloud came from the {source}: {state}")
         return 3
+    if untouched := at_rest(view.executed and view.executed[1]):
+        warn("the last executed grasp touched nothing: its readings are those at rest")
     if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    return 0 if complete and not fault and (predicted or not answered) else 1
+    for cause in graph.nodes["camera"].warnings() if not predicted and "camera" in graph.nodes else ():
+        warn(f"no prediction: {cause}")
+    return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 
 
 def _draw(found: Sequence[Drawable], path: str, sensor: Sensor) -> None:
@@ -346,13 +358,19 @@ def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
     prediction = prediction_from_msg(message, sensor)
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        knows = "does not know (unfamiliar)" if "unfamiliar" in prediction.flags else "knows"
-        others = [flag for flag in prediction.flags if flag != "unfamiliar"]
-        when = "" if readings is None else f"{'after' if message.touches else 'before the first touch:'} "
-        based = f"predicted by {message.model} {when}{reference_text(message)}"
-        title = ", ".join([f"An object that the model {knows}", based, *others])
+        first = ["before the first touch"] * (readings is not None and not message.touches)
+        based = [*first, f"based on {reference_text(message)}", *prediction.flags]
+        nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
+        title += f": {', '.join(based)}; model: {message.model}{nothing}"
     drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
     return drawn if readings is None else replace(drawn, rest=readings.tare, read=readings.touch)
+
+
+def at_rest(readings: TouchCut | None) -> bool:
+    """Whether a grasp was executed, and no finger in contact."""
+    return readings is not None and all(
+        f"no_contact_{finger}" in readings.flags for finger in readings.touch.channels.fingers
+    )
 
 
 class _Printer:

@@ -38,6 +38,7 @@ from foretouch.types import Cloud, Float64, Grasp
 _FORMAT: Final = {"format": "foretouch-profile", "format_version": 3}
 _COUNTS: Final = (1, 10, 100, 1000)  # grasps of the requests that are timed
 _POINTS: Final = 3000  # of the object, about the median of the public clouds
+_TIMES_S: Final = (1e-7, 1e4)  # between which a prediction takes on any machine [s]
 _LIBRARIES: Final = ("numpy", "scipy", "torch")
 
 _ADDED_S: Final = 2e-3  # to times whose ratio is taken: a delay is neither a factor nor a term, but between the two [s]
@@ -175,14 +176,19 @@ def _read(path: Path, own: Mapping[str, Any]) -> Profile:
         if differing := next((name for name in own if found.get(name) != own[name]), None):
             raise FileError(path, f"is of {found.get(differing)!r}, not of {own[differing]!r}", field=differing)
         times = {
-            name: dict(sorted((int(count), float(value)) for count, value in document["p95_s"][name].items()))
+            name: dict(sorted((int(count), value) for count, value in document["p95_s"][name].items()))
             for name in own["levels"]
         }
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
         raise FileError(path, f"is damaged: {shown(str(err))}") from err
-    if not all(one and np.isfinite(list(one.values())).all() and min(one.values()) > 0.0 for one in times.values()):
-        raise FileError(path, "a time is not above 0 and finite", field="p95_s")
+    if not all(one and all(map(_plausible, one, one.values())) for one in times.values()):
+        rule = "holds no time, a time that is no number from {:g} to {:g} s, or one of more than {:g} grasps"
+        raise FileError(path, rule.format(*_TIMES_S, _COUNTS[-1]), field="p95_s")
     return Profile(times, str(document.get("state")), str(path))
+
+
+def _plausible(count: int, value: Any) -> bool:
+    return 0 < count <= _COUNTS[-1] and type(value) in (int, float) and _TIMES_S[0] <= value <= _TIMES_S[1]
 
 
 def _measure(

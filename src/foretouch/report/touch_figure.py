@@ -247,13 +247,12 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str])
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
     middle, half = (points.min(axis=0) + points.max(axis=0)) / 2.0, 0.9 * float(np.ptp(points[:, :2], axis=0).max())
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
+    style: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "fontsize": 8, "fontweight": "bold"}
+    style["bbox"] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
     for k, (name, colour) in enumerate(zip(fingers, _FINGER_COLOURS, strict=True)):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
-        offset, va = (8, "bottom") if k == upper else (-8, "top")
-        style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 9, "fontweight": "bold"}
-        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
-        place = (ends[k, 0], ends[k, 1])
-        axes.annotate(name, place, (0, offset), va=va, color=colour, bbox=box, **style)
+        place, va = (0.97, "top") if k == upper else (0.03, "bottom")
+        axes.text(0.5, place, name, va=va, color=colour, **style)  # within the axes, wherever the contact is
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 

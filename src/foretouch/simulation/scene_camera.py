@@ -118,6 +118,7 @@ class _SceneImages:
         self._slot: int | None = None
         self._images: list[DepthImage] = []
         self._taken_ns: int | None = None
+        self.fault = ""  # why the last sample is not shown
 
     def __call__(self, number: int) -> DepthImage:
         """The image with this number."""
@@ -138,10 +139,12 @@ class _SceneImages:
         return self._taken_ns
 
     def _render(self, slot: int, repeat: int) -> DepthImage:
+        self.fault = ""
         try:
             return self._maker.frame(slot, repeat=repeat)
         except SimulationError as err:
-            _LOG.warning("scene: sample %d is not shown: %s", slot, err)
+            self.fault = f"scene: sample {slot} is not shown: {err}"
+            _LOG.warning(self.fault)
             return self._maker.nothing()
 
 

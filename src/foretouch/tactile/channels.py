@@ -110,7 +110,9 @@ class Ranges:
 
 def _check_range(name: str, limits: Any) -> None:
     shown = f"{name}: {list(limits) if isinstance(limits, list | tuple) else limits}"
-    if not isinstance(limits, list | tuple) or len(limits) != 2 or not limits[0] < limits[1]:
+    pair = isinstance(limits, list | tuple) and len(limits) == 2
+    usable = pair and all(type(one) in (int, float) and abs(one) <= _WIDEST for one in limits)
+    if not usable or limits[0] >= limits[1]:
         raise ConfigError(f"{shown} is not [low, high] with low < high")
     if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:
         raise ConfigError(f"{shown}: high - low is not between {_NARROWEST:g} and {_WIDEST:g} counts")

@@ -49,7 +49,7 @@ def test_a_synthetic_camera_publishes_organised_clouds(graph):
     before = time.time_ns()
     node, heard, reports = start(graph, synthetic__seed=3)
     graph.until(lambda: len(heard) >= 5)
-    truths = [node.synthetic._frame(k).cloud().xyz for k in range(15)]
+    truths = [node.synthetic.frame(k).cloud().xyz for k in range(15)]
     stamps = [stamp_ns(message.header.stamp) for message in heard]
     assert stamps == sorted(set(stamps))
     assert before < stamps[0] < stamps[-1] < time.time_ns()

@@ -184,6 +184,17 @@ def test_arrays_are_answered_with_the_numbers_of_messages_and_with_the_orientati
         assert batch.statuses[2] == Status.BAD_GRASP
 
 
+def test_two_grasps_of_a_request_with_the_same_id_are_refused(planner):
+    request = planner.request(count=3)
+    for grasp, name in zip(request.grasps, ("a", "b", "a"), strict=True):
+        grasp.id = name
+    assert (planner.ask(request).status, planner.ask(request).reason) == (
+        Status.BAD_REQUEST, "grasps: id 'a' occurs twice",
+    )  # fmt: skip
+    request.grasps[0].id = request.grasps[2].id = ""  # as many without as there are: none can be reported
+    assert planner.ask(request).status == Status.OK
+
+
 def test_arrays_that_cannot_be_answered_are_refused_with_the_reason(planner):
     def check(reason, status, spoil):
         request = arrays_of(planner.request())

@@ -67,6 +67,16 @@ def test_gaps_and_events_of_the_same_loss_are_counted_once():
     assert (losses.count, lost) == (4, [3, 1])
 
 
+def test_a_publisher_that_numbers_anew_has_lost_one_message_and_is_heard_on():
+    losses = Losses()
+    heard = [
+        losses.arrived({"publication_sequence_number": sequence, "publisher_gid": {"data": b"a"}})
+        for sequence in (1, 2, 2**31 + 3, 2**31 + 5, 2**63, 1, 2, 2)
+    ]
+    assert heard == [True] * 7 + [False]
+    assert losses.count == 4  # one at each of three jumps, and that between 3 and 5
+
+
 @pytest.mark.skipif(not SUPPORTED, reason="rclpy does not pass the publisher of a message before Kilted")
 def test_a_message_that_is_replaced_in_the_queue_is_counted(graph):
     (node,) = graph.add("grasp", diagnostics_period_s=0.1)

@@ -4,6 +4,8 @@
 import json
 import os
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +112,12 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
     )
 
 
+def test_a_mesh_is_read_without_a_warning(tmp_path: Path, block: TriangleMesh) -> None:
+    code = f"from foretouch.simulation.objects import read_mesh_file as r; print(len(r({write(tmp_path / 'a.stl', block)!r})))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("2\n", "")
+
+
 def test_a_scene_with_a_mesh_gives_samples_of_its_size(tmp_path: Path, block: TriangleMesh) -> None:
     write(tmp_path / "block.stl", block)
     mapping = {"objects": [{"name": "thing", "shape": "mesh", "file": "block.stl", "size_m": []}], "seed": 3}
@@ -143,6 +151,9 @@ def test_settings_that_do_not_fit_the_shape_are_refused(tmp_path: Path, block: T
         ("thing.file: is needed for the shape mesh", {"shape": "mesh"}),
         ("thing.file: is only for the shape mesh", {"shape": "can", "file": "a.ply"}),
         ("size_m: .* is not three lengths", {"shape": "can", "size_m": ()}),
-        ("size_m: .* is not three lengths from 0.005 to 0.5 m", {"shape": "mesh", "file": millimetres, "size_m": ()}),
+        (
+            r"thing\.file: .*mm\.ply: size_m: .* from 0.005 to 0.5 m; it looks like millimetres: give size_m in metres",
+            {"shape": "mesh", "file": millimetres, "size_m": ()},
+        ),
     ]
     every_refusal(ConfigError, cases, lambda settings: ObjectConfig(name="thing", **settings))

@@ -125,6 +125,11 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             return ()
         return (f"{camera.status.state}: {camera.status.reason}",)
 
+    def warnings(self) -> tuple[str, ...]:
+        """Why a scene is not shown."""
+        fault = getattr(self.synthetic.frame, "fault", "") if self.synthetic else ""
+        return (fault,) if fault else ()
+
     def notes(self) -> dict[str, str]:
         """The camera's state and counts."""
         if (camera := self._camera) is None:

@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
@@ -32,7 +33,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
-from foretouch.errors import TactileError
+from foretouch.errors import TactileError, quoted
 from foretouch.grasp import GeoGraspConfig
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import FoundObject
@@ -374,6 +375,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         grasps = read_arrays(request) if len(request.contacts) or len(request.rotations) else request.grasps
         if len(grasps) > config.max_grasps:
             raise RefusalError(Status.BAD_REQUEST, f"grasps: {len(grasps)} is above max_grasps, {config.max_grasps}")
+        ids = sorted(grasp.id for grasp in request.grasps if grasp.id)
+        if twice := [one for one, other in pairwise(ids) if one == other]:
+            raise RefusalError(Status.BAD_REQUEST, f"grasps: id {quoted(twice[0])} occurs twice")
         asked = in_cloud_frame(_configured(self._frame), request.cloud, request.table, grasps, self._latest)
         table = read_plane(asked.table[0]) if asked.table else None
         targets = read_targets(asked.cloud, table or ASSUMED_TABLE, config.limits)

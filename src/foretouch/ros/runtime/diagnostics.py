@@ -6,12 +6,13 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-_WINDOW = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
+_WINDOW: Final = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
+_LARGEST_GAP: Final = 10_000_000  # messages that one silence may cost: hours at 1 kHz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +100,7 @@ class Losses:
 
     The middleware reports what the network lost. It does not report a message that a newer one has replaced in the
     queue of the subscription, as with a process that does not get to run: only gaps in the sequence numbers of the
-    publisher show that.
+    publisher show that. A larger step than any silence explains, up or down, is a new numbering, and counts as one.
     """
 
     def __init__(self, report: Callable[[int], None] = lambda _: None) -> None:
@@ -115,11 +116,11 @@ class Losses:
         if sequence is None or publisher is None:  # the middleware has none
             return True
         with self._lock:
-            last = self._last.get(publisher["data"], sequence - 1)
-            if sequence <= last:
+            step = int(sequence - self._last.get(publisher["data"], sequence - 1))
+            if -_LARGEST_GAP < step <= 0:
                 return False
             self._last[publisher["data"]] = sequence
-            self._gaps += int(sequence - last - 1)
+            self._gaps += step - 1 if 0 < step <= _LARGEST_GAP else 1  # at least one of another numbering
             self._update()
         return True
 

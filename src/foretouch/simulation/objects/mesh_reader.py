@@ -36,7 +36,7 @@ def read(suffix: str, content: bytes) -> tuple[Float64, Int64]:
     """
     with _lock:
         if not _processes or _processes[0].poll() is not None:
-            command = [sys.executable, "-m", __name__]
+            command = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
             pipe = subprocess.PIPE  # in a session of its own, which Ctrl-C does not reach
             _processes[:] = [subprocess.Popen(command, stdin=pipe, stdout=pipe, start_new_session=True)]  # noqa: S603
         process = _processes[0]
@@ -57,7 +57,7 @@ def read(suffix: str, content: bytes) -> tuple[Float64, Int64]:
         return arrays["vertices"], arrays["faces"]
 
 
-def _serve() -> None:
+def serve() -> None:
     """Answer until the end of standard input."""
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # for what the libraries print
@@ -84,7 +84,3 @@ def _serve() -> None:
         np.savez(answer, vertices=np.asarray(found.vertices, np.float64), faces=faces)
         output.write(f"{answer.tell()}\n".encode() + answer.getvalue())
         output.flush()
-
-
-if __name__ == "__main__":
-    _serve()

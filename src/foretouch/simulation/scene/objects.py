@@ -74,7 +74,9 @@ class ObjectConfig(Settings):
         super().__post_init__()
         self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
-            raise ConfigError(f"size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
+            file = f"{self.name}.file: {self.file}: " if self.file else ""
+            unit = "; it looks like millimetres: give size_m in metres" if max(self.size_m, default=0.0) >= 5.0 else ""
+            raise ConfigError(f"{file}size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m{unit}")
         if self.young_pa is None and self.thickness_m is not None:
             raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
         if self.young_pa is not None and self.thickness_m is None:
