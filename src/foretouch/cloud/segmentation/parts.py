@@ -42,7 +42,7 @@ class SplitConfig(Settings):
     """Where a cluster is split into objects that touch."""
 
     angle_deg: float = setting(
-        25.0,
+        34.0,
         "A border that is concave by more than this on average separates two objects; 180 does not split at all",
         bounds=(5.0, 180.0),
     )
