@@ -6,7 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from kernels.references import split as reference
 
+from foretouch.cloud.segmentation import parts
+from foretouch.cloud.segmentation.parts import SPLIT_COUNTS
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.types import AnyArray, Cloud, Float32, Float64
 
@@ -194,6 +197,27 @@ def test_without_a_table_or_with_two_or_its_edge_before_the_objects() -> None:
             assert found.status == "ok" or found.reason, name
         else:
             assert min(_iou(found, truth)) > 0.85, name
+
+
+@pytest.mark.parametrize("angle_deg", [15.0, 34.0, 60.0])
+def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = SegmentationConfig().updated({"split.angle_deg": angle_deg})
+    handle: _Box = ((0.08, 0.0, 0.02), (0.093, 0.015, 0.04))
+    scenes = {
+        **_TOUCHING,
+        "a handle": ([_LOW, handle], []),
+        "two clusters": ([_LOW, ((0.086, 0.0, 0.0), (0.15, 0.1, 0.1))], []),
+    }
+    images = {name: _scene(*solids)[0] for name, solids in scenes.items()}
+    ours = {name: segment(Cloud(xyz), config) for name, xyz in images.items()}
+    monkeypatch.setattr(parts, "_split", reference.split_clusters)
+    for name, xyz in images.items():
+        one, other = ours[name], segment(Cloud(xyz), config)
+        by_rule = {key: one.counts[key] for key in SPLIT_COUNTS if key.startswith("joined")}
+        assert sum(by_rule.values()) == by_rule["joined_small"], name  # what the reference has
+        assert len(one.objects) == len(other.objects), name
+        assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
+        assert min(_iou(one, other.labels)) > 0.995, name
 
 
 def test_hard_images_give_finite_parts_in_time() -> None:
