@@ -27,7 +27,8 @@ enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, BY_AXIS, COUNTS };                   
 #define ECCENTRIC 0.006 /* distance of normals from the common axis of two parts, root mean square [m] */
 #define SIDE 0.3   /* mean of the squared sine between normals and the axis, at least */
 #define FLAT 0.9   /* squared length of the mean of normals across the axis: 1 for a plane, 0.4 for half a cylinder, at most */
-#define SURE 2.0   /* how much worse than the axis the next best one fits, as a multiple of the square of ECCENTRIC: two balls have a common axis anyway */
+#define SURE 2.0   /* squares of ECCENTRIC by which the next best axis fits worse, at least: two balls have a common axis anyway */
+#define UPRIGHT 0.7 /* cosine between the axis and the table's normal */
 #define CLOSED 0.2 /* and 0 for a ring */
 #define LID 0.1    /* mean of the squared sine of a lid */
 
@@ -408,6 +409,11 @@ static int concentric(const graph *g, const border *one) {
         turned[k] = side[k] > SIDE * cells[k] && off[k] < ECCENTRIC * ECCENTRIC * side[k] && flat < FLAT && out[k] > 0.0;
         closed[k] = turned[k] && flat < CLOSED;
         lid[k] = side[k] < LID * cells[k] && sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]) < ECCENTRIC * cells[k];
+    }
+    const double *t = g->s + PLANE, upright = u[0] * t[0] + u[1] * t[1] + u[2] * t[2];
+    const fragment *a = g->fragments + large, *b = g->fragments + one->a + one->b - large;
+    if (fabs(upright) > UPRIGHT && b->tops < a->tops) {
+        return 0; /* it stands on the smaller one */
     }
     return (turned[0] && turned[1] && sure) || (closed[0] && lid[1]);
 }

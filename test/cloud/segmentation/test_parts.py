@@ -160,6 +160,7 @@ def test_a_neck_belongs_to_its_bottle_and_a_can_beside_the_axis_or_on_a_box_does
     for name, scene in {
         "beside": _scene(cans=[_BODY, ((0.015, 0.0, 0.1), 0.022, 0.16)]),
         "on a box": _scene([((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))], cans=[neck]),
+        "on a narrower one": _scene(cans=[((0.0, 0.0, 0.0), 0.04, 0.12), ((0.0, 0.0, 0.12), 0.055, 0.18)]),
         "a box on it": _scene([((-0.03, -0.03, 0.1), (0.03, 0.03, 0.16))], cans=[_BODY]),
     }.items():
         found = segment(Cloud(scene[0]), _SHARP)
@@ -217,7 +218,7 @@ def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypat
         assert sum(by_rule.values()) == by_rule["joined_small"], name  # what the reference has
         assert len(one.objects) == len(other.objects), name
         assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
-        assert min(_iou(one, other.labels)) > 0.995, name
+        assert min(_iou(one, other.labels)) > 0.98, name  # a cell between two parts may be of either
 
 
 def test_hard_images_give_finite_parts_in_time() -> None:

@@ -8,7 +8,7 @@ its whole length: an edge that fades out, or that bends only at its end, does no
 
 Whole objects stay whole by four rules, each counted:
 
-- `joined_small`: a fragment smaller than a fingertip belongs to the neighbour from which it is separated least (a handle).
+- `joined_small`: a fragment smaller than a large fingertip belongs to the neighbour from which it is separated least (a handle).
 - `joined_hollow`: hollow fragments are one wall, and belong to the rim that is as high as they are (a bowl, a cup).
 - `joined_concentric`: fragments that are surfaces of revolution about one axis, seen from outside, are one (a bottle and its
   neck, or its cap from above). A can on a box, or beside the axis of another can by more than 6 mm, stays apart.
@@ -50,7 +50,7 @@ class SplitConfig(Settings):
     )
     step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
     min_part_m: float = setting(
-        0.02, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
+        0.03, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
     )
 
 
