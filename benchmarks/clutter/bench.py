@@ -5,7 +5,7 @@ import argparse
 import hashlib
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,7 +23,6 @@ from foretouch.types import Float64, Int32
 
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
-_SWITCH: Final = "split"  # setting of the segmentation, or of its clusters, that turns splitting off
 _REPEATS: Final = 5
 _COLUMNS: Final = ("precision", "recall", "f", "found", "boundary_precision", "boundary_recall", "boundary_f", "merged", "cut")  # fmt: skip
 
@@ -42,12 +41,8 @@ Answers = dict[str, list[Answer]]  # by method, in the order of the scenes
 
 
 def without_splitting() -> SegmentationConfig:
-    """The defaults, with the splitting of clusters switched off where there is such a setting."""
-    config = SegmentationConfig()
-    for holder, where in ((config, ""), (config.clusters, "clusters.")):
-        if any(field.name == _SWITCH for field in fields(holder)):
-            return config.updated({where + _SWITCH: False if isinstance(getattr(holder, _SWITCH), bool) else None})
-    return config
+    """The defaults, with the splitting of clusters switched off."""
+    return SegmentationConfig().updated({"split.angle_deg": 180.0})
 
 
 def answers(scenes: Sequence[LabelledCloud], timed: bool) -> Answers:

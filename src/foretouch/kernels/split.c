@@ -6,10 +6,10 @@
  * edge between two cells the normals some cells away from it are compared: `bend`, positive where concave, STEP where the
  * depth jumps. Cells away from concave edges are connected to fragments, which grow over the rest; a border between two
  * fragments then has a mean bend along its whole length, and the fragments whose border bends least are joined first. */
-#include "kernels.h"
+#include "eigen.h"
 
 enum { BEND, STEP_M, PART_M2, PLANE, PITCH = PLANE + 4, SETTINGS }; /* of `settings` */
-enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, COUNTS };                      /* of `counts` */
+enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, BY_AXIS, COUNTS };                      /* of `counts` */
 
 #define STEP 2.0f   /* bend of a step in depth: chord of opposite normals */
 #define FULL 0.7f   /* a sharper bend counts as much as this one, of 40 degrees, and a convex one as none */
@@ -23,6 +23,14 @@ enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, COUNTS };                      /* of 
 #define TOUCH 0.03f /* depth between a small part and its neighbour, and height between a hollow part and its rim [m] */
 #define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
 #define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
+#define EVEN 0.02  /* share of the normals in all directions that is assumed besides those that are seen */
+#define ECCENTRIC 0.006 /* distance of normals from the common axis of two parts, root mean square [m] */
+#define SIDE 0.3   /* mean of the squared sine between normals and the axis, at least */
+#define FLAT 0.9   /* squared length of the mean of normals across the axis: 1 for a plane, 0.4 for half a cylinder, at most */
+#define SURE 2.0   /* squares of ECCENTRIC by which the next best axis fits worse, at least: two balls have a common axis anyway */
+#define UPRIGHT 0.7 /* cosine between the axis and the table's normal */
+#define CLOSED 0.2 /* and 0 for a ring */
+#define LID 0.1    /* mean of the squared sine of a lid */
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
@@ -31,7 +39,7 @@ typedef struct {
 
 typedef struct {
     int32_t a, b, next; /* fragments, a < b; the next border of a */
-    int32_t steps, length, convex, behind; /* edges; those where b is behind a less those where it is before */
+    int32_t steps, length, convex, behind, apart; /* edges; those where b is behind a less those where it is before; no common axis */
     float near; /* smallest difference in depth [m] */
     double bend; /* sum */
 } border;
@@ -232,7 +240,7 @@ static border *border_of(graph *g, int32_t a, int32_t b) {
         at = &g->borders[*at].next;
     }
     if (*at < 0) {
-        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, INFINITY, 0.0};
+        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, 0, INFINITY, 0.0};
         *at = (int32_t)g->n_borders++;
     }
     return g->borders + *at;
@@ -318,8 +326,100 @@ INLINE int rim_of(const graph *g, const border *one) {
     return front >= 0 && fabs(a->tops - b->tops) < TOUCH;
 }
 
+/* Whether two fragments are surfaces of revolution about one axis, seen from outside, as a bottle and its neck: the lines along
+ * their normals meet the axis; or a closed ring and a flat part in the middle of it. The axis is that of the larger one, since
+ * one between two axes side by side fits both. Lines that meet it are a linear complex, fitted as by Pottmann and Randrup
+ * (Computing 60, 1998): the motion with rotation u and velocity v of the middle of the cells in which the cells move least in
+ * the direction of their normals, sum (n v + u (p x n))^2. */
+static int concentric(const graph *g, const border *one) {
+    const int32_t large = g->fragments[one->a].cells < g->fragments[one->b].cells ? one->b : one->a;
+    double middle[3] = {0.0}, nn[6] = {1e-9, 0.0, 0.0, 1e-9, 0.0, 1e-9}, nm[9] = {0.0}, mm[6] = {0.0}, count = 0.0;
+    for (int pass = 0; pass < 2; pass++) {
+        for (int64_t i = 0; i < g->n; i++) {
+            const cell *c = g->cells + i;
+            const int32_t part = g->fragments[c->part].to;
+            if (part != large || !c->part || c->n[0] != c->n[0]) {
+                continue;
+            }
+            if (!pass) {
+                middle[0] += c->p[0], middle[1] += c->p[1], middle[2] += c->p[2], count += 1.0;
+                continue;
+            }
+            const double p[3] = {c->p[0] - middle[0], c->p[1] - middle[1], c->p[2] - middle[2]};
+            const double n[3] = {c->n[0], c->n[1], c->n[2]};
+            const double m[3] = {p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]};
+            for (int x = 0, at = 0; x < 3; x++) {
+                for (int y = 0; y < 3; y++) {
+                    nm[3 * x + y] += n[x] * m[y];
+                    if (y >= x) {
+                        nn[at] += n[x] * n[y], mm[at++] += m[x] * m[y];
+                    }
+                }
+            }
+        }
+        for (int x = 0; x < 3 && !pass; x++) {
+            middle[x] /= count > 0.0 ? count : 1.0;
+        }
+    }
+    nn[0] += EVEN * count, nn[3] += EVEN * count, nn[5] += EVEN * count; /* a cylinder may move along its axis */
+    const double minors[6] = {nn[3] * nn[5] - nn[4] * nn[4], nn[2] * nn[4] - nn[1] * nn[5], nn[1] * nn[4] - nn[2] * nn[3],
+                              nn[0] * nn[5] - nn[2] * nn[2], nn[1] * nn[2] - nn[0] * nn[4], nn[0] * nn[3] - nn[1] * nn[1]};
+    const double det = nn[0] * minors[0] + nn[1] * minors[1] + nn[2] * minors[2];
+    double move[9], values[3], u[3], v[3] = {0.0}; /* v = -move u */
+    for (int k = 0; k < 9; k++) {
+        static const int at[9] = {0, 1, 2, 1, 3, 4, 2, 4, 5};
+        const int x = k / 3, y = k % 3;
+        move[k] = (minors[at[3 * x]] * nm[y] + minors[at[3 * x + 1]] * nm[3 + y] + minors[at[3 * x + 2]] * nm[6 + y]) / det;
+    }
+    for (int x = 0, at = 0; x < 3; x++) {
+        for (int y = x; y < 3; y++) {
+            mm[at++] -= nm[x] * move[y] + nm[3 + x] * move[3 + y] + nm[6 + x] * move[6 + y];
+        }
+    }
+    eigen3(mm, values, u);
+    for (int k = 0; k < 9; k++) {
+        v[k / 3] -= move[k] * u[k % 3];
+    }
+    const double axis[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+    double side[2] = {0.0}, off[2] = {0.0}, out[2] = {0.0}, normals[2][3] = {{0.0}}, places[2][3] = {{0.0}}, cells[2] = {0.0};
+    for (int64_t i = 0; i < g->n; i++) {
+        const cell *c = g->cells + i;
+        const int32_t part = g->fragments[c->part].to;
+        if ((part != one->a && part != one->b) || !c->part || c->n[0] != c->n[0]) {
+            continue;
+        }
+        const int k = part != large;
+        const double r[3] = {c->p[0] - middle[0] - axis[0], c->p[1] - middle[1] - axis[1], c->p[2] - middle[2] - axis[2]};
+        const double along = u[0] * c->n[0] + u[1] * c->n[1] + u[2] * c->n[2], height = u[0] * r[0] + u[1] * r[1] + u[2] * r[2];
+        double n[3], miss = 0.0;
+        for (int x = 0; x < 3; x++) {
+            n[x] = c->n[x] - along * u[x];
+            out[k] += n[x] * r[x], side[k] += n[x] * n[x];
+            normals[k][x] += n[x], places[k][x] += r[x] - height * u[x];
+        }
+        for (int x = 0; x < 3; x++) {
+            miss += u[x] * (r[(x + 1) % 3] * n[(x + 2) % 3] - r[(x + 2) % 3] * n[(x + 1) % 3]);
+        }
+        off[k] += miss * miss, cells[k] += 1.0;
+    }
+    const int sure = values[1] > SURE * ECCENTRIC * ECCENTRIC * count;
+    int turned[2], closed[2], lid[2];
+    for (int k = 0; k < 2; k++) {
+        const double *n = normals[k], *r = places[k], flat = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) / (cells[k] * side[k]);
+        turned[k] = side[k] > SIDE * cells[k] && off[k] < ECCENTRIC * ECCENTRIC * side[k] && flat < FLAT && out[k] > 0.0;
+        closed[k] = turned[k] && flat < CLOSED;
+        lid[k] = side[k] < LID * cells[k] && sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]) < ECCENTRIC * cells[k];
+    }
+    const double *t = g->s + PLANE, upright = u[0] * t[0] + u[1] * t[1] + u[2] * t[2];
+    const fragment *a = g->fragments + large, *b = g->fragments + one->a + one->b - large;
+    if (fabs(upright) > UPRIGHT && b->tops < a->tops) {
+        return 0; /* it stands on the smaller one */
+    }
+    return (turned[0] && turned[1] && sure) || (closed[0] && lid[1]);
+}
+
 /* Joins fragments whose border bends least, as long as it bends less than the limit. A fragment smaller than a fingertip joins
- * the neighbour from which it is separated least; two hollow ones are one wall; a hollow one joins its rim. */
+ * the neighbour from which it is separated least; two hollow ones are one wall; a hollow one joins its rim; concentric ones are one. */
 static void join_all(graph *g, int64_t *counts) {
     for (;;) {
         const border *best = NULL;
@@ -350,6 +450,12 @@ static void join_all(graph *g, int64_t *counts) {
         if (rim && !best) {
             best = rim, why = BY_HOLLOW;
             g->fragments[rim->a].rim = 1;
+        }
+        for (int64_t k = 0; k < g->n_borders && !best; k++) {
+            border *other = g->borders + k;
+            if (!other->apart && !(other->apart = !concentric(g, other))) {
+                best = other, why = BY_AXIS;
+            }
         }
         if (!best) {
             break;

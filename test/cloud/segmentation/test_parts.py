@@ -2,10 +2,14 @@
 """Objects that touch, in images of solids whose labels are known exactly."""
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from kernels.references import split as reference
 
+from foretouch.cloud.segmentation import parts
+from foretouch.cloud.segmentation.parts import SPLIT_COUNTS
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.types import AnyArray, Cloud, Float32, Float64
 
@@ -13,6 +17,7 @@ _F, _H, _W = 500.0, 360, 480
 _EYE = np.array([0.0, -0.6, 0.65])  # above the table z = 0, which is seen at 47 degrees
 _AXES = np.array([[1.0, 0.0, 0.0], [0.0, -0.735, -0.678], [0.0, 0.678, -0.735]])  # of the camera: right, down, forward
 _NO_SPLIT = SegmentationConfig().updated({"split.angle_deg": 180.0})
+_SHARP = SegmentationConfig().updated({"split.angle_deg": 20.0})  # parts that only their common axis joins
 _Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -36,14 +41,44 @@ def _ball_hit(rays: Float64, centre: AnyArray, radius: float) -> Float64:
     return np.where(inside > 0.0, (-b - np.sqrt(np.maximum(inside, 0.0))) / a, np.inf)
 
 
+def _can_hit(rays: Float64, foot: AnyArray, radius: float, top: float) -> Float64:
+    """Depth of an upright can: its side, or its lid."""
+    a, b = (rays[..., :2] ** 2).sum(-1), rays[..., :2] @ (_EYE - foot)[:2]
+    inside = b * b - a * (((_EYE - foot)[:2] ** 2).sum() - radius**2)
+    side = np.where(inside > 0.0, (-b - np.sqrt(np.maximum(inside, 0.0))) / a, np.inf)
+    height = np.where(inside > 0.0, _EYE[2] + np.where(inside > 0.0, side, 0.0) * rays[..., 2], -1.0)
+    lid = (top - _EYE[2]) / rays[..., 2]
+    on_lid = (((_EYE + lid[..., None] * rays - foot)[..., :2]) ** 2).sum(-1) < radius**2
+    return np.where((foot[2] <= height) & (height <= top), side, np.where(on_lid, lid, np.inf))
+
+
+def _bowl_hit(rays: Float64, centre: AnyArray, radius: float) -> Float64:
+    """Depth of the lower half of a hollow ball: the first wall below its rim."""
+    a, b = (rays * rays).sum(-1), rays @ (_EYE - centre)
+    root = np.sqrt(np.maximum(b * b - a * ((_EYE - centre) @ (_EYE - centre) - radius**2), 0.0))
+    walls = [np.where(_EYE[2] + t * rays[..., 2] < centre[2], t, np.inf) for t in ((-b - root) / a, (-b + root) / a)]
+    return np.where(root > 0.0, np.minimum(*walls), np.inf)
+
+
+_Ball = tuple[tuple[float, float, float], float]  # centre and radius; a bowl is the lower half of one
+_Can = tuple[tuple[float, float, float], float, float]  # foot, radius, height of its top
+
+
 def _scene(
-    boxes: list[_Box], balls: list[tuple[tuple[float, float, float], float]] = (), noise: float = 0.0005
-) -> tuple[Float32, AnyArray]:  # type: ignore[assignment]
-    """(H, W, 3) points and (H, W) true labels, the table 0."""
+    boxes: Sequence[_Box] = (),
+    balls: Sequence[_Ball] = (),
+    noise: float = 0.0005,
+    cans: Sequence[_Can] = (),
+    bowls: Sequence[_Ball] = (),
+    table: Float64 | None = None,
+) -> tuple[Float32, AnyArray]:
+    """(H, W, 3) points and (H, W) true labels, the table 0: z = 0, or the depth of each ray (inf for none)."""
     rays = _rays()
-    hits = [-_EYE[2] / rays[..., 2]]
+    hits = [-_EYE[2] / rays[..., 2] if table is None else table]
     hits += [_box_hit(rays, np.array(low), np.array(high)) for low, high in boxes]
     hits += [_ball_hit(rays, np.array(centre), radius) for centre, radius in balls]
+    hits += [_can_hit(rays, np.array(foot), radius, top) for foot, radius, top in cans]
+    hits += [_bowl_hit(rays, np.array(centre), radius) for centre, radius in bowls]
     depth = np.min(hits, axis=0) + np.random.default_rng(0).normal(0.0, noise, (_H, _W))
     v, u = np.indices((_H, _W))
     xyz = np.stack([(u - (_W - 1) / 2) / _F * depth, (v - (_H - 1) / 2) / _F * depth, depth], axis=-1)
@@ -113,6 +148,77 @@ def test_a_handle_joins_and_an_angle_of_180_degrees_splits_nothing() -> None:
     assert len(segment(Cloud(_scene([_LOW, handle])[0])).objects) == 1
     found = segment(Cloud(_scene(*_TOUCHING["one on another"])[0]), _NO_SPLIT)
     assert len(found.objects) == 1
+
+
+_BODY: _Can = ((0.0, 0.0, 0.0), 0.045, 0.1)
+
+
+def test_a_neck_belongs_to_its_bottle_and_a_can_beside_the_axis_or_on_a_box_does_not() -> None:
+    neck: _Can = ((0.0, 0.0, 0.1), 0.022, 0.16)
+    whole = segment(Cloud(_scene(cans=[_BODY, neck])[0]), _SHARP)
+    assert (len(whole.objects), whole.counts["joined_concentric"]) == (1, 1)
+    for name, scene in {
+        "beside": _scene(cans=[_BODY, ((0.015, 0.0, 0.1), 0.022, 0.16)]),
+        "on a box": _scene([((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))], cans=[neck]),
+        "on a narrower one": _scene(cans=[((0.0, 0.0, 0.0), 0.04, 0.12), ((0.0, 0.0, 0.12), 0.055, 0.18)]),
+        "a box on it": _scene([((-0.03, -0.03, 0.1), (0.03, 0.03, 0.16))], cans=[_BODY]),
+    }.items():
+        found = segment(Cloud(scene[0]), _SHARP)
+        assert (len(found.objects), found.counts["joined_concentric"]) == (2, 0), name
+
+
+def test_a_bowl_that_is_seen_into_is_one_and_two_are_two() -> None:
+    bowl: _Ball = ((0.0, 0.0, 0.075), 0.07)
+    whole = segment(Cloud(_scene(bowls=[bowl])[0]))
+    assert len(whole.objects) == 1
+    assert whole.counts["joined_hollow"] >= 1
+    two, truth = _scene(bowls=[((-0.075, 0.0, 0.075), 0.07), ((0.075, 0.0, 0.075), 0.07)])
+    found = segment(Cloud(two))
+    assert len(found.objects) == 2
+    assert min(_iou(found, truth)) > 0.85
+
+
+def test_without_a_table_or_with_two_or_its_edge_before_the_objects() -> None:
+    solids = _TOUCHING["one on another"]
+    rays = _rays()
+    floor = -_EYE[2] / rays[..., 2]
+    behind = (_EYE + floor[..., None] * rays)[..., 1]
+    higher = (0.25 - _EYE[2]) / rays[..., 2]  # a second table, beyond the first
+    beyond = (_EYE + higher[..., None] * rays)[..., 1] > 0.35
+    edge = np.where(behind > -0.06, floor, (-0.7 - _EYE[2]) / rays[..., 2])  # 1 cm before the objects
+    for name, table, count in (
+        ("no table", np.full((_H, _W), np.inf), None),
+        ("two", np.where(beyond, higher, floor), 2),
+        ("edge", edge, 2),
+    ):
+        xyz, truth = _scene(*solids, table=table)
+        found = segment(Cloud(xyz))
+        assert all(np.isfinite(one.cloud.xyz).all() for one in found.objects), name
+        if count is None:
+            assert found.status == "ok" or found.reason, name
+        else:
+            assert min(_iou(found, truth)) > 0.85, name
+
+
+@pytest.mark.parametrize("angle_deg", [15.0, 34.0, 60.0])
+def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = SegmentationConfig().updated({"split.angle_deg": angle_deg})
+    handle: _Box = ((0.08, 0.0, 0.02), (0.093, 0.015, 0.04))
+    scenes = {
+        **_TOUCHING,
+        "a handle": ([_LOW, handle], []),
+        "two clusters": ([_LOW, ((0.086, 0.0, 0.0), (0.15, 0.1, 0.1))], []),
+    }
+    images = {name: _scene(*solids)[0] for name, solids in scenes.items()}
+    ours = {name: segment(Cloud(xyz), config) for name, xyz in images.items()}
+    monkeypatch.setattr(parts, "_split", reference.split_clusters)
+    for name, xyz in images.items():
+        one, other = ours[name], segment(Cloud(xyz), config)
+        by_rule = {key: one.counts[key] for key in SPLIT_COUNTS if key.startswith("joined")}
+        assert sum(by_rule.values()) == by_rule["joined_small"], name  # what the reference has
+        assert len(one.objects) == len(other.objects), name
+        assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
+        assert min(_iou(one, other.labels)) > 0.98, name  # a cell between two parts may be of either
 
 
 def test_hard_images_give_finite_parts_in_time() -> None:

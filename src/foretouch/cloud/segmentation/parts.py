@@ -6,10 +6,12 @@ Household objects are mostly convex, and where two of them touch, the visible su
 along such edges, and fragments are joined while the border between two of them bends less than `angle_deg` on average over
 its whole length: an edge that fades out, or that bends only at its end, does not separate.
 
-Whole objects stay whole by three rules, each counted:
+Whole objects stay whole by four rules, each counted:
 
-- `joined_small`: a fragment smaller than a fingertip belongs to the neighbour from which it is separated least (a handle).
+- `joined_small`: a fragment smaller than a large fingertip belongs to the neighbour from which it is separated least (a handle).
 - `joined_hollow`: hollow fragments are one wall, and belong to the rim that is as high as they are (a bowl, a cup).
+- `joined_concentric`: fragments that are surfaces of revolution about one axis, seen from outside, are one (a bottle and its
+  neck, or its cap from above). A can on a box, or beside the axis of another can by more than 6 mm, stays apart.
 - `joined_hidden`: fragments on both sides of a nearer object are one where the surface of one continues in the other.
 
 An image with neither a concave surface nor two clusters next to each other is not processed further.
@@ -28,7 +30,7 @@ from foretouch.types import Float32
 _split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64, np.uint8, np.int32, np.int64)
 _concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
 
-SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden")
+SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden", "joined_concentric")
 _CELL_M = 0.005  # side of a cell at the median depth of the clusters, as the noise of a stereo camera it grows with depth² beyond 1 m
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
@@ -42,13 +44,13 @@ class SplitConfig(Settings):
     """Where a cluster is split into objects that touch."""
 
     angle_deg: float = setting(
-        25.0,
+        34.0,
         "A border that is concave by more than this on average separates two objects; 180 does not split at all",
         bounds=(5.0, 180.0),
     )
     step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
     min_part_m: float = setting(
-        0.02, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
+        0.03, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
     )
 
 
@@ -66,7 +68,7 @@ def split_clusters(
 
     Returns:
         The windows as they are, or one window with all parts; and the counts `clusters`, `parts`, `joined_small`,
-        `joined_hollow` and `joined_hidden`, all 0 if nothing calls for splitting.
+        `joined_hollow`, `joined_hidden` and `joined_concentric`, all 0 if nothing calls for splitting.
     """
     counts = dict.fromkeys(SPLIT_COUNTS, 0)
     if config.angle_deg >= 180.0 or not windows or pitch <= 0.0:
@@ -80,7 +82,7 @@ def split_clusters(
         return list(windows), counts
     depth = float(np.median(depths))
     side = pitch * depth  # of a pixel [m]
-    arm, found = max(1, round(_ARM_M / side)), np.zeros(4, np.int64)
+    arm, found = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS) - 1, np.int64)
     _concave(first, xyz.shape[1], h, w, _STRIDE, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
