@@ -10,6 +10,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch import reading
+from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -66,7 +67,9 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
         (felt,) = pipeline.run(cloud).targets
         np.testing.assert_array_equal(plane_from_msg(found["table"].plane).coefficients, felt.target.plane.coefficients)
         (chosen,) = [one for one in found["objects"].objects if one.target]
-        assert chosen.id == felt.target.id
+        assert [one.object_id for one in found["grasps"].grasps] == [chosen.id] * len(
+            felt.plan.grasps
+        )  # ids of a stream are its own
         np.testing.assert_array_equal(chosen.indices, felt.target.pixels)
         assert len(found["grasps"].grasps) == len(felt.plan.grasps) > 0
         for message, grasp in zip(found["grasps"].grasps, felt.plan.grasps, strict=True):
@@ -85,11 +88,11 @@ def test_what_stands_around_the_target_blocks_its_grasps_as_in_the_pipeline(chai
     longest = 0.3
     chain.graph.set(chain.grasp, hand__approach_m=longest)
     pipeline = Pipeline(PipelineConfig().updated({"hand.approach_m": longest}))
-    blocked = 0
+    blocked, identity = 0, ObjectIdentity()
     for seed in range(4):
         cloud = scene_cloud(seed, n_objects=2, stamp_ns=START + seed)
         found = chain.send(cloud)
-        scene = pipeline.segment(cloud)
+        scene = pipeline.segment(cloud, identity=identity)
         ids, xyz = np.array(found["table"].obstacle_ids), np.array(found["table"].obstacles, np.float32).reshape(-1, 3)
         np.testing.assert_array_equal(ids, scene.obstacles.object_ids)
         np.testing.assert_array_equal(xyz, scene.obstacles.xyz)

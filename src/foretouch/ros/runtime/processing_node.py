@@ -244,7 +244,7 @@ def warm_up_cloud() -> Cloud:
     """
     row, column = np.mgrid[0:120, 0:160].astype(np.float32)
     depth = np.full((120, 160), 0.8, np.float32)
-    depth[45:75, 60:100] = 0.7  # the top of the box
+    depth[52:68, 60:100] = 0.7  # the top of the box, 7 x 17 cm
     ray_x, ray_y = (column - 80.0) / 160.0, (row - 60.0) / 160.0
     xyz: Float32 = np.stack([ray_x * depth, ray_y * depth, depth], axis=-1)
     return Cloud(xyz, np.full(xyz.shape, 128, np.uint8), frame_id="warm_up")
