@@ -57,7 +57,7 @@ def sync_folder(path: Path) -> None:
 
 def require_version(found: Any, known: int, *also: int) -> None:
     """Refuse a schema version other than `known` and `also` with a `VersionError`."""
-    if found not in {known, *also} or isinstance(found, bool):
+    if found not in (known, *also) or isinstance(found, bool):  # a tuple: what was found may be a list
         newer = isinstance(found, int) and found > known
         advice = "it was written by a newer foretouch" if newer else f"foretouch {__version__} supports no other"
         raise VersionError(f"schema_version: {shown(found)} is not {known}: {advice}")
