@@ -94,7 +94,7 @@ MISTAKES = {
     "files": [
         Abuse("unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "cannot be written"),
         Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
-        Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "the extension is none of .png"),
+        Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "the extension is not one of .png"),
         Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),
         Abuse("full disk, table", "segment @/scene.npz", {1}, "output: No space left", stdout="/dev/full"),
         Abuse("full disk, simulation", SIMULATE, {1}, "store: cannot be written: File too large", limit=20_000),

@@ -48,7 +48,7 @@ def test_refusals_name_field_value_and_rule() -> None:
         (r"range_m: a whole number of 1329 bits", {"inner.range_m": 10**400}),
         ("'near' is not a number", {"inner.range_m": "near"}),
         ("nan is not finite", {"inner.range_m": float("nan")}),
-        ("'middle' is none of near, far", {"inner.mode": "middle"}),
+        ("'middle' is not one of near, far", {"inner.mode": "middle"}),
         ("2.0 is not a whole number", {"count": 2.0}),
         ("True is not a whole number", {"count": True}),
         ("count: is empty", {"count": None}),
@@ -99,7 +99,7 @@ def test_an_unknown_setting_is_refused_with_the_nearest_of_any_group() -> None:
     cases = (
         ("lihgt: unknown setting; known: items, light, sun, limit; did you mean light", {"lihgt": 3}),
         ("mode: unknown setting; .*; did you mean sun.mode", {"mode": 3}),
-        (r"sun.mode: 'fra' is none of near, far; did you mean far\?", {"sun.mode": "fra"}),
+        (r"sun.mode: 'fra' is not one of near, far; did you mean far\?", {"sun.mode": "fra"}),
         ("xyz: unknown setting; known: items, light, sun, limit$", {"xyz": 3}),
     )
     every_refusal(ConfigError, cases, Scene.from_mapping)

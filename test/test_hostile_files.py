@@ -106,7 +106,7 @@ CLOUDS: dict[str, tuple[str, bytes]] = {
     "npy version 9": (".npy", npy(HUGE % 2, POINTS, (9, 0))),
     "npy empty": (".npy", b""),
     "npy is a zip": (".npy", npz(GOOD_NPY)),
-    "npz is no zip": (".npz", GOOD_NPY),
+    "npz is not a zip": (".npz", GOOD_NPY),
     "npz encrypted": (".npz", encrypted(npz(GOOD_NPY))),
     "npz damaged stream": (".npz", damaged_stream(npz(GOOD_NPY * 20))),
     "npz truncated": (".npz", npz(GOOD_NPY)[:-30]),

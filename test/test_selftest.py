@@ -89,7 +89,7 @@ def test_rows_are_shown_as_a_table(capsys) -> None:
     assert "as expected" in out
     assert out.splitlines()[-1].startswith("1 rows, 0 failed")
     assert main(["doctor", "--self-test", "engine"]) == 1
-    assert "--self-test: 'engine' is none of models, ROS" in capsys.readouterr().err
+    assert "--self-test: 'engine' is not one of models, ROS" in capsys.readouterr().err
 
 
 @pytest.mark.slow

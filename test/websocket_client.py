@@ -68,7 +68,7 @@ class WebSocketClient:
         self._send({"op": "unsubscribe", "subscriptionIds": list(self._topics)})
 
     def receive(self) -> tuple[str, bytes] | None:
-        """Topic and content of the next message; None if it is none of a channel."""
+        """Topic and content of the next message; None if it is not one of a channel."""
         kind, content = self._frame()
         if kind == 2 and content[0] == 1:
             return self._topics[struct.unpack_from("<I", content, 1)[0]], content[13:]

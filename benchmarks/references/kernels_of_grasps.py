@@ -172,7 +172,7 @@ def _to_quaternion(t: float, rng: np.random.Generator) -> tuple[float, float]:
     if t > 0.5:
         q = np.append(axis / np.linalg.norm(axis) * np.sin(angle), np.cos(angle))
     reference = exact(q) / mpmath.sqrt((exact(q) ** 2).sum())
-    # The rounded matrix is no exact rotation: the error is that of its nine roundings and the conversion.
+    # The rounded matrix is not an exact rotation: the error is that of its nine roundings and the conversion.
     return 1.0, gap_up_to_sign(quaternion_xyzw(real(_matrix(reference))), reference)
 
 

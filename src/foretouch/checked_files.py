@@ -55,7 +55,7 @@ def _named(path: str | Path) -> Iterator[None]:
         with system_errors(path):
             yield
     except ValueError as err:
-        raise FileError(path, f"is no name of a file: {err}") from err
+        raise FileError(path, f"is not a valid file name: {err}") from err
 
 
 def open_regular(path: str | Path) -> BufferedReader:
@@ -78,7 +78,7 @@ def open_own(path: Path, flags: int) -> int:
         The descriptor.
 
     Raises:
-        FileError: If it is a link, has a second name, is no regular file, or cannot be opened.
+        FileError: If it is a link, has a second name, is not a regular file, or cannot be opened.
     """
     if path.is_symlink():
         raise FileError(path, "is a link, and nothing is written through links")
@@ -171,7 +171,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
         contents: By file, in the order in which they are renamed; missing folders are made.
 
     Raises:
-        FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is no file
+        FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is not a file
             left by a crash, but a link or a folder.
     """
     parts: dict[Path, int] = {}
@@ -238,7 +238,7 @@ def require_writable(path: str | Path, *suffixes: str) -> None:
         FileError: If its name ends with none of the suffixes, it is a folder, or neither exists nor can be created.
     """
     if Path(path).suffix.lower() not in suffixes:
-        raise FileError(path, f"the extension is none of {', '.join(suffixes)}")
+        raise FileError(path, f"the extension is not one of {', '.join(suffixes)}")
     existed = Path(path).exists()
     with system_errors(path, "cannot be written"):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -274,18 +274,18 @@ def read_json(path: str | Path) -> Any:
 
 
 def json_in(path: str | Path, content: bytes) -> Any:
-    """The document in the content of a file; a `FileError` if it is no JSON that `parse_json` accepts."""
+    """The document in the content of a file; a `FileError` if it is not JSON that `parse_json` accepts."""
     try:
         return parse_json(content.decode("utf-8"))
     except ValueError as err:
-        raise FileError(path, f"is no JSON: {' '.join(str(err).split())}") from err
+        raise FileError(path, f"is not JSON: {' '.join(str(err).split())}") from err
 
 
 def parse_json(text: str | bytes) -> Any:
     """The document in a JSON text.
 
     Raises:
-        ValueError: If it is no JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
+        ValueError: If it is not JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
             accepts.
     """
     try:
@@ -348,7 +348,7 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
         names = " or ".join(_JSON_WORDS.get(one, one.__name__) for one in types)
         raise FileError(path, f"{quoted(value)} is not {names}", field=field or None)
     if (type(value) is int and not -(2**63) <= value < 2**63) or (type(value) is float and not math.isfinite(value)):
-        raise FileError(path, f"{shown(value, 40)} is no number that can be used", field=field or None)
+        raise FileError(path, f"{shown(value, 40)} is not a number that can be used", field=field or None)
     return value
 
 

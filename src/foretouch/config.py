@@ -200,7 +200,7 @@ def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
 
 
 def _parse_yaml(text: str, limit: int = _YAML_BYTES) -> Any:
-    """The document in a YAML text, loaded safely; a ValueError if it is no YAML or exceeds a limit of `_check_events`."""
+    """The document in a YAML text, loaded safely; a ValueError if it is not YAML or exceeds a limit of `_check_events`."""
     try:
         _check_events(yaml.parse(text, Loader=_Loader), limit)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader, in C where it is installed
@@ -326,7 +326,7 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
             value = float(value)
         except OverflowError:
             raise ConfigError(
-                f"{name}: a whole number of {value.bit_length()} bits is no number that can be used"
+                f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used"
             ) from None
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
         kinds = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}

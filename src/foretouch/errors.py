@@ -58,7 +58,7 @@ def nearest(name: Any, known: Iterable[Any]) -> str:
 def none_of(name: Any, known: Iterable[Any]) -> str:
     """The rule that a name is one of some known ones, for a message, with the nearest of them."""
     known = list(known)
-    return f"{quoted(name)} is none of {', '.join(map(str, known))}{nearest(name, known)}"
+    return f"{quoted(name)} is not one of {', '.join(map(str, known))}{nearest(name, known)}"
 
 
 def described(err: Exception) -> str:

@@ -12,7 +12,7 @@ def test_bad_settings_are_named_and_the_frame_is_that_of_the_image_the_points_co
         ("file: 'a.db3' and serial '1' exclude each other", {"file": "a.db3", "serial": "1"}),
         ("record_to: 'b.db3': a recording cannot be recorded again", {"file": "a.db3", "record_to": "b.db3"}),
         ("stall_s: 5.0 is above reopen_s, 3.0", {"timeouts.stall_s": 5.0}),
-        ("align: 'both' is none of none, colour_to_depth, depth_to_colour", {"align": "both"}),
+        ("align: 'both' is not one of none, colour_to_depth, depth_to_colour", {"align": "both"}),
         ("magnitude: 9 is above 8 px", {"filters.decimation.magnitude": 9}),
         ("filters.median: unknown setting; known: decimation, spatial", {"filters.median": 1}),
     ]

@@ -59,14 +59,14 @@ def test_the_help_of_every_command_has_an_example_defaults_groups_and_exit_statu
 
 def test_words_that_are_misspelled_are_usage_errors_with_the_nearest_one(capsys) -> None:
     cases = (
-        ("evalute default store", "'evalute' is none of segment, ", "did you mean evaluate?"),
-        ("dataset infoo store", "'infoo' is none of info, ", "did you mean info?"),
+        ("evalute default store", "'evalute' is not one of segment, ", "did you mean evaluate?"),
+        ("dataset infoo store", "'infoo' is not one of info, ", "did you mean info?"),
         ("run --sorce scene.yaml", "--sorce: there is no such option", "did you mean --source?"),
         ("run --source x --pictrue y.png", "--pictrue: there", "did you mean --picture?"),
         ("predict x.pcd --modle touchnet-v1", "--modle: there", "did you mean --model?"),
         ("train contact-v2 --wrokers 2", "--wrokers: there", "did you mean --workers?"),
-        ("grasp x.pcd --target nearst", "'nearst' is none of nearest, ", "did you mean nearest?"),
-        ("dataset export store -o x --format numpy", "'numpy' is none of ", "npz"),
+        ("grasp x.pcd --target nearst", "'nearst' is not one of nearest, ", "did you mean nearest?"),
+        ("dataset export store -o x --format numpy", "'numpy' is not one of ", "npz"),
     )
 
     def check(line: str, *texts: str) -> None:

@@ -20,9 +20,9 @@ FIELDS = (  # of a scene, of the pipeline, of a training
     ("train", "methd: contact", "methd", "method"),
 )
 NAMES = (  # recipes, experiments, areas, presets, models, splits, rows
-    (("train", "p3", "data=x", "-o", "y"), "p3: is no file and none of", "p2"),
-    (("train", "contact-v1", "data=x", "-o", "y"), "contact-v1: is no file and none of", "contact-v2"),
-    (("train", "touchnet", "data=x", "-o", "y"), "touchnet: is no file and none of", "touchnet-v1"),
+    (("train", "p3", "data=x", "-o", "y"), "p3: is neither a file nor one of", "p2"),
+    (("train", "contact-v1", "data=x", "-o", "y"), "contact-v1: is neither a file nor one of", "contact-v2"),
+    (("train", "touchnet", "data=x", "-o", "y"), "touchnet: is neither a file nor one of", "touchnet-v1"),
     (("experiment", "cross_validaton", "-o", "y"), "'cross_validaton'", "cross_validation"),
     (("experiment", "cross_validation", "-o", "y", "--preset", "smokee"), "'smokee'", "smoke"),
     (("tradeoff", "modle", "-o", "y"), "'modle'", "model"),

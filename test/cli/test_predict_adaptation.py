@@ -167,7 +167,7 @@ def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:
             _read_tare([str(path)], packaged_sensor("biotac_sp"))
 
     cases = [
-        ("{", "is no JSON"),
+        ("{", "is not JSON"),
         ([], "no reading"),
         ({"pdc_th": 1}, "it must hold pdc_th, pdc_mf, e_th, e_mf"),
         (good | {"e_mf": [1.0] * 23}, "e_mf: is not 24 numbers"),

@@ -67,14 +67,14 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
         call(*words).check_refused(f"foretouch: {line}")
 
     picture = ("--picture", tmp_path / "touch.txt")
-    check(("run", "--source", none, *picture), f"{picture[1]}: the extension is none of .png, .pdf, .svg, .jpg")
+    check(("run", "--source", none, *picture), f"{picture[1]}: the extension is not one of .png, .pdf, .svg, .jpg")
 
     cases = [
         (("run", "--source", none), f"{none}: does not exist\n"),
         (("replay", none), f"{none}: does not exist\n"),
         (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
         (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
-        (("run", "--source", none, "--model", "nope"), "nope: is no model folder, no card"),
+        (("run", "--source", none, "--model", "nope"), "nope: is not a model folder, no card"),
         (("run", "--source", none, "--model", tmp_path / "a.json"), f"{tmp_path / 'a.json'}: no such"),
         (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),
     ]
@@ -85,7 +85,9 @@ def test_a_node_that_does_not_start_is_named_with_the_cause(tmp_path, environmen
     with started(environment, "-o", tmp_path / "out", "--sensor", "xela_uskin_4x44", command="record") as process:
         _, err = process.communicate(timeout=100)
     assert process.returncode == 1
-    assert err.splitlines()[-1].startswith("foretouch: a node did not start: recorder: xela_uskin_4x44: is no file")
+    assert err.splitlines()[-1].startswith(
+        "foretouch: a node did not start: recorder: xela_uskin_4x44: is neither a file"
+    )
     assert "did you mean xela_uskin_4x4?" in err.splitlines()[-1]
 
 

@@ -38,6 +38,6 @@ def test_the_picture_shows_every_taxel(call, tmp_path) -> None:
     with Image.open(path) as image:
         assert len(image.convert("RGB").getcolors(1 << 24)) > 50
     call("sensor", "show", "biotac_sp", "-o", tmp_path / "taxels.txt").check_refused(
-        "taxels.txt: the extension is none of"
+        "taxels.txt: the extension is not one of"
     )
-    call("sensor", "show", "biotac", "-o", path).check_refused("biotac: is no file and none of")
+    call("sensor", "show", "biotac", "-o", path).check_refused("biotac: is neither a file nor one of")

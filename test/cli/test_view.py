@@ -205,7 +205,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(call, answers, files, tmp_p
         assert (answer.status, message in answer.err.splitlines()[0]) == (1, True), answer.err
 
     cases = [
-        ("{", "line 1: is no JSON"),
+        ("{", "line 1: is not JSON"),
         ("[1]", "line 1: [1] is not a mapping"),
         ("", "holds no answers"),
         ('{"played": 3}', "holds no answers"),

@@ -190,7 +190,7 @@ def test_samples_of_another_sensor_than_the_manifest_states_are_refused(tmp_path
     cases = (
         (manifest["sensor"] | {"values": values}, rf"is of {NAME} \(.{{8}}\), and the dataset of {NAME} \("),
         (packaged_sensor("biotac_sp").to_mapping(), rf"is of {NAME} .*, and the dataset of biotac_sp"),
-        ([1], r"manifest\.json: sensor: is no description"),
+        ([1], r"manifest\.json: sensor: is not a description"),
     )
     every_case(cases, refused)
 

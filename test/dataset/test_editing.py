@@ -67,8 +67,8 @@ def test_names_that_leave_a_folder_are_absent_taken_or_being_written_are_refused
             action(dataset, *arguments)
 
     for label in ("..", "a/b", "", "x\n"):
-        check("is no plain name", relabel, ["ball/000001"], label)
-        check("is no plain name", merge, "ball", label)
+        check("is not a plain name", relabel, ["ball/000001"], label)
+        check("is not a plain name", merge, "ball", label)
     check("there is no sample ball/9, cup/1", drop, ["ball/9", "ball/000001", "cup/1"])
     check("holds no sample of 'cup'", merge, "cup", "ball")
     assert not (dataset / "edits.jsonl").exists()
@@ -133,10 +133,10 @@ def test_edits_of_a_session_set_outcomes_and_notes_and_an_object_that_is_undone_
         "7: outcome success (1 samples)",
     ]
     assert undo(dataset) == 7
-    assert undo(dataset) == 2  # what changes no sample is no edit to undo later
+    assert undo(dataset) == 2  # what changes no sample is not an edit to undo later
     assert RecordedDataset(dataset)[0].record.note == "a note"
     append_edit(dataset, Edit(action="outcome", ids=(first,), text="perhaps"))
-    with pytest.raises(FileError, match="text: 'perhaps' is none of unknown, success, failure"):
+    with pytest.raises(FileError, match="text: 'perhaps' is not one of unknown, success, failure"):
         read_edits(dataset)
 
 

@@ -74,7 +74,7 @@ def test_a_module_of_ones_own_or_in_the_package(tmp_path: Path, capsys, numbers:
     assert summary.startswith("# How stiff is it?\n\n`foretouch experiment stiffness --preset full`; foretouch 0.")
     assert summary.endswith("## stiffness\n\n| length |\n| --- |\n| 0 |\n| 6 |\n| 12 |\n")
     assert (out / "stiffness.png").stat().st_size > 5000
-    with pytest.raises(ConfigError, match=r"is none of my_lab\.stiffness:stiffness"):
+    with pytest.raises(ConfigError, match=r"is not one of my_lab\.stiffness:stiffness"):
         find_experiment("my_lab.stiffness:rubber")
     monkeypatch.setattr(foretouch.experiments, "__path__", [*foretouch.experiments.__path__, str(folder)])
     assert "stiffness" in [one.name for one in list_experiments()]  # also as a module of the package
@@ -86,7 +86,7 @@ def test_every_experiment_is_found_by_its_name_without_matplotlib() -> None:
         assert find_experiment(one.name) is one
         assert find_experiment(f"{one.module}:{one.name}") is one
     for name in ("framework", "shared"):
-        with pytest.raises(ConfigError, match=f"{name!r} is none of prequential, cross_validation, time_blocked"):
+        with pytest.raises(ConfigError, match=f"{name!r} is not one of prequential, cross_validation, time_blocked"):
             find_experiment(name)
     code = "import sys, foretouch.experiments as e; e.list_experiments(); sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

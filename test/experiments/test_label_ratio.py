@@ -128,7 +128,7 @@ def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps, store: Path)
         settings_of("p2_as_printed", cached_points=512)
     experiment = find_experiment("label_ratio")
     settings = settings_of(**TINY, **TWO, pointnet={"pressure": "fast"})
-    with pytest.raises(ConfigError, match="pointnet 'fast' is none of batch"):
+    with pytest.raises(ConfigError, match="pointnet 'fast' is not one of batch"):
         experiment.run(experiment.cells(settings, data)[len(settings.ratios)], settings, data)
     assert settings_of("quick").scene_sha256 == read_scene(SCENE).sha256()
     with pytest.raises(DatasetError, match="is not abc, the required scene's"):

@@ -83,7 +83,7 @@ def test_recipes_hold_the_settings_of_the_papers_and_of_the_released_network() -
 
 
 def test_unknown_ones_are_told(samples) -> None:
-    with pytest.raises(ConfigError, match="predictors: 'oracle' is none of training_mean"):
+    with pytest.raises(ConfigError, match="predictors: 'oracle' is not one of training_mean"):
         find_predictor("oracle")
     with pytest.raises(DatasetError, match="touch: is not labelled"):
         labels_of([dataclasses.replace(samples[0], touch=None)])

@@ -100,7 +100,7 @@ def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -
     with pytest.raises(ConfigError, match=r"data\.sha256"):
         sweep(settings={"cells": 2}, resume=True)
     assert (out / "results.csv").read_bytes() == before
-    with pytest.raises(ConfigError, match="preset: 'quick' is none of full, smoke"):
+    with pytest.raises(ConfigError, match="preset: 'quick' is not one of full, smoke"):
         EXPERIMENT.resolve("quick", {})
     with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
         EXPERIMENT.resolve("full", {"paus": 1})
@@ -146,7 +146,7 @@ def test_folders_of_something_else_are_left_alone(sweep, tmp_path, in_this_proce
             sweep("new", settings={"cells": 1}, resume=True)
 
     every_case(
-        [("{", "is no JSON"), ("[" * 100_000 + "]" * 100_000, "nested levels"), ("[]", "is not a mapping")], check
+        [("{", "is not JSON"), ("[" * 100_000 + "]" * 100_000, "nested levels"), ("[]", "is not a mapping")], check
     )
 
 

@@ -200,7 +200,7 @@ def test_areas_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
         assert [one for one in area.variants(area.resolve(preset, {})) if one.factor == "shipped"]
 
     every_case({f"{one.area} {preset}": (one, preset) for one in areas for preset in one.presets}, check)
-    with pytest.raises(ConfigError, match=r"'nothing' is none of model, perception"):
+    with pytest.raises(ConfigError, match=r"'nothing' is not one of model, perception"):
         find_area("nothing")
     assert main(["tradeoff", "list", "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[0])["name"] == "model"

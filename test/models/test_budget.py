@@ -94,8 +94,8 @@ def test_a_profile_is_measured_once_and_again_where_it_does_not_fit(measured, tm
             **{name: ({**good, "fingerprint": {**good["fingerprint"], name: value}}, f"{name}: is of {value!r}, not of")
                for name, value in others.items()},
             "no JSON": ("", ""),
-            "another file": ("{}", "is no foretouch-profile of version"),
-            "a list": ("[1]", "is no foretouch-profile of version"),
+            "another file": ("{}", "is not a foretouch-profile of version"),
+            "a list": ("[1]", "is not a foretouch-profile of version"),
             "no fingerprint": ({name: good[name] for name in ("format", "format_version")}, "is damaged: 'fingerprint'"),
             **{f"times {times}": ({**good, "p95_s": {**good["p95_s"], levels[0].name: times}}, message)
                for times, message in [({}, "p95_s: holds no time"), ({"1": 0.0}, "p95_s: holds no time"),
@@ -190,7 +190,7 @@ def test_waiting_counts_and_a_queue_steps_down_until_it_is_gone() -> None:
     assert requests.answer(waited=0.02) == ("mean", True)
     assert requests.budget.notes()["budget.overloaded"] == "true"
     assert requests.answer()[0] == "model"
-    requests = Requests(10)  # what every request waits is no overload
+    requests = Requests(10)  # what every request waits is not an overload
     for _ in range(50):  # the messages of ten grasps take 5 ms to arrive
         assert requests.answer(count=10, waited=0.005)[0] == "half"
         assert requests.budget.notes()["budget.overloaded"] == "false"

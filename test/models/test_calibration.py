@@ -122,7 +122,7 @@ def test_damage_is_refused_by_name() -> None:
         ("new/spread", changed(0, -1.0), "new/spread: .* not finite and at least 1e-09"),
         ("new/half_width", changed(49, np.inf), "new/half_width: .* not finite and at least 1e-09"),
         ("new/between", changed((0, 1), 1e6), "new/between: is not symmetric"),
-        ("new/between", lambda a: -a, "new/between: is no covariance"),
+        ("new/between", lambda a: -a, "new/between: is not a covariance"),
         ("new/between", lambda a: 1e200 * a, "new/between: .* exceeds 1e.12"),
         ("new/difference_shrinkage", changed(5, 1.5), r"new/difference_shrinkage: leaves \[0, 1\]"),
         ("new/difference_shrinkage", changed(5, -0.1), r"new/difference_shrinkage: leaves \[0, 1\]"),

@@ -32,7 +32,7 @@ def test_names_cards_and_weights_lead_to_the_card(contact: Path) -> None:
 def test_what_is_no_model_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:
     for name in ("touchnet", "contact-v1"):
         with pytest.raises(
-            ModelError, match=f"{name}: is no model folder, .* and none of contact-v2, simulated, touchnet-v1"
+            ModelError, match=f"{name}: is not a model folder, .* and none of contact-v2, simulated, touchnet-v1"
         ):
             find_card(name)
     with pytest.raises(ModelError, match=r"absent.json: no such model card"):

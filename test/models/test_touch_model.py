@@ -123,7 +123,7 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
 
 
 def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() -> None:
-    """Objects like those of training and others; a hand of which nothing was read yet is no reading."""
+    """Objects like those of training and others; a hand of which nothing was read yet is not a reading."""
     sample, limits = SAMPLES[3], ObjectLimits(max_extent_m=10.0, max_range_m=100.0)
     house, reach = scaled(sample.cloud, 50.0), ReachConfig(max_distance_m=1.0)
 

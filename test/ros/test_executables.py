@@ -82,7 +82,7 @@ def test_namespace_and_topics_can_be_remapped(lone_graph, scene_cloud):
 def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
     for name, parameter, message in (
         ("segmentation", "--nonsense", "foretouch: ROS arguments: unknown: ['--nonsense']"),
-        ("segmentation", "target.mode:=prettiest", "foretouch: target.mode: 'prettiest' is none of nearest"),
+        ("segmentation", "target.mode:=prettiest", "foretouch: target.mode: 'prettiest' is not one of nearest"),
         ("segmentation", "target.moed:=all", "target.moed: unknown parameter; did you mean target.mode?"),
         ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
         ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),

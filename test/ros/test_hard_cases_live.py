@@ -62,7 +62,7 @@ def content(one):
 
 
 def grasp_of(grasp, *, oriented=True):
-    """A message with the grasp's matrix alone, since one that is no rotation has no quaternion; or without orientation."""
+    """A message with the grasp's matrix alone, since one that is not a rotation has no quaternion; or without orientation."""
     rotation = grasp.rotation.reshape(9) if oriented else np.zeros(9)
     message = GraspMsg(g1=point_to_msg(grasp.g1), g2=point_to_msg(grasp.g2), rotation=rotation)
     message.pose.orientation.w = 0.0

@@ -133,7 +133,7 @@ def test_a_wrong_argument_is_refused_before_anything_is_started(library, monkeyp
         ("scene: /nope.yaml does not exist", "scene", {"scene": "/nope.yaml"}),
         ("params_file: /nope.yaml does not exist", "camera", {"params_file": "/nope.yaml"}),
         ("rviz: the package rviz2 is not installed", "perception", {"rviz": "true"}),
-        ("nope: is no model folder, no card", "perception", {"model": "nope"}),
+        ("nope: is not a model folder, no card", "perception", {"model": "nope"}),
         ("/nope.json: no such model card", "perception", {"model": "/nope.json"}),
     ]
     every_case(cases, check)

@@ -15,7 +15,7 @@ def test_modalities_fill_the_vector_of_fifty_once() -> None:
     assert sorted(BIOTAC.columns(MODALITIES)) == list(range(50))
     assert [len(BIOTAC.columns([name])) for name in MODALITIES] == [1, 1, 24, 24]
     assert BIOTAC.columns(["E_MF", "PDC_MF"]).tolist() == [*range(26, 50), 1]
-    with pytest.raises(TactileError, match=r"'PAC_TH' is none of PDC_TH, PDC_MF"):
+    with pytest.raises(TactileError, match=r"'PAC_TH' is not one of PDC_TH, PDC_MF"):
         BIOTAC.columns(["PAC_TH"])
 
 

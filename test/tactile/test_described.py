@@ -106,7 +106,12 @@ def test_stamps_of_every_kind(tmp_path) -> None:
     assert stamp(2500, "us") == 2_500_000
     every_refusal(
         TactileError,
-        [("time: nan is no time", float("nan")), ("is no time", 1e300), ("is no time", -1), ("is no time", "noon")],
+        [
+            ("time: nan is not a time", float("nan")),
+            ("is not a time", 1e300),
+            ("is not a time", -1),
+            ("is not a time", "noon"),
+        ],
         stamp,
     )
 
@@ -118,14 +123,14 @@ def test_messages_that_lack_something_are_refused_by_name() -> None:
         ("xela_uskin_4x4: TH: taxels\\[\\].x: 8 numbers, not 16", xela_message(full[:, :8])),  # half the taxels
         ("xela_uskin_4x4: TH: taxels\\[\\].x: 0 numbers", xela_message(full[:, :0])),
         ("xela_uskin_4x4: FF: sensors\\[sensor_pos=2\\]: no element .*; known: 1, 3", xela_message(full, (1, 3))),
-        ("TH: sensors.*: SimpleNamespace: field 'sensors' is none of tactiles", Message(tactiles=[])),
+        ("TH: sensors.*: SimpleNamespace: field 'sensors' is not one of tactiles", Message(tactiles=[])),
         ("TH: taxels\\[\\].x: holds no numbers",
          Message(sensors=[Message(sensor_pos=1, taxels=[Message(x="a", y=0, z=0)])])),
-        ("TH: taxels\\[\\].y: .* field 'y' is none of x",
+        ("TH: taxels\\[\\].y: .* field 'y' is not one of x",
          Message(sensors=[Message(sensor_pos=1, taxels=[Message(x=0)] * 16)])),
     )  # fmt: skip
     every_refusal(TactileError, cases, reader.read)
-    with pytest.raises(ConfigError, match="fingers: 'MF' is none of TH, FF"):
+    with pytest.raises(ConfigError, match="fingers: 'MF' is not one of TH, FF"):
         SensorReader(load_sensor("xela_uskin_4x4"), ["MF"])
 
 
@@ -164,7 +169,7 @@ def test_a_reading_for_a_touch_is_ordered_by_channel_and_finger_with_temperature
     )
     with pytest.raises(ConfigError, match="'left' is the thumb already"):
         make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), thumb="left", middle="left"))
-    with pytest.raises(ConfigError, match="fingers: 'MF' is none of left, right"):
+    with pytest.raises(ConfigError, match="fingers: 'MF' is not one of left, right"):
         make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), middle="MF"))
 
 

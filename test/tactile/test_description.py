@@ -117,7 +117,7 @@ def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
         ("name: '4x4' is not a letter", {"name": "4x4"}),
         ("array, taxels: give exactly one", {"taxels": "taxels.csv"}),
         ("array, taxels: give exactly one", {"array": None}),
-        (r"taxels: '\.\./taxels.csv' is no name of a file beside", {"array": None, "taxels": "../taxels.csv"}),
+        (r"taxels: '\.\./taxels.csv' is not a valid file name beside", {"array": None, "taxels": "../taxels.csv"}),
         ("pixels: those of an array", {"pixels": [2, 3]}),
         ("pixels: .* are not 2 numbers", {"array": None, "taxels": "taxels.csv", "pixels": [2]}),
         ("fingers: there is none", {"fingers": None}),
@@ -129,8 +129,8 @@ def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
         ("values, scalars: p occurs twice", {"scalars": [value]}),
         (r"values\[0\].name: 'p q' is not a letter", {"values": [{**value, "name": "p q"}]}),
         (r"values\[0\].field: is empty", {"values": [{**value, "field": ""}]}),
-        (r"values\[0\].field: 'a\[' is no field path", {"values": [{**value, "field": "a["}]}),
-        (r"values\[0\].unit: 'newton' is none of counts", {"values": [{**value, "unit": "newton"}]}),
+        (r"values\[0\].field: 'a\[' is not a field path", {"values": [{**value, "field": "a["}]}),
+        (r"values\[0\].unit: 'newton' is not one of counts", {"values": [{**value, "unit": "newton"}]}),
         (r"values\[0\].range: .* is not \[low, high\] within \[0.0, 255.0\]",
          {"values": [{**value, "dtype": "uint8", "range": [0, 256]}]}),
         (r"values\[0\].range: .* is not \[low, high\]", {"values": [{**value, "range": [5, 5]}]}),
@@ -141,17 +141,17 @@ def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
         ("dead: left has no taxel 6", {"fingers": [{**finger, "dead": [6]}]}),
         ("grasp: .* are not 2 numbers", {"grasp": ["left"]}),
         ("grasp: left occurs twice", {"grasp": ["left", "left"]}),
-        ("fingers: 'lefd' is none of left, right; did you mean left", {"grasp": ["lefd", "right"]}),
+        ("fingers: 'lefd' is not one of left, right; did you mean left", {"grasp": ["lefd", "right"]}),
         ("array.size: .* are not 2 numbers", {"array": {**array, "size": [0.01]}}),
         ("array.size, spacing: 0 m from a taxel", {"array": {"rows": 2, "cols": 1}}),
         ("array.rows, cols: 300 x 300 taxels exceed", {"array": {**array, "rows": 300, "cols": 300}}),
         (r"pad: taxel 1 at \(0, 0.002, 0\) m is outside; 4 taxels", {"pad": [0, 0, 0, 0.004, 0.001, 0.001]}),
         (r"pad: taxel 3 at \(0.5, 0, 0\) m is outside", {"array": {**array, "size": [0.5, 0.002]}}),
         (r"array.size\[0\]: 4.0 is above 1.0 m", {"array": {**array, "size": [4, 2]}}),  # in millimetres
-        ("source.type: '' is no type of messages", {"source": None}),
-        ("source.type: 'SensStream' is no type", {"source": {"type": "SensStream"}}),
-        ("source.stamp: 'header.' is no field path", {"source": {"type": "a/B", "stamp": "header."}}),
-        ("source.invalid: 'T' is none of", {"source": {"type": "a/B", "invalid": ["T"]}}),
+        ("source.type: '' is not a type of messages", {"source": None}),
+        ("source.type: 'SensStream' is not a type", {"source": {"type": "SensStream"}}),
+        ("source.stamp: 'header.' is not a field path", {"source": {"type": "a/B", "stamp": "header."}}),
+        ("source.invalid: 'T' is not one of", {"source": {"type": "a/B", "invalid": ["T"]}}),
     ]  # fmt: skip
 
     def refuse(changes: dict[str, Any]) -> None:
@@ -207,7 +207,7 @@ def test_more_fingers_or_channels_than_any_hand_has_are_refused_unread() -> None
 def test_what_is_no_description_is_refused(tmp_path) -> None:
     (tmp_path / "taxels.yaml").mkdir()
     cases = (
-        ("biotac: is no file and none of biotac_sp, .*did you mean biotac_sp", "biotac"),
+        ("biotac: is neither a file nor one of biotac_sp, .*did you mean biotac_sp", "biotac"),
         ("absent.yaml: No such file", tmp_path / "absent.yaml"),
         ("taxels.yaml: .*folder", tmp_path / "taxels.yaml"),
     )

@@ -59,20 +59,20 @@ def test_what_is_no_path_is_refused() -> None:
         "a.__class__",
     )
     every_refusal(
-        ConfigError, [("rule: .* is no field path", text) for text in texts], lambda text: FieldPath(text, "rule")
+        ConfigError, [("rule: .* is not a field path", text) for text in texts], lambda text: FieldPath(text, "rule")
     )
 
 
 def test_what_a_message_lacks_is_named() -> None:
     cases = (
-        (r"header.stmp: SimpleNamespace: field 'stmp' is none of stamp; did you mean stamp\?", "header.stmp"),
+        (r"header.stmp: SimpleNamespace: field 'stmp' is not one of stamp; did you mean stamp\?", "header.stmp"),
         (r"there is no element 2 among 2", "fingers[2]"),
         (r"no element has name=FF; known: TH, MF", "fingers[name=FF].taxels"),
         (r"no element has name=FF; known: none", "fingers[1].taxels[name=FF]"),
-        (r"SimpleNamespace: field 'nme' is none of name, taxels", "fingers[nme=TH]"),
-        ("SimpleNamespace is no list", "header[0]"),
-        ("str is no list", "fingers[0].name[]"),
-        ("field 'z' is none of x, y", "fingers[0].taxels[].z"),
+        (r"SimpleNamespace: field 'nme' is not one of name, taxels", "fingers[nme=TH]"),
+        ("SimpleNamespace is not a list", "header[0]"),
+        ("str is not a list", "fingers[0].name[]"),
+        ("field 'z' is not one of x, y", "fingers[0].taxels[].z"),
     )
     every_refusal(TactileError, cases, lambda path: FieldPath(path).get(MESSAGE))
 
@@ -81,5 +81,5 @@ def test_messages_of_rclpy() -> None:
     stamped = pytest.importorskip("geometry_msgs.msg", reason="ROS 2 is not installed").PointStamped()
     stamped.point.y = 2.5
     assert FieldPath("point.y").get(stamped) == 2.5
-    with pytest.raises(TactileError, match="Point: field 'w' is none of x, y, z"):
+    with pytest.raises(TactileError, match="Point: field 'w' is not one of x, y, z"):
         FieldPath("point.w").get(stamped)

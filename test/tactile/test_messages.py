@@ -103,10 +103,10 @@ def test_channels_of_a_tactile_state_by_name_and_place() -> None:
 
 def test_names_of_no_finger_and_types_that_are_not_supported_are_refused() -> None:
     cases = (
-        ("thumb: 'thumb' is none of FF, MF, RF, LF, TH", {"thumb": "thumb"}),
-        ("middle: '3' is none of 0, 1, 2", {"type": "std_msgs/String", "middle": "3"}),
+        ("thumb: 'thumb' is not one of FF, MF, RF, LF, TH", {"thumb": "thumb"}),
+        ("middle: '3' is not one of 0, 1, 2", {"type": "std_msgs/String", "middle": "3"}),
         ("middle: 'MF' is the thumb already", {"thumb": "MF"}),
-        (r"type: 'x' is none of foretouch_msgs/BiotacAll, sr_robot", {"type": "x"}),
+        (r"type: 'x' is not one of foretouch_msgs/BiotacAll, sr_robot", {"type": "x"}),
     )
     every_refusal(ConfigError, cases, lambda settings: make_reader(TactileConfig(**settings)))
     assert all(make_reader(TactileConfig(type=name)) for name in TACTILE_TYPES)

@@ -170,7 +170,7 @@ def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     optional = [name.lower() for name in temperatures]
     if not isinstance(entry, dict) or entry.keys() - {*optional} != sizes.keys():
         allowed = f"{', '.join(sizes)}{', optionally ' * measured}{', '.join(optional)}"
-        raise FileError(path, f"is no reading of {channels.sensor}: it must hold {allowed} and nothing else")
+        raise FileError(path, f"is not a reading of {channels.sensor}: it must hold {allowed} and nothing else")
     fields = {name: float if size == 1 else [float] for name, size in sizes.items()}
     require_schema(path, entry, {**fields, **{f"{name}?": float for name in optional}})
     for name, size in sizes.items():

@@ -96,7 +96,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
     """The answers in a file, one JSON object a line; other objects, such as the counts of `run`, are left out.
 
     Raises:
-        FileError: As `read_bytes`; also if there is none, or a line is no JSON object.
+        FileError: As `read_bytes`; also if there is none, or a line is not a JSON object.
     """
     records = []
     for number, line in enumerate(read_bytes(path, TEXT_LIMIT).splitlines(), 1):
@@ -105,7 +105,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
         try:
             record = parse_json(line)
         except ValueError as err:
-            raise FileError(path, f"is no JSON: {err}", field=f"line {number}") from err
+            raise FileError(path, f"is not JSON: {err}", field=f"line {number}") from err
         types = {"stamp_ns?": (int, type(None)), "predictions?": list, "status?": str}
         require_schema(path, record, types, f"line {number}")
         if "predictions" in record or "status" in record:

@@ -133,7 +133,7 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
     try:
         figures = _report(experiment, rows, arguments.out)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as err:
-        rule = f"is no table of {experiment.name}: {type(err).__name__}: {err}"
+        rule = f"is not a table of {experiment.name}: {type(err).__name__}: {err}"
         raise FileError(arguments.out / experiment.results, rule) from err
     if arguments.json:
         print_json({"status": "done", "figures": figures})

@@ -130,7 +130,7 @@ def executed_table(prediction: TouchPrediction | None, readings: TouchCut, senso
 
 
 def _rounded(number: str) -> str:
-    """With three digits, or as it is where it is no number."""
+    """With three digits, or as it is where it is not a number."""
     try:
         value = float(number)
     except ValueError:

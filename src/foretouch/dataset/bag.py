@@ -61,7 +61,7 @@ class Recording:
         path: A rosbag2 directory, a directory of `.mcap` or `.db3` files, such a file, or a ROS 1 `.bag`.
 
     Raises:
-        FileError: If the path is no recording, or is truncated or damaged.
+        FileError: If the path is not a recording, or is truncated or damaged.
     """
 
     def __init__(self, path: str | Path) -> None:

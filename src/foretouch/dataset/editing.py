@@ -20,7 +20,7 @@ def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
     """Assign samples to another object, which also changes their ids; gives the number of the edit.
 
     Raises:
-        DatasetError: If the label is no plain name, a sample does not exist, or two would have the same id.
+        DatasetError: If the label is not a plain name, a sample does not exist, or two would have the same id.
         FileError: If the dataset is damaged, or a recorder is writing it.
     """
     check_name(label, "object")
@@ -59,7 +59,7 @@ def undo(path: str | Path) -> int:
 def _locked(path: Path) -> Iterator[dict[str, str]]:
     """The recorded ids by the current ones of a dataset that nobody else writes meanwhile."""
     if not is_dataset(path):
-        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
+        raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     with lock(path):
         dataset = RecordedDataset(path)
         yield {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}

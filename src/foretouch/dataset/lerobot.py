@@ -62,7 +62,7 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
 
 
 def _no_episode(record: SampleRecord) -> str:
-    """Why a sample is no episode, or "" if it is one."""
+    """Why a sample is not an episode, or "" if it is one."""
     if DISCARDED in record.flags or record.sample.touch is None:
         return "discarded" if DISCARDED in record.flags else "unlabelled"
     return "" if np.isfinite(record.sample.cloud.xyz).all(axis=-1).any() else "no points"

@@ -109,7 +109,7 @@ def _read(path: Path) -> tuple[SampleRecord, Identity, Sensor]:
     except FileError:
         raise
     except (ForetouchError, ValueError, TypeError, IndexError, OverflowError) as err:
-        raise FileError(path, f"is no sample: {' '.join(str(err).split())}") from err
+        raise FileError(path, f"is not a sample: {' '.join(str(err).split())}") from err
 
 
 def _record(path: Path, arrays: Mapping[str, AnyArray], sensor: Sensor) -> SampleRecord:
@@ -125,7 +125,7 @@ def _record(path: Path, arrays: Mapping[str, AnyArray], sensor: Sensor) -> Sampl
     check_id(text("id"), text("object"))
     outcome = next((one for one in OUTCOMES if one == (text("outcome") or "unknown")), None)
     if outcome is None:
-        raise DatasetError(f"outcome: {text('outcome')[:80]!r} is none of {', '.join(OUTCOMES)}")
+        raise DatasetError(f"outcome: {text('outcome')[:80]!r} is not one of {', '.join(OUTCOMES)}")
     sample = GraspSample(
         id=text("id"),
         object=text("object"),

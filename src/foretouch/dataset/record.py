@@ -91,7 +91,7 @@ def check_name(name: str, what: str) -> str:
     """
     if not name or len(name) > 100 or name.strip(".") == "" or re.search(r"[\x00-\x1f\x7f/\\:]", name):
         raise DatasetError(
-            f"{what}: {name[:100]!r} is no plain name (1 to 100 characters, no slash, colon or dots alone)"
+            f"{what}: {name[:100]!r} is not a plain name (1 to 100 characters, no slash, colon or dots alone)"
         )
     return name
 

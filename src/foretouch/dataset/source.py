@@ -121,11 +121,11 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
             count = next(t.count for t in recording.topics if t.name == topic)
         return Source(path, "recording", topic, frame_id, (), count)
     if topic is not None:
-        raise FileError(path, f"is no recording, so it has no topic {topic}")
+        raise FileError(path, f"is not a recording, so it has no topic {topic}")
     if not path.is_dir():
         if path.suffix.lower() not in CLOUD_SUFFIXES:
             known = ", ".join(CLOUD_SUFFIXES + RECORDING_SUFFIXES)
-            raise FileError(path, f"suffix {path.suffix or 'absent'} is none of {known}")
+            raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {known}")
         return Source(path, "clouds", None, frame_id, (path,), 1)
     entries = tuple(sorted((p for p in path.iterdir() if p.suffix.lower() in CLOUD_SUFFIXES), key=_natural))
     if not entries:

@@ -330,7 +330,7 @@ def _numbers(text: str) -> dict[str, float]:
     if not isinstance(numbers, dict) or not all(
         type(value) in (int, float) and abs(value) < 1e300 for value in numbers.values()
     ):
-        raise ValueError(f"extra: {shown(text)} is no list of named numbers that are finite")
+        raise ValueError(f"extra: {shown(text)} is not a list of named numbers that are finite")
     return numbers
 
 

@@ -185,7 +185,7 @@ def build_store(
     files to add to the store, such as splits, by name, from the samples; `read` reads those of a source, given its number.
 
     Raises:
-        FileError: If `out` exists, or a source is no dataset or damaged.
+        FileError: If `out` exists, or a source is not a dataset or damaged.
         DatasetError: If two sources hold the same sample, two of one source the same id, or a number is not finite.
     """
     result = BuildResult()

@@ -130,7 +130,7 @@ class PerceptionData:
 def _prepare(_settings: PerceptionSettings, source: Path | None, _out: Path) -> Path:
     """The folder of recordings if there is one; scenes are generated."""
     if source is not None and not source.is_dir():
-        raise ConfigError(f"--data: {source}: is no folder of recordings")
+        raise ConfigError(f"--data: {source}: is not a folder of recordings")
     return source or Path() / "no recordings"
 
 

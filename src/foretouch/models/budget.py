@@ -170,7 +170,7 @@ def _read(path: Path, own: Mapping[str, Any]) -> Profile:
         raise FileError(path, "there is no profile yet")
     document = read_json(path)
     if not isinstance(document, dict) or {name: document.get(name) for name in _FORMAT} != _FORMAT:
-        raise FileError(path, "is no {format} of version {format_version}".format(**_FORMAT))
+        raise FileError(path, "is not a {format} of version {format_version}".format(**_FORMAT))
     try:
         found = document["fingerprint"]
         if differing := next((name for name in own if found.get(name) != own[name]), None):

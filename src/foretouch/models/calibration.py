@@ -62,7 +62,7 @@ class CalibrationGroup(TensorRecord):
         try:  # in a tenth of the time of the eigenvalues, which is minutes of thousands of values
             np.linalg.cholesky(self.between + max(tolerance, 1e-300) * np.eye(len(self.between)))
         except np.linalg.LinAlgError as err:
-            raise ModelError("between: is no covariance: it has a negative eigenvalue") from err
+            raise ModelError("between: is not a covariance: it has a negative eigenvalue") from err
         if self.difference_shrinkage.min() < 0.0 or self.difference_shrinkage.max() > 1.0:
             raise ModelError("difference_shrinkage: leaves [0, 1]")
 

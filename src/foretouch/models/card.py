@@ -55,15 +55,15 @@ def read_card(path: str | Path) -> dict[str, Any]:
         card = read_json(path)
     except FileError as err:
         missing = isinstance(err.__cause__, FileNotFoundError)
-        rule = "no such model card" if missing else err.rule.replace("is no JSON", "not JSON")
+        rule = "no such model card" if missing else err.rule.replace("is not JSON", "not JSON")
         raise ModelError(f"{shown(path)}: {rule}") from err
     if not isinstance(card, dict) or card.get("format") != CARD_FORMAT:
-        raise ModelError(f"{path}: format: is no {CARD_FORMAT} card")
+        raise ModelError(f"{path}: format: is not a {CARD_FORMAT} card")
     if card.get("format_version") != CARD_VERSION:
         raise ModelError(f"{path}: format_version: {quoted(card.get('format_version'))} is not {CARD_VERSION}")
     kind = card.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ModelError(f"{path}: kind: {quoted(kind)} is none of {', '.join(KINDS)}")
+        raise ModelError(f"{path}: kind: {quoted(kind)} is not one of {', '.join(KINDS)}")
     try:
         require_schema(path, card, {**_COMMON, **KINDS[kind]})
     except FileError as err:

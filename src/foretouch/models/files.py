@@ -21,11 +21,11 @@ def file_beside(card_path: Path, name: Any, field: str) -> Path:
     """The file beside a card that a field of the card names; folders in the name are ignored.
 
     Raises:
-        ModelError: If the field is no name of a file.
+        ModelError: If the field is not a valid file name.
     """
     base = Path(name).name if isinstance(name, str) else ""
     if not base or "\0" in base:
-        raise ModelError(f"{shown(card_path)}: {field}: {shown(name)} is no name of a file")
+        raise ModelError(f"{shown(card_path)}: {field}: {shown(name)} is not a valid file name")
     return card_path.with_name(base)
 
 

@@ -46,7 +46,7 @@ def find_card(name_or_path: str | Path) -> Path:
         name_or_path: As in `load_model`.
 
     Raises:
-        ModelError: If it is none of a name, the path of a card or of weights, and a folder with one model.
+        ModelError: If it is not one of a name, the path of a card or of weights, and a folder with one model.
     """
     name = DEFAULT_MODEL if str(name_or_path) == "default" else str(name_or_path)
     if name in available_models():
@@ -59,7 +59,7 @@ def find_card(name_or_path: str | Path) -> Path:
     if path.suffix != ".json":
         known = available_models()
         raise ModelError(
-            f"{shown(name)}: is no model folder, no card (.json), no weights (.safetensors) and none of "
+            f"{shown(name)}: is not a model folder, no card (.json), no weights (.safetensors) and none of "
             f"{', '.join(known)}{nearest(name, known)}"
         )
     return path
@@ -76,7 +76,7 @@ def _card_in(folder: Path) -> Path:
         raise ModelError(
             f"{folder}: is an unfinished run without a model card; `foretouch train --resume` completes it"
         )
-    raise ModelError(f"{folder}: holds no model card (<name>.json), so it is no model folder of `foretouch train`")
+    raise ModelError(f"{folder}: holds no model card (<name>.json), so it is not a model folder of `foretouch train`")
 
 
 def _is_folder(path: Path) -> bool:

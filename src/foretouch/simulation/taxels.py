@@ -206,7 +206,7 @@ def require_channels(sensor: Sensor) -> None:
     """Refuse a sensor that cannot be simulated.
 
     Raises:
-        ConfigError: If a channel is no force along an axis, or has neither a known unit nor a range; or if half of the taxels
+        ConfigError: If a channel is not a force along an axis, or has neither a known unit nor a range; or if half of the taxels
             of a finger are dead, which then counts as not read.
     """
     if (2 * sensor.valid.sum(axis=1) <= sensor.size).any():
@@ -229,7 +229,7 @@ def _axis(channel: ChannelConfig, sensor: Sensor) -> int:
         axis = 2
     if axis is None:
         raise ConfigError(
-            f"{sensor.config.name}: {channel.name}: is no force that can be simulated; its name must end with X, Y or Z"
+            f"{sensor.config.name}: {channel.name}: is not a force that can be simulated; its name must end with X, Y or Z"
         )
     return axis
 
@@ -265,7 +265,7 @@ def _shape(sensor: Sensor, size: Float64) -> tuple[ContactFrame, Float64, Float6
     positions, normals = sensor.layout.positions, sensor.layout.normals
     mean = normals.mean(axis=0)
     if np.linalg.norm(mean) < _STEEPEST:
-        raise ConfigError(f"{sensor.config.name}: its taxels look to all sides, which is no pad")
+        raise ConfigError(f"{sensor.config.name}: its taxels look to all sides, which is not a pad")
     normal = mean / np.linalg.norm(mean)
     x = _tangents(normal[None], np.array([1.0, 0.0, 0.0]))[0]
     rotation = np.column_stack([x, np.cross(normal, x), normal])

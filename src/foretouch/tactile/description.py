@@ -152,11 +152,11 @@ class SensorConfig(Settings):
         if self.array is not None and self.pixels:
             raise ConfigError("pixels: those of an array are its rows and columns")
         if Path(self.taxels).name != self.taxels:
-            raise ConfigError(f"taxels: {self.taxels!r} is no name of a file beside the description")
+            raise ConfigError(f"taxels: {self.taxels!r} is not a valid file name beside the description")
         require_length(self, 6, "pad")
         require_length(self, 2, *(name for name in ("pixels", "grasp") if getattr(self, name)))
         if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
-            raise ConfigError(f"source.type: {self.source.type!r} is no type of messages, as package/Name")
+            raise ConfigError(f"source.type: {self.source.type!r} is not a type of messages, as package/Name")
         scalars = [channel.name for channel in self.scalars]
         _check_list("fingers", [finger.name for finger in self.fingers])
         _check_list("values", [channel.name for channel in self.values])
@@ -286,7 +286,7 @@ def load_sensor(sensor: str | Path) -> Sensor:
     path, known = Path(sensor), sensor_files()
     if not path.is_file() and not path.suffix and len(path.parts) == 1:
         if str(sensor) not in known:
-            raise ConfigError(f"{shown(path)}: is no file and none of {', '.join(known)}{nearest(sensor, known)}")
+            raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(sensor, known)}")
         path = known[str(sensor)]
     config = SensorConfig.from_mapping(load_yaml(path), str(path))
     layout = config.array.layout() if config.array else read_layout(path.parent / config.taxels, config.pixels)
@@ -312,7 +312,7 @@ def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
 def sensor_of(mapping: Any, where: str) -> Sensor:
     """The inverse of `Sensor.to_mapping`; a `ConfigError` names `where` it was read, field and rule."""
     if not isinstance(mapping, dict):
-        raise ConfigError(f"{where}: is no description of a sensor")
+        raise ConfigError(f"{where}: is not a description of a sensor")
     stated, layout = dict(mapping), None
     if isinstance(stated.get("taxels"), list):
         layout = _layout_of(stated["taxels"], f"{where}: taxels")
@@ -363,7 +363,7 @@ packaged_sensor = cache(load_sensor)
 
 
 def _check_names_and_paths(settings: Any) -> None:
-    """Refuse a `name` that is no identifier, and a `field` that is no field path or is empty where it is required."""
+    """Refuse a `name` that is not an identifier, and a `field` that is not a field path or is empty where it is required."""
     name = getattr(settings, "name", "a")
     if not re.fullmatch(r"[A-Za-z]\w{0,63}", name, re.ASCII):
         raise ConfigError(f"name: {name!r} is not a letter, followed by letters, digits and '_'")

@@ -35,7 +35,7 @@ class FieldPath:
         rest = f".{text}" if text and text[0] != "[" else text
         found = list(_STEP.finditer(rest))
         if "".join(one[0] for one in found) != rest:
-            raise ConfigError(f"{setting}: {quoted(text)} is no field path such as header.stamp or taxels[].x")
+            raise ConfigError(f"{setting}: {quoted(text)} is not a field path such as header.stamp or taxels[].x")
         self.steps = [_step(one) for one in found]  # of a field, an element, a part, and a name with its value
 
     def get(self, message: Any) -> Any:
@@ -69,7 +69,7 @@ class FieldPath:
 
     def _listed(self, value: Any) -> Any:
         if isinstance(value, str) or not hasattr(value, "__getitem__"):
-            raise self._error(f"{type(value).__name__} is no list")
+            raise self._error(f"{type(value).__name__} is not a list")
         return value
 
     def _error(self, rule: str) -> TactileError:

@@ -49,6 +49,6 @@ def test_clouds_without_pixels_and_pixels_far_apart_make_no_grid_and_no_list_of_
     cases = [
         ("pixels: an index occurs twice", [3, 4, 3]),
         (r"pixels: 0 \.\.\. 6 is outside of an image of 2x3", [0, 6]),
-        ("is no list of indices", [0.5]),
+        ("is not a list of indices", [0.5]),
     ]
     every_refusal(CloudError, cases, lambda pixels: PixelGrid.from_pixels(np.array(pixels), (2, 3)))

@@ -46,7 +46,7 @@ def test_what_has_no_sample_or_frame_is_refused(rng: np.random.Generator) -> Non
     cases = [
         ("N > 0", np.zeros((0, 3)), 5, "random"),
         ("n: 0", np.zeros((9, 3)), 0, "random"),
-        ("'best' is none of random, voxel, farthest", np.zeros((9, 3)), 5, "best"),
+        ("'best' is not one of random, voxel, farthest", np.zeros((9, 3)), 5, "best"),
         ("not finite", np.full((9, 3), np.inf), 5, "voxel"),
     ]
     every_refusal(CloudError, cases, lambda xyz, n, method: sample_indices(xyz, n, method=method, rng=rng))

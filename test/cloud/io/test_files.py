@@ -116,11 +116,11 @@ def test_a_broken_pcd_is_named(tmp_path: Path) -> None:
         ("FIELDS x y z", "FIELDS x y w", "FIELDS: z is missing; there are: x y w"),
         ("FIELDS x y z", "FIELDS x y x", "FIELDS: x y x: a name occurs twice"),
         ("SIZE 4 4 4", "SIZE 4 4", "SIZE: 2 entries for 3 FIELDS"),
-        ("SIZE 4 4 4", "SIZE 4 4 3", "z: TYPE F of SIZE 3 is no number"),
+        ("SIZE 4 4 4", "SIZE 4 4 3", "z: TYPE F of SIZE 3 is not a number"),
         ("TYPE F F F", "TYPE F F U", "z: is not one floating number"),
         ("COUNT 1 1 1", "COUNT 1 1 0", "z: COUNT 0 is not 1 to 65536"),
         ("COUNT 1 1 1", "COUNT 1 1 2", "z: is not one floating number"),
-        ("DATA binary", "DATA zip", "DATA: zip is none of"),
+        ("DATA binary", "DATA zip", "DATA: zip is not one of"),
         ("DATA binary\n", "", "header: no line DATA"),
         ("DATA binary\n", "DATA ascii\n1 2 3\n4 5", "DATA: (.* numbers are not 2 points of 3 = 6|not a number)"),
         ("DATA binary\n", "DATA binary_compressed\n" + 4 * "a", "DATA: .* bytes are fewer than the"),
@@ -153,10 +153,13 @@ def test_a_broken_ply_is_named(tmp_path: Path) -> None:
         ("not ply", "header: does not start with ply"),
         ("ply\nformat ascii 1.0\nend_heade", "header: no line end_header: truncated"),
         ("ply\nformat ascii 1.0\nend_header\n", "header: element vertex is missing"),
-        (f"ply\nformat text 1.0\n{vertices}end_header\n", "format: text is none of ascii"),
+        (f"ply\nformat text 1.0\n{vertices}end_header\n", "format: text is not one of ascii"),
         (f"ply\nformat ascii 1.0\n{vertices}end_header\n1 2\n", "property: z is missing; there are: x y"),
         (f"ply\nformat ascii 1.0\n{vertices}{z}{z}end_header\n1 2\n", "property: x y z z: a name occurs twice"),
-        (f"ply\nformat ascii 1.0\n{vertices}property list uchar int a\nend_header\n", "list uchar int a: is no plain"),
+        (
+            f"ply\nformat ascii 1.0\n{vertices}property list uchar int a\nend_header\n",
+            "list uchar int a: is not a plain",
+        ),
         ("ply\nformat ascii 1.0\nelement face 1\nend_header\n", "element: face comes before the vertices"),
         (
             f"ply\nformat ascii 1.0\nobj_info num_cols 2\n{vertices}{z}end_header\n1 2 3\n",
@@ -203,9 +206,9 @@ def test_numpy_files_of_other_content_unknown_endings_and_missing_files_are_refu
     every_refusal(FileError, cases.items(), read)
     np.save(tmp_path / "a.npy", objects, allow_pickle=True)
     _assert_refused(tmp_path / "a.npy", (tmp_path / "a.npy").read_bytes(), r"a\.npy: is damaged or contains objects")
-    with pytest.raises(FileError, match=r"a\.xyz: the extension is none of \.pcd, \.ply, \.npz, \.npy"):
+    with pytest.raises(FileError, match=r"a\.xyz: the extension is not one of \.pcd, \.ply, \.npz, \.npy"):
         read_cloud(tmp_path / "a.xyz")
-    with pytest.raises(FileError, match="the extension is none of"):
+    with pytest.raises(FileError, match="the extension is not one of"):
         write_cloud(tmp_path / "a", Cloud(np.zeros((1, 3), np.float32)))
     for suffix in CLOUD_SUFFIXES:
         with pytest.raises(FileError, match="No such file"):

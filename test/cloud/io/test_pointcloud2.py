@@ -144,7 +144,7 @@ def test_layouts_that_do_not_add_up_are_named() -> None:
         ("rgb: ends at byte 16, beyond", {"fields": colour(7), "point_step": 15, "row_step": 30}),
         ("z: ends at byte 16, beyond point_step 12", {"fields": (*XYZ[:2], PointField("z", 8, 8))}),
         ("z: offset 6 lies within y, which ends at 8", {"fields": (*XYZ[:2], PointField("z", 6, 7))}),
-        ("a: datatype 9 is none of 1 to 8", {"fields": (*XYZ, PointField("a", 0, 9))}),
+        ("a: datatype 9 is not one of 1 to 8", {"fields": (*XYZ, PointField("a", 0, 9))}),
         ("a: offset -1", {"fields": (*XYZ, PointField("a", -1, 2))}),
         ("fields: x occurs twice", {"fields": (*XYZ, PointField("x", 8, 7))}),
         ("row_step: 23 is less than width 2 x point_step 12", {"row_step": 23}),

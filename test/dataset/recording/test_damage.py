@@ -252,8 +252,8 @@ def test_continuing_after_damage_overwrites_nothing_and_gives_no_id_twice(file: 
 def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     other = tmp_path / "photo.mcap"
     other.write_bytes(bytes(range(256)) * 40)
-    assert verify(other).fault_lines()[0] == f"{other}: byte 0: is no MCAP file: it does not begin as one"
-    with pytest.raises(FileError, match="is no MCAP file, and holds no part of one"):
+    assert verify(other).fault_lines()[0] == f"{other}: byte 0: is not an MCAP file: it does not begin as one"
+    with pytest.raises(FileError, match="is not an MCAP file, and holds no part of one"):
         repair_dataset(other)
     assert other.read_bytes() == bytes(range(256)) * 40
     with pytest.raises(FileError, match="does not exist"):

@@ -109,5 +109,5 @@ def test_definitions_are_those_of_the_message_package_with_all_types_in_them() -
     assert all(f"MSG: {name}" in text for name in types)
     with pytest.raises(DatasetError, match="nowhere_msgs/msg/Thing: no definition is known, and nowhere_msgs is not"):
         Definitions().text("nowhere_msgs/msg/Thing")
-    with pytest.raises(DatasetError, match="is no message type"):
+    with pytest.raises(DatasetError, match="is not a message type"):
         Definitions().text("../../etc/passwd")

@@ -92,7 +92,7 @@ def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_p
     for text, message in (
         (good.replace("shadow", "shadoW"), "sha256: damaged: the text does not match its checksum"),
         (sealed({**forged, "hand": 5}, "sha256"), "hand: 5 is not a mapping"),
-        (good[:-5], "is no JSON"),
+        (good[:-5], "is not JSON"),
     ):
         manifest.write_text(text)
         with pytest.raises(FileError, match=message):
@@ -107,7 +107,7 @@ def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_p
 
 def test_a_folder_with_other_things_and_one_that_another_recorder_writes_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "photo.png").write_bytes(b"x")
-    with pytest.raises(FileError, match="exists and is no recorded dataset"):
+    with pytest.raises(FileError, match="exists and is not a recorded dataset"):
         RecordingWriter(tmp_path, IDENTITY)
     assert [p.name for p in tmp_path.iterdir()] == ["photo.png"]
     with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK):
@@ -182,7 +182,7 @@ def test_topics_must_be_declared_and_messages_wait_no_longer_than_they_should(tm
         writer.add_topic("/a", "std_msgs/msg/String")
         with pytest.raises(DatasetError, match="/a: holds std_msgs/msg/String, not"):
             writer.add_topic("/a", TACTILE_TYPE)
-        with pytest.raises(DatasetError, match="log_time_ns: -1 is no time since 1970"):
+        with pytest.raises(DatasetError, match="log_time_ns: -1 is not a time since 1970"):
             writer.write("/a", MESSAGE, -1)
         writer.add_topic(TACTILE, TACTILE_TYPE)
         writer.receive(TACTILE, 5)

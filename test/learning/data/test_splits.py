@@ -87,7 +87,7 @@ def test_an_id_on_two_sides_and_other_files_are_refused(tmp_path: Path) -> None:
         read_splits(tmp_path)
 
     cases = [
-        ("is no JSON", "{"),
+        ("is not JSON", "{"),
         (r"\[\] is not a mapping", "[]"),
         ("schema_version: 2 is not 1", '{"schema_version": 2}'),
         ("splits.a: 3 is not a list", '{"schema_version": 1, "splits": {"a": 3}}'),

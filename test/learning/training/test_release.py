@@ -106,12 +106,12 @@ def test_known_failures_are_one_line_and_no_folder_is_wrong_usage(folder: Path, 
         (["train.epoch=2"], "train.epoch: unknown setting"),
         (["model.outputs=[PDC_TH]", "release=true"], "release: model.outputs: ['PDC_TH'] are not all"),
         (["split=random/random 0", "release=true"], "release: trains on all samples"),
-        (["method=trees"], "method: 'trees' is none of supervised, srgan, contact"),
+        (["method=trees"], "method: 'trees' is not one of supervised, srgan, contact"),
     ):
         assert train(config, folder, *words, "-o", tmp_path / "out") == 1
         assert message in capsys.readouterr().err
     assert train(config, folder, "--compare", "blocks") == 1
-    assert "split: 'blocks' is none of random, time, object" in capsys.readouterr().err
+    assert "split: 'blocks' is not one of random, time, object" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     with pytest.raises(SystemExit) as stopped:
         train(config, folder)

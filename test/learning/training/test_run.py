@@ -102,8 +102,8 @@ def test_splits_that_do_not_fit_are_named(data, tmp_path) -> None:
     cases = (
         ("no sample is unlabelled; choose a split that withholds labels", {"method": "srgan"}),
         ("'time' has 5 parts; choose one: time/block 0", {"split": "time"}),
-        ("'labels/T20' is none of labels/T10, labels/T30", {"split": "labels/T20"}),
-        ("'day' is none of random, object, time, labels", {"split": "day"}),
+        ("'labels/T20' is not one of labels/T10, labels/T30", {"split": "labels/T20"}),
+        ("'day' is not one of random, object, time, labels", {"split": "day"}),
         ("patience: needs validation", {"patience": 3}),
         ("no epochs to choose from", {"method": "contact", "validation": 0.2}),
     )
@@ -128,7 +128,7 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
         with pytest.raises(FileError, match=r"state.safetensors: sha256: .* is not .*: the file was changed"):
             read_state(file)
     file.write_bytes(content[:-40])
-    with pytest.raises(FileError, match="is no state of training"):
+    with pytest.raises(FileError, match="is not a state of training"):
         read_state(file)
     file.unlink()
     os.mkfifo(file)
@@ -136,7 +136,7 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
         read_state(file)
     file.unlink()
     save_file({"a": torch.ones(1)}, file, {"foretouch-training": "[" * 100_000 + "]" * 100_000})
-    with pytest.raises(FileError, match="is no state of training: more than 64 nested levels"):
+    with pytest.raises(FileError, match="is not a state of training: more than 64 nested levels"):
         read_state(file)
 
 

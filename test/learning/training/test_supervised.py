@@ -122,7 +122,7 @@ def test_cross_validation_scores_network_and_baselines_on_the_same_folds(samples
     assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)
     assert scores["model"]["E_TH"].skill > 0.2
     assert_allclose(predicted[folds[2].test], learner.predict_fold(folds[2]))
-    with pytest.raises(DatasetError, match="'blocks' is none of random, time, object"):
+    with pytest.raises(DatasetError, match="'blocks' is not one of random, time, object"):
         make_folds(samples, "blocks", 0)
 
 

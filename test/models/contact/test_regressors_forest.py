@@ -77,7 +77,7 @@ def test_damage_is_refused_by_name() -> None:
         (astray, put("children", (node, 1), len(whole["feature"]))),
         (astray, put("children", leaf, leaf + 1)),
         *(("leaf: names no value", put("leaf", k, value)) for k, value in ((0, -1), (-1, 60_000))),
-        *(("roots, value: a root is no node", put("roots", k, value)) for k, value in ((0, -1), (-1, 10**6))),
+        *(("roots, value: a root is not a node", put("roots", k, value)) for k, value in ((0, -1), (-1, 10**6))),
         *(("a value is not finite", put("value", (0, 0), value)) for value in (np.nan, np.inf)),
         ("a threshold is not finite", put("threshold", 0, np.nan)),
         ("there is no tree", {"roots": whole["roots"][:0]}),

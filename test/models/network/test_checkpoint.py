@@ -75,9 +75,9 @@ def test_wrong_cards_and_what_is_none_are_named(card: Path, make_net, small, tmp
 
     config = json.loads(original)["config"]
     cases = [
-        ("tiny.json: format: is no foretouch-model card", {"format": "other"}),
+        ("tiny.json: format: is not a foretouch-model card", {"format": "other"}),
         ("format_version: 1 is not 2", {"format_version": 1}),
-        ("kind: 'tree' is none of network, contact", {"kind": "tree"}),
+        ("kind: 'tree' is not one of network, contact", {"kind": "tree"}),
         ("skill: is missing", {"skill": ...}),
         ("data: 3 is not a mapping", {"data": 3}),
         ("config: widht: unknown setting; known: n_points", {"config": {"widht": 3}}),
@@ -93,4 +93,4 @@ def test_wrong_cards_and_what_is_none_are_named(card: Path, make_net, small, tmp
     (tmp_path / "x.json").write_text("{")
     refused(tmp_path / "x.json", r"x\.json: not JSON")
     refused(tmp_path / "y.json", r"y\.json: no such model card")
-    refused(Path("nonsense"), "nonsense: is no model folder, no card")
+    refused(Path("nonsense"), "nonsense: is not a model folder, no card")

@@ -19,8 +19,8 @@ def test_p2_widths_and_the_rules_across_fields() -> None:
     cases = (
         ("outputs: .* at least one modality", {"outputs": ()}),
         ("each once", {"outputs": ("E_TH", "E_TH")}),
-        ("'PAC' is none of PDC_TH", {"outputs": ("PAC",)}),
-        ("'rgb' is none of", {"channels": "rgb"}),
+        ("'PAC' is not one of PDC_TH", {"outputs": ("PAC",)}),
+        ("'rgb' is not one of", {"channels": "rgb"}),
         ("exactly five", {"tnet_widths": (8, 8)}),
         ("needs use_grasp", {"use_grasp": False, "metric_inputs": True}),
     )

@@ -94,7 +94,7 @@ def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_pat
     node.end()
     assert [one.record.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
     bad = begin(path="y", object="../x")
-    assert (bad.success, "is no plain name" in bad.message) == (False, True)
+    assert (bad.success, "is not a plain name" in bad.message) == (False, True)
     (tmp_path / "link").symlink_to("..")
     for path in ("..", "../..", "link/set", "/tmp", str(tmp_path), f"{tmp_path}2/set"):
         outside = begin(path=path)

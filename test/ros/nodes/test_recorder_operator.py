@@ -44,9 +44,9 @@ def test_grasps_are_labelled_relabelled_noted_dropped_and_undone_by_services(gra
     assert edit(grasp_id="g-0", object="cup", note="tilted") == (True, "can/000001: is cup; cup/000001: note tilted")
     assert edit(grasp_id="g-1", discard=True) == (True, "can/000002: dropped")
     assert edit(grasp_id="g-1", outcome=SUCCESS) == (False, "can/000002: is dropped; undo that first")
-    assert edit(grasp_id="g-7", outcome=SUCCESS)[1].startswith("grasp g-7: is none of the recorded grasps")
+    assert edit(grasp_id="g-7", outcome=SUCCESS)[1].startswith("grasp g-7: is not one of the recorded grasps")
     assert edit() == (False, "the request changes nothing: set object, outcome, note or discard")
-    assert "is no plain name" in edit(object="../x")[1]
+    assert "is not a plain name" in edit(object="../x")[1]
     assert [(one.sample.id, one.outcome, one.note, one.flags) for one in samples(tmp_path / "set")] == [
         ("cup/000001", "success", "tilted", ()),
         ("can/000002", "success", "", ("discarded",)),

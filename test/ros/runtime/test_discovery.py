@@ -124,7 +124,7 @@ def test_a_node_that_reports_must_have_reported_and_run_long_enough_to_be_discov
 
 
 def test_a_topic_to_wait_for_needs_a_name_and_a_subscriber_of_another_program(graph):
-    with pytest.raises(ConfigError, match="wait_for: 'a b' is no name of a topic"):
+    with pytest.raises(ConfigError, match="wait_for: 'a b' is not a valid topic name"):
         Matching(graph.probe, 0.0, ["a b"])
     matching = Matching(graph.probe, 0.0, ["touch"])
     own, other = Node("monitor", namespace="/foretouch"), Node("planner")

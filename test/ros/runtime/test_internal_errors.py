@@ -78,7 +78,7 @@ def test_a_parameter_of_an_unknown_type_or_whose_callback_fails_is_refused(graph
     together = graph.call(SetParametersAtomically, "segmentation/set_parameters_atomically", request).result
     for result in (ask(change(type=77)), together):
         assert not result.successful
-        assert result.reason == "silence_s: type 77 is none of rcl_interfaces/ParameterType"
+        assert result.reason == "silence_s: type 77 is not one of rcl_interfaces/ParameterType"
     assert not node.internal_errors.counts()  # the error is the sender's
     node.add_on_set_parameters_callback(fail)
     one = ask(change(type=3, double_value=7.0))

@@ -84,7 +84,7 @@ def test_an_invalid_change_is_refused_and_changes_nothing_and_an_invalid_value_a
         ("inner.depth", 10, "10"),
         ("speed", -0.5, "-0.5"),
         ("speed", float("nan"), "nan"),
-        ("word", "c", "'c' is none of a, b"),
+        ("word", "c", "'c' is not one of a, b"),
         ("fixed", False, "read-only"),
         ("speed", "fast", "type"),
         ("target.mode", "point", "target.point: is empty"),

@@ -42,5 +42,5 @@ def test_levels_are_chosen_by_the_layers_and_an_unknown_one_is_refused():
     assert choose_level([PadConfig().layer])[0] == "winkler"
     assert choose_level([PadConfig().layer, Layer(modulus_pa=1e5, poisson=0.3)])[0] == "layer"
     problem = ContactProblem(np.zeros((4, 4)), 1e-3, (PadConfig().layer,))
-    with pytest.raises(ContactError, match="level: 'fem' is none of auto, winkler, layer"):
+    with pytest.raises(ContactError, match="level: 'fem' is not one of auto, winkler, layer"):
         solve_contact(problem, Command(force_n=1.0), "fem")

@@ -103,7 +103,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
         with pytest.raises(ConfigError, match=f"thing.file: .*{reason}"):
             ObjectConfig(name="thing", shape="mesh", file=path)
 
-    cases = {"open.ply": "not shared by two faces", "mesh.dae": "is none of .obj, .ply, .stl, .glb"}
+    cases = {"open.ply": "not shared by two faces", "mesh.dae": "is not one of .obj, .ply, .stl, .glb"}
     cases |= dict.fromkeys(("empty.obj", "damaged.stl", "damaged.glb"), "holds no triangle")
     cases |= {f"index{number}.ply": "names no vertex of the 4|it ended Open3D" for number in range(len(wrong))}
     every_case(

@@ -37,5 +37,5 @@ def test_volumes_of_known_solids_and_members_of_the_family_differ_and_come_back(
     assert len(volumes) == 12
     unit_mesh.cache_clear()
     assert {round(unit_mesh("random", k).volume(), 6) for k in range(12)} == volumes
-    with pytest.raises(SimulationError, match=r"'cube' is none of ball, box, can"):
+    with pytest.raises(SimulationError, match=r"'cube' is not one of ball, box, can"):
         unit_mesh("cube")

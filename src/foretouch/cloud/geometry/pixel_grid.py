@@ -41,7 +41,7 @@ class PixelGrid:
         """
         height, width = image_shape
         if pixels.ndim != 1 or not np.issubdtype(pixels.dtype, np.integer):
-            raise CloudError(f"pixels: {pixels.dtype} {pixels.shape} is no list of indices")
+            raise CloudError(f"pixels: {pixels.dtype} {pixels.shape} is not a list of indices")
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < height * width):
             raise CloudError(f"pixels: {pixels.min()} ... {pixels.max()} is outside of an image of {height}x{width}")
         row, column = np.divmod(pixels.astype(np.int64), width)

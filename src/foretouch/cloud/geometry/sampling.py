@@ -39,7 +39,7 @@ def sample_indices(xyz: Floating, n: int, *, method: str = "random", rng: np.ran
     if n < 1:
         raise CloudError(f"n: {n} is not a positive number of points")
     if method not in SAMPLERS:
-        raise CloudError(f"method: {method!r} is none of {', '.join(SAMPLERS)}")
+        raise CloudError(f"method: {method!r} is not one of {', '.join(SAMPLERS)}")
     if not np.isfinite(xyz).all():
         raise CloudError("xyz: contains points that are not finite")
     size = len(xyz)

@@ -50,7 +50,7 @@ def read_cloud(path: str | Path) -> Cloud:
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
+        raise FileError(path, f"the extension is not one of {', '.join(CLOUD_SUFFIXES)}")
     try:
         with system_errors(path):
             return reader(path)
@@ -71,7 +71,7 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
     path = Path(path)
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
-        raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
+        raise FileError(path, f"the extension is not one of {', '.join(CLOUD_SUFFIXES)}")
     with system_errors(path):
         writer(path, cloud)
 
@@ -99,7 +99,7 @@ def _read_npz(path: Path) -> Cloud:
 
 
 def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:
-    """The cloud in the arrays xyz and `CLOUD_ARRAYS` of an archive; a `FileError` if one is no such array."""
+    """The cloud in the arrays xyz and `CLOUD_ARRAYS` of an archive; a `FileError` if one is not such an array."""
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U":
         raise FileError(path, "is not one text", field="frame_id")
@@ -144,7 +144,7 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
     if dtype.hasobject or dtype.itemsize == 0:
         raise FileError(path, f"is damaged or contains objects: dtype {dtype}", field=field)
     if len(shape) > _MAX_AXES or any(type(size) is not int or not 0 <= size < 2**31 for size in shape):
-        raise FileError(path, f"shape {shape} is none of an array", field=field)
+        raise FileError(path, f"shape {shape} is not that of an array", field=field)
     count, body = math.prod(shape), stream.read()
     if count * dtype.itemsize > len(body):
         rule = f"shape {shape} of {dtype} needs {count * dtype.itemsize} bytes, {len(body)} follow"
@@ -155,7 +155,7 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:
     if xyz.dtype.kind != "f":
-        raise FileError(path, f"dtype {xyz.dtype} is no floating number", field="xyz")
+        raise FileError(path, f"dtype {xyz.dtype} is not a floating-point type", field="xyz")
     with np.errstate(over="ignore"):
         return xyz.astype(np.float32)
 

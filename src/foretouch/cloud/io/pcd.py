@@ -57,7 +57,7 @@ def read_pcd(path: Path) -> Cloud:
         case "binary_compressed":
             records = _unpacked(path, body, dtype, points)
         case _:
-            raise FileError(path, f"{data} is none of ascii, binary, binary_compressed", field="DATA")
+            raise FileError(path, f"{data} is not one of ascii, binary, binary_compressed", field="DATA")
     return to_cloud(records, _colours(records), height, width)
 
 
@@ -103,7 +103,7 @@ def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
     parts: list[tuple[str, str, tuple[int, ...]]] = []
     for i, (field, kind, size, count) in enumerate(zip(*columns, strict=True)):
         if len(size) != 1 or size not in _SIZES.get(kind, ""):
-            raise FileError(path, f"TYPE {kind} of SIZE {size} is no number", field=field)
+            raise FileError(path, f"TYPE {kind} of SIZE {size} is not a number", field=field)
         number = whole_number(path, count, f"COUNT of {field}")
         if not 0 < number <= _COUNT_LIMIT:
             raise FileError(path, f"COUNT {count} is not 1 to {_COUNT_LIMIT}", field=field)
@@ -134,7 +134,7 @@ def _unpacked(path: Path, body: bytes, dtype: np.dtype[Any], points: int) -> Rec
     try:
         content = lzf.decompress(body[8 : 8 + packed], unpacked)
     except ValueError as err:
-        raise FileError(path, f"is no LZF data: {err}", field="DATA") from err
+        raise FileError(path, f"is not LZF data: {err}", field="DATA") from err
     if content is None or len(content) != unpacked:
         raise FileError(path, f"does not unpack to the {unpacked} bytes that it names", field="DATA")
     records, start = np.zeros(points, dtype), 0

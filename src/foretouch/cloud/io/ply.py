@@ -55,7 +55,7 @@ def read_ply(path: Path) -> Cloud:
         raise FileError(path, "no line end_header: truncated", field="header")
     encoding, numbers, properties = _header(path, content[:end].decode("ascii", errors="replace"))
     if encoding not in _ORDERS:
-        raise FileError(path, f"{encoding or 'nothing'} is none of {', '.join(_ORDERS)}", field="format")
+        raise FileError(path, f"{encoding or 'nothing'} is not one of {', '.join(_ORDERS)}", field="format")
     if "element vertex" not in numbers:
         raise FileError(path, "element vertex is missing", field="header")
     unique_names(path, [name for name, _ in properties], "property")
@@ -108,6 +108,6 @@ def _header(path: Path, text: str) -> tuple[str, dict[str, int], list[tuple[str,
                 numbers[f"element {name}"] = whole_number(path, count, f"element {name}")
             case ["property", *_] if element == "vertex":
                 if len(words) != 3 or words[1] not in _TYPES:
-                    raise FileError(path, f"{' '.join(words[1:])}: is no plain number", field="property")
+                    raise FileError(path, f"{' '.join(words[1:])}: is not a plain number", field="property")
                 properties.append((words[2], _TYPES[words[1]]))
     return encoding, numbers, properties

@@ -221,7 +221,7 @@ def _check_fields(fields: Sequence[PointField], point_step: int) -> None:
             raise CloudError(f"fields: {field.name} occurs twice")
         seen.add(field.name)
         if field.datatype not in DATATYPES:
-            raise CloudError(f"{field.name}: datatype {field.datatype} is none of 1 to 8")
+            raise CloudError(f"{field.name}: datatype {field.datatype} is not one of 1 to 8")
         if field.offset < 0 or field.count < 0:
             raise CloudError(f"{field.name}: offset {field.offset} or count {field.count} is negative")
         end = field.offset + field.count * int(DATATYPES[field.datatype][1])

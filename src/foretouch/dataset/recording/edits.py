@@ -214,16 +214,16 @@ def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
         raise DatasetError("damaged: this line and those before it do not match their checksum")
     require_schema(file, content, _SCHEMA, f"line {known + 1}")
     if content["action"] not in _ACTIONS:
-        raise DatasetError(f"action {content['action']!r} is none of {', '.join(_ACTIONS)}")
+        raise DatasetError(f"action {content['action']!r} is not one of {', '.join(_ACTIONS)}")
     added = {**_ADDED, **{name: content[name] for name in _ADDED if name in content}}
     require_schema(file, added, {"text": str, "stamp_ns": int}, f"line {known + 1}")
     edit = Edit(**{name: content[name] for name in ("action", "object", "edit")}, ids=tuple(content["ids"]), **added)
     if edit.action in ("relabel", "object") or (edit.action == "undo" and edit.ids):
         check_name(edit.object, "object")
     if edit.action == "outcome" and edit.text not in get_args(Outcome):
-        raise DatasetError(f"text: {edit.text!r} is none of {', '.join(get_args(Outcome))}")
+        raise DatasetError(f"text: {edit.text!r} is not one of {', '.join(get_args(Outcome))}")
     if edit.action == "undo" and not 0 < edit.edit <= known:
-        raise DatasetError(f"edit {edit.edit} is none of the {known} before")
+        raise DatasetError(f"edit {edit.edit} is not one of the {known} before")
     return edit, _digest(before, content)
 
 

@@ -51,7 +51,7 @@ def recorded_files(path: Path, *, convert: bool = False) -> list[Path]:
     if path.is_file():
         return [path]
     if not is_dataset(path):
-        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
+        raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     _read_identity(path)
     if _manifest(path)["schema_version"] != SCHEMA_VERSION and not convert:
         raise FileError(path, OLD_VERSION)
@@ -111,7 +111,7 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
         is_other = path.exists() and not (path / _MANIFEST).exists()
         # A process that is killed before it has written the manifest leaves these two.
         if is_other and not (path.is_dir() and all(entry.name in {_LOCK, _PART} for entry in path.iterdir())):
-            raise FileError(path, "exists and is no recorded dataset")
+            raise FileError(path, "exists and is not a recorded dataset")
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
         if (path / _MANIFEST).exists():

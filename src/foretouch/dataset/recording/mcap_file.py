@@ -82,7 +82,7 @@ class McapFile:
             raise DatasetError(f"{self.path}: {topic} was not declared by add_topic")
         for name, time_ns in (("log_time_ns", log_time_ns), ("publish_time_ns", sent_ns)):
             if not 0 <= time_ns < 2**63:
-                raise DatasetError(f"{name}: {time_ns} is no time since 1970")
+                raise DatasetError(f"{name}: {time_ns} is not a time since 1970")
         return Message(self._channels[topic], log_time_ns, data, sent_ns, sequence & 0xFFFFFFFF)
 
     def write_chunk(self, messages: Sequence[Message]) -> None:

@@ -49,7 +49,7 @@ class _Sample(NamedTuple):
 class RecordedDataset:
     """The samples of a recorded dataset, or of one of its `.mcap` files.
 
-    One of version 1 is only read to `convert` it. A `FileError` names file and position if the path is no recorded dataset, or a
+    One of version 1 is only read to `convert` it. A `FileError` names file and position if the path is not a recorded dataset, or a
     manifest or recording is damaged.
     """
 

@@ -106,7 +106,7 @@ def magic_damage(data: FileBytes) -> Damage | None:
     """The fault of the first bytes, if there is one."""
     if len(data) == 0:
         return Damage(0, "is empty")
-    return None if data[: len(MAGIC)] == MAGIC else Damage(0, "is no MCAP file: it does not begin as one")
+    return None if data[: len(MAGIC)] == MAGIC else Damage(0, "is not an MCAP file: it does not begin as one")
 
 
 def walk(
@@ -174,7 +174,7 @@ def summary_of(data: FileBytes) -> tuple[int, int] | Damage:
         return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
     opcode, length, start, _, crc = _FOOTER.unpack(data[at : at + _FOOTER.size])
     if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not len(MAGIC) <= start <= at:
-        return Damage(at, "damaged: the footer of a finished recording is no footer")
+        return Damage(at, "damaged: the footer of a finished recording is not a footer")
     if data.crc32(start, at + _FOOTER.size - 4) != crc:
         return Damage(start, "damaged: the index at the end does not match its checksum")
     return start, at

@@ -72,7 +72,7 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """Repair every recording of a dataset that needs it, or a single file.
 
     Raises:
-        FileError: If another process records into it, it is no recording or of another version, or the disk is full.
+        FileError: If another process records into it, it is not a recording or of another version, or the disk is full.
     """
     path = Path(path)
     recorded_files(path)  # refuses other folders, before a lock file is created there
@@ -118,7 +118,7 @@ def _repair_file(path: Path) -> RepairReport:
     try:
         data = FileBytes(path)
         if not MAGIC.startswith(data[: len(MAGIC)]) and next_chunk(data, 0) == len(data):
-            raise FileError(path, "is no MCAP file, and holds no part of one")
+            raise FileError(path, "is not an MCAP file, and holds no part of one")
         _Repair(data, found.declared, McapFile(part), report)
         report.original = _replace(path, part)
     except VersionError as err:

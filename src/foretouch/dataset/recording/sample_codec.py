@@ -227,7 +227,7 @@ def parse_properties(text: str) -> dict[str, str]:
     """The inverse of `properties_text`; a `DatasetError` if the text is none."""
     facts = parse_json(text)
     if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
-        raise DatasetError("hand, camera: is no list of named texts")
+        raise DatasetError("hand, camera: is not a list of named texts")
     return facts
 
 
@@ -289,7 +289,7 @@ class Definitions:
     def register(self, type_name: str, text: str) -> None:
         """Register a type by the text of its `.msg` file, which definitions of the types in it may follow, as in MCAP.
 
-        Raises a `DatasetError` if the text is no definition, or contradicts a registered one.
+        Raises a `DatasetError` if the text is not a definition, or contradicts a registered one.
         """
         from rosbags.typesys import TypesysError, get_types_from_msg
 
@@ -306,7 +306,7 @@ class Definitions:
     def _require(self, type_name: str) -> None:
         if type_name not in self.store.fielddefs:
             if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
-                raise DatasetError(f"{type_name!r} is no message type, such as std_msgs/msg/String")
+                raise DatasetError(f"{type_name!r} is not a message type, such as std_msgs/msg/String")
             self.register(type_name, _find(type_name))
         for needed in _types_in(self.store, type_name):
             self._require(needed)

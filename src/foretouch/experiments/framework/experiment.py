@@ -162,7 +162,7 @@ def find_experiment(name: str) -> Experiment[Any, Any]:
         raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
     chosen = [one for one in found if own in ("", one.name)]
     if len(chosen) != 1:
-        raise ConfigError(f"experiment: {name!r} is none of {', '.join(f'{module}:{one.name}' for one in found)}")
+        raise ConfigError(f"experiment: {name!r} is not one of {', '.join(f'{module}:{one.name}' for one in found)}")
     return chosen[0]
 
 
@@ -172,7 +172,7 @@ def _modules() -> list[str]:
 
 
 def _held_by(module: str) -> list[Experiment[Any, Any]]:
-    """Experiments of a module; none if it is no experiment."""
+    """Experiments of a module; none if it is not an experiment."""
     held = importlib.import_module(module)
     found = getattr(held, "EXPERIMENTS", [getattr(held, "EXPERIMENT", None)])
     return [one for one in found if isinstance(one, Experiment)]

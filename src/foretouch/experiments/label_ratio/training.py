@@ -198,7 +198,7 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
     """
     known = {**TRIALS.get(model, {}), **UNTUNED.get(model, {})}
     if trial not in known:
-        raise ConfigError(f"label_ratio: {model} {trial!r} is none of {', '.join(known or MODELS)}")
+        raise ConfigError(f"label_ratio: {model} {trial!r} is not one of {', '.join(known or MODELS)}")
     config = base.updated(known[trial], trial).replace(seed=seed)
     if model == POINTNET:
         config = config.updated({"loss": _SUPERVISED})

@@ -41,7 +41,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         ConfigError: If there is no such recipe.
     """
     if name not in RECIPES:
-        raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
+        raise ConfigError(f"recipe: {name!r} is not one of {', '.join(RECIPES)}")
 
     def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
         from foretouch.learning.training.run_config import load_run_config
@@ -151,5 +151,5 @@ NETWORKS: Final = tuple(RECIPES)  # predictors that take minutes to hours per fo
 def find_predictor(name: str, training_fraction: float = 1.0) -> Fit:
     """Find a predictor by name; a `ConfigError` if there is none."""
     if name not in PREDICTORS:
-        raise ConfigError(f"predictors: {name!r} is none of {', '.join(PREDICTORS)}")
+        raise ConfigError(f"predictors: {name!r} is not one of {', '.join(PREDICTORS)}")
     return PREDICTORS[name](training_fraction)

@@ -151,7 +151,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
         mapping = {"method": str(config)}
     else:
         known = [*recipes, *METHODS]
-        raise ConfigError(f"{shown(path)}: is no file and none of {', '.join(known)}{nearest(config, known)}")
+        raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(config, known)}")
     source = " ".join([str(config), *overrides])  # which of them is at fault, if both are, the field says
     return RunConfig.from_mapping(mapping | _with_network(parse_overrides(overrides), Path()), source)
 

@@ -63,7 +63,7 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             raise FileError(path, "does not exist: there is nothing to resume") from err
         raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:
-        raise FileError(path, f"is no state of training: {' '.join(str(err).split())}") from err
+        raise FileError(path, f"is not a state of training: {' '.join(str(err).split())}") from err
     if seal != (found := _digest(tensors, plain)):
         raise FileError(path, f"{found} is not {shown(seal)}: the file was changed", field=_SEAL)
     return tensors, plain

@@ -118,7 +118,7 @@ class Forest(TensorRecord):
         if self.leaf.min() < 0 or self.leaf.max() >= len(self.value):
             raise ModelError("leaf: names no value")
         if self.roots.min() < 0 or self.roots.max() >= count or not np.isfinite(self.value).all():
-            raise ModelError("roots, value: a root is no node, or a value is not finite")
+            raise ModelError("roots, value: a root is not a node, or a value is not finite")
         return True
 
 

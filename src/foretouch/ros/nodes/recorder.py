@@ -103,7 +103,7 @@ def _dataset_identity(config: RecorderConfig) -> Identity:
 def _decode_label(request: Any) -> Label:
     """The label in a request; a `ConfigError` or `DatasetError` if its outcome or the object's label is none."""
     if request.outcome >= len(_OUTCOMES):
-        raise ConfigError(f"outcome: {request.outcome} is none of UNKNOWN, SUCCESS, FAILURE")
+        raise ConfigError(f"outcome: {request.outcome} is not one of UNKNOWN, SUCCESS, FAILURE")
     if request.object:
         check_name(request.object, "object")
     start, contact, release = (stamp_ns(time) for time in (request.start, request.contact, request.release))
@@ -228,7 +228,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
         Raises:
             ConfigError: If a session is running.
-            DatasetError: If the label is no plain name.
+            DatasetError: If the label is not a plain name.
             FileError: If it cannot be written, or is of another hand or camera.
         """
         if self.recording:

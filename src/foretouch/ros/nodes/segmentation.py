@@ -67,7 +67,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         if not frame:
             raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
         if allowed and frame not in allowed:
-            raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is none of {', '.join(allowed)}")
+            raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is not one of {', '.join(allowed)}")
         self._frames[frame] = time.monotonic()
         cloud = read_cloud(messages["points"])
         scene = self._pipeline.segment(cloud, self._previous, self._identity)

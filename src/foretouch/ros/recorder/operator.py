@@ -172,7 +172,7 @@ class Operator:
             return f"{_words(action, text)}: waits for the grasp that is being recorded"
         recorded = self._touched[-1] if self._touched else ""
         if grasp_id:
-            recorded = self._sample_of.get(grasp_id, ": is none of the recorded grasps of this session")
+            recorded = self._sample_of.get(grasp_id, ": is not one of the recorded grasps of this session")
         if recorded.startswith(":"):
             raise DatasetError(f"grasp {grasp_id}{recorded}")
         if not recorded and action != "note":

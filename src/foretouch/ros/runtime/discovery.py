@@ -73,7 +73,7 @@ class Matching:
             try:
                 self._wait_for.append(node.resolve_topic_name(name))
             except RuntimeError as err:  # of rcl
-                raise ConfigError(f"wait_for: {name!r} is no name of a topic") from err
+                raise ConfigError(f"wait_for: {name!r} is not a valid topic name") from err
 
     def receive(self, message: DiagnosticArray) -> None:
         """Keep the report of each node, once it has made its publishers."""

@@ -173,7 +173,8 @@ def _with_known_types(callback: Callable[..., Any], request: Any, response: Any)
     for one in request.parameters:
         if one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
             return _failed_service(
-                (request, response), f"{shown(one.name)}: type {one.value.type} is none of rcl_interfaces/ParameterType"
+                (request, response),
+                f"{shown(one.name)}: type {one.value.type} is not one of rcl_interfaces/ParameterType",
             )
     return callback(request, response)
 

@@ -58,7 +58,7 @@ def solve_contact(problem: ContactProblem, command: Command, level: str = "auto"
     if level == "auto":
         level, _ = choose_level(problem.layers)
     if level not in _SOLVERS:
-        raise ContactError(f"level: {level!r} is none of auto, {', '.join(LEVELS)}")
+        raise ContactError(f"level: {level!r} is not one of auto, {', '.join(LEVELS)}")
     return _SOLVERS[level](problem, command)
 
 

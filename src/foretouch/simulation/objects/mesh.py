@@ -95,7 +95,7 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
         MissingDependencyError: If Open3D is not installed.
     """
     if Path(path).suffix.lower() not in _SUFFIXES:
-        raise FileError(path, f"is none of {', '.join(_SUFFIXES)}")
+        raise FileError(path, f"is not one of {', '.join(_SUFFIXES)}")
     content = read_bytes(path, _LARGEST)
     sha256 = hashlib.sha256(content).hexdigest()
     if (path, sha256) not in _meshes:

@@ -141,7 +141,7 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
         if found != sha256:
             raise SimulationError(f"{path}: has changed since the scene was read", "mesh")
     else:
-        raise SimulationError(f"shape: {shape!r} is none of {', '.join(SHAPES)}", "mesh")
+        raise SimulationError(f"shape: {shape!r} is not one of {', '.join(SHAPES)}", "mesh")
     return mesh.in_unit_box().closed(f"{shape}[{variant}]")
 
 

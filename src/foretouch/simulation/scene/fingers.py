@@ -73,7 +73,7 @@ class VibrationConfig(Settings):
     )
 
 
-# What fields are where the sensor is no array of taxels, and where it is one: the others' groups are refused.
+# What fields are where the sensor is not an array of taxels, and where it is one: the others' groups are refused.
 _NO_TAXELS: Final[dict[str, tuple[Any, ...]]] = {"taxels": (None,), "crosstalk": (None,)}
 _TAXELS: Final[dict[str, tuple[Any, ...]]] = {
     **dict.fromkeys(("vibration", "scan", "dead"), (None,)),

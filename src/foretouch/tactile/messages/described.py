@@ -100,7 +100,7 @@ class SensorReader:
             found = found.item()
         unit_ns = STAMP_UNITS[self.sensor.config.source.stamp_unit]
         if not isinstance(found, int | float) or not 0 <= found < 2**63 / unit_ns:  # NaN is not either
-            raise TactileError(f"{self._stamp.text}: {shown(found)} is no time")
+            raise TactileError(f"{self._stamp.text}: {shown(found)} is not a time")
         whole = int(found // 1)
         return whole * unit_ns + round(float(found - whole) * unit_ns)
 

@@ -122,9 +122,9 @@ def make_reader(config: TactileConfig) -> TactileReader:
 
 
 def named_index(name: str, names: Sequence[str], setting_name: str) -> int:
-    """Index of a finger among the names that a type has; a `ConfigError` if the name is none of them."""
+    """Index of a finger among the names that a type has; a `ConfigError` if the name is not one of them."""
     if name not in names:
-        raise ConfigError(f"{setting_name}: {name!r} is none of {', '.join(names)}")
+        raise ConfigError(f"{setting_name}: {name!r} is not one of {', '.join(names)}")
     return names.index(name)
 
 
