@@ -7,7 +7,6 @@ from typing import Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 
-
 FILTERS: Final = ("decimation", "spatial", "temporal", "hole_filling")
 """Of the library, in the order that it recommends."""
 
