@@ -69,7 +69,7 @@ class SessionCheck:
         self.targets: Sequence[Float32] = ()
         self._reader, self._channels = reader, reader.channels
         self._fingers = dict(zip(reader.channels.fingers, fingers, strict=True))
-        self._contacts, self._health = ContactDetector(None, reader.channels), SensorHealth(reader.channels)
+        self._contacts, self._health = ContactDetector(reader.channels), SensorHealth(reader.channels)
         self._readings: deque[TactileReading] = deque(maxlen=2000)
         self._received: dict[str, list[int]] = defaultdict(list)
         self._behind: dict[str, list[int]] = defaultdict(list)
@@ -146,7 +146,7 @@ class SessionCheck:
         channels = self._channels
         counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, channels.size)
         half = len(counts) // 2
-        scores = contact_scores(counts[half:], counts[:half], None, channels) if half > 4 else np.zeros((1, 2))
+        scores = contact_scores(counts[half:], counts[:half], channels) if half > 4 else np.zeros((1, 2))
         restless, found = np.median(scores, axis=0) > 1.0, []
         for k, (finger, columns) in enumerate(channels.finger_columns.items()):
             state, fix = self._health.states[finger], "check cable and power of the finger"
