@@ -26,11 +26,11 @@ def _record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count:
     return clouds
 
 
-def _playing(path: Path, config: RealSenseConfig, **changes: object) -> RealSenseConfig:
-    return config.replace(file=str(path), real_time=False, **changes)  # type: ignore[arg-type]
+def _playing(path: Path, config: RealSenseConfig) -> RealSenseConfig:
+    return config.replace(file=str(path), real_time=False)
 
 
-def test_a_recording_plays_back_bit_for_bit_and_repeats_when_asked_to(tmp_path, source, config):
+def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     recorded = _record(path, source, config, 5)
     with RealSenseCamera(_playing(path, config)) as camera:
@@ -48,9 +48,6 @@ def test_a_recording_plays_back_bit_for_bit_and_repeats_when_asked_to(tmp_path, 
         twin = played[cloud.stamp_ns]
         assert np.array_equal(twin.xyz, cloud.xyz, equal_nan=True)
         assert twin.frame_id == cloud.frame_id
-    with RealSenseCamera(_playing(path, config, repeat=True)) as camera:
-        stamps = [cloud.stamp_ns for cloud, _ in zip(camera, range(6), strict=False)]
-    assert stamps == [*played, recorded[0].stamp_ns]
 
 
 def test_in_real_time_the_pace_is_that_of_the_recording_and_a_gap_is_told(tmp_path, source, config):

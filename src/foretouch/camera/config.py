@@ -38,7 +38,6 @@ class RealSenseConfig(Settings, read_only=True):
     filters: tuple[str, ...] = setting((), "Filters of the library, with its defaults, in its order", choices=FILTERS)
     timeouts: TimeoutConfig = TimeoutConfig()
     real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost")
-    repeat: bool = setting(False, "Whether a recording starts again at its end")
     frame_id: str = setting("", "Frame of the clouds; empty for the optical frame of the depth image")
     stamp: str = setting(
         "auto",

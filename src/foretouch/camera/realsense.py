@@ -223,10 +223,7 @@ class RealSenseCamera:
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
         if ended and (self._last_number is not None or silent_s > 1.0):
             self._release()
-            if self.config.repeat:
-                self._set_state("reconnecting", "the recording restarts")
-            else:
-                self._set_state("ended", "the recording has ended")
+            self._set_state("ended", "the recording has ended")
             return
         decision = self._watchdog.decide(now)
         reason = f"{what} for {silent_s:.1f} s"
