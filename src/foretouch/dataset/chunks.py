@@ -18,8 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.checked_files import read_json, write_text
-from foretouch.dataset.files import disk_errors
+from foretouch.checked_files import read_json, system_errors, write_text
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError, ForetouchError
@@ -105,7 +104,7 @@ def _chunk(folder: Path, number: int) -> Path:
 
 def _require_plan(folder: Path, plan: Mapping[str, Any]) -> None:
     path, wanted = folder / PLAN, json.loads(json.dumps(plan))
-    with disk_errors(folder, "cannot be written"):
+    with system_errors(folder, "cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
         if not path.exists():
             write_text(path, json.dumps(wanted, indent=1))
@@ -128,7 +127,7 @@ def _is_whole(folder: Path, number: int) -> bool:
     with suppress(ForetouchError):
         if Store(path).manifest.get("about", {}).get("chunk") == number:
             return True
-    with disk_errors(path, "is damaged, and cannot be removed"):
+    with system_errors(path, "is damaged, and cannot be removed"):
         shutil.rmtree(path)
     return False
 

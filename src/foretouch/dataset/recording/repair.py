@@ -14,8 +14,8 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.checked_files import FileBytes, free_name
-from foretouch.dataset.files import disk_errors, sync_folder
+from foretouch.checked_files import FileBytes, free_name, system_errors
+from foretouch.dataset.files import sync_folder
 from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
 from foretouch.dataset.recording.folder import lock, recorded_files
@@ -92,7 +92,7 @@ def _replaced_sessions(path: Path) -> list[RepairReport]:
             if file not in listed or not verify_file(file).clean:
                 continue  # it was added, or is damaged and what remains is saved
             report.original = free_name(file, "before-repair")
-            with disk_errors(file, "cannot be renamed"):
+            with system_errors(file, "cannot be renamed"):
                 file.rename(report.original)
         reports.append(report)
     return reports
@@ -123,7 +123,7 @@ def _repair_file(path: Path) -> RepairReport:
 def _replace(path: Path, repaired: Path) -> Path:
     """Replace the original by the repaired file; the original gets its second name before it loses the first."""
     kept = free_name(path, "before-repair")
-    with disk_errors(path, "cannot be replaced"):
+    with system_errors(path, "cannot be replaced"):
         try:
             os.link(path, kept)
         except OSError:

@@ -12,7 +12,6 @@ from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.runtime.output_frame import OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
-from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 
 PRESSURE: Final = SampleGrasps.Goal.PRESSURE
@@ -74,4 +73,3 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
     pairing: PairingConfig = field(default_factory=PairingConfig)
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
-    ranges: TactileRanges = TactileRanges()
