@@ -277,9 +277,29 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(graph, planner
     share = ((reading(first)["PDC"][0] - 2500) / 900 + (reading(first)["PDC"][1] - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
+    assert not any("equal_pressure" in one.flags for one in result.predictions)  # this model has no intervals
     by_score = planner.sample(planner.goal(cost=SampleGrasps.Goal.SCORE))
     plan = Pipeline(PipelineConfig(grasp=GeoGraspConfig(count=5))).plan(target)
     np.testing.assert_allclose(by_score.costs, [-grasp.score for grasp in plan.grasps], rtol=1e-6)
+
+
+def test_costs_within_the_interval_of_the_lowest_are_equal_and_ordered_by_score(graph, target, grasps):
+    planner = Planner(graph, target, grasps, model="default")
+    result = planner.sample()
+    scores = [one.score for one in result.grasps]
+    assert (len(set(result.costs)), scores) == (1, sorted(scores, reverse=True))
+    assert all("equal_pressure" in one.flags for one in result.predictions)
+    pdc = np.array([reading(one)["PDC"] for one in result.predictions])
+    shares = ((pdc - (2500.0, 1600.0)) / (900.0, 700.0)).mean(axis=1)
+    assert result.costs[0] == pytest.approx(shares.min())
+    assert sorted(planner.feedback[0].costs) == pytest.approx(sorted(shares))  # as they are predicted
+    request = planner.request(5)
+    asked = planner.ask(request).predictions
+    assert all("equal_pressure" in one.flags for one in asked)
+    contacts = np.array([[*one.g1, *one.g2] for one in planner.grasps[:5]]).ravel()
+    batch = planner.ask(PredictTouch.Request(cloud=request.cloud, table=request.table, contacts=contacts), "batch")
+    assert np.reshape(batch.flagged, (5, -1))[:, batch.flags.index("equal_pressure")].all()
+    assert "equal_pressure" not in planner.ask(planner.request(1)).predictions[0].flags
 
 
 def test_a_goal_that_cannot_be_met_and_too_many_grasps_are_refused_with_the_reason(graph, planner):
