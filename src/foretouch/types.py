@@ -290,8 +290,8 @@ class TouchPredictions(Sequence[TouchPrediction]):
     def flagged(self, flags: Sequence[tuple[str, ...]]) -> "TouchPredictions":
         """The same with (K,) more flags of each."""
         twin = copy(self)
-        twin.flags = [old + new for old, new in zip(self.flags, flags, strict=True)]
-        twin._made = [self.refused.get(number) for number in range(len(self.grasps))]
+        both = [old + new for old, new in zip(self.flags, flags, strict=True)]
+        twin.__dict__.update(flags=both, _made=[self.refused.get(number) for number in range(len(self.grasps))])
         return twin
 
     def __len__(self) -> int:
