@@ -244,7 +244,7 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _identity(what: str, given: str | None) -> dict[str, str | None]:
     model, _, serial = (given or "").partition(":")
-    return {f"identity.{what}": model or None, f"identity.{what}_serial": serial or None}
+    return {f"identity.{what}": None if given is None else model, f"identity.{what}_serial": serial or None}
 
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
