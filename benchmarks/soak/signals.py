@@ -8,6 +8,7 @@ memory and no open recording.
 """
 
 import argparse
+import fcntl
 import os
 import re
 import signal
@@ -92,7 +93,7 @@ def _faults(
     yield from (f"{word}: {error[-300:]}" for word in FAULTS if word in error)
     left = list(members(process.pid))
     yield from (f"left: {line}" for line in left)
-    yield from (f"left: {one}" for one in segments if one.exists())
+    yield from (f"left: {one}" for one in segments if one.exists() and not _locked(one))
     with suppress(FileError):  # the signal came before there was a dataset
         for report in verify_dataset(dataset):
             if not (report.clean and report.finished):
@@ -108,6 +109,16 @@ def _segments(pid: int) -> set[Path]:
     return {
         Path(one) for one in re.findall(r"(/dev/shm/fast(?:dds|rtps)_\S+)$", maps, re.MULTILINE) if "_port" not in one
     }
+
+
+def _locked(segment: Path) -> bool:
+    """Whether a segment is of another process, which lives: Fast DDS keeps a lock beside it."""
+    with suppress(OSError), segment.with_name(f"{segment.name}_el").open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def catches(pid: int) -> bool:

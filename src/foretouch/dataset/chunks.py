@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import read_json, require_schema, write_text
+from foretouch.checked_files import COUNT, read_json, require_schema, write_text
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.samples import SampleSet, open_samples
 from foretouch.dataset.store import Store
@@ -181,7 +181,7 @@ class ReadOnRay:
             sensor=samples.sensor,
         ):
             yield from store
-            about = require_schema(store.path, store.manifest, {"about": {"discarded": int}})["about"]
+            about = require_schema(store.path, store.manifest, {"about": {"discarded": COUNT}})["about"]
             yield from repeat(None, about["discarded"])
 
 
