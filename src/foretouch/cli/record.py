@@ -209,7 +209,8 @@ def run(arguments: argparse.Namespace) -> int:
             from foretouch.cli.check import run_check
 
             return run_check(node, arguments)
-        node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
+        with uninterrupted():  # or a file would be open that no session closes
+            node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         state = node.session_status()
         announce("writing what is left; waiting until other graphs would be seen")
