@@ -307,13 +307,13 @@ def test_numbers_of_a_card_have_a_type_and_bounds(tmp_path: Path) -> None:
     path.write_text(json.dumps(card))
     load_model(path)  # so good
     places = {
-        "skill.random.PDC_TH.skill": (True, "7", None, 1e20, 10**30),
-        "baselines.mean.random.PDC_TH.skill": (True, "7", None, -1e20),
+        "skill.random.PDC_TH.skill": (True, "7", 1e20, 10**30),
+        "baselines.mean.random.PDC_TH.skill": (True, "7", -1e20),
         "data.samples": (True, "7", -5, 0.5, 1e20, 10**30),
         "split.train": (True, -5, 0.5),
         "calibration.level": (True, "7", -5, 1.5),
         "calibration.regimes.known.objects": (True, "7", -5, 0.5),
-        "calibration.regimes.known.coverage.PDC_TH.mean": (True, "7", None, -5, 1e20),
+        "calibration.regimes.known.coverage.PDC_TH.mean": (True, "7", -5, 1e20),
     }
     for place, values in places.items():
         for value in values:

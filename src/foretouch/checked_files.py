@@ -47,6 +47,7 @@ class Number:
     kind: type  # int or float
     low: float = -1e12
     high: float = 1e12
+    optional: bool = False  # whether null fits too
 
 
 COUNT: Final = Number(int, 0, 2**63 - 1)
@@ -355,6 +356,8 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
         items = require_schema(path, value, list, field)
         return [require_schema(path, one, schema[0], f"{field}[{number}]") for number, one in enumerate(items)]
     if isinstance(schema, Number):
+        if value is None and schema.optional:
+            return value
         require_schema(path, value, schema.kind, field)
         if not schema.low <= value <= schema.high:
             rule = f"{shown(value, 40)} is not within [{schema.low:g}, {schema.high:g}]"

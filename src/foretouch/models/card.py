@@ -18,8 +18,12 @@ CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 2
 
 _Fields = Mapping[str, Any]  # of a schema
-_SKILLS: Final = {"*": {"*": {"*": Number(float)}}}  # of each split, modality and measure
-_GROUP: Final = {"objects?": COUNT, "samples?": COUNT, "coverage?": {"*": {"*": Number(float, 0.0, 1.0)}}}
+_SKILLS: Final = {"*": {"*": {"*": Number(float, optional=True)}}}  # of each split, modality and measure
+_GROUP: Final = {
+    "objects?": COUNT,
+    "samples?": COUNT,
+    "coverage?": {"*": {"*": Number(float, 0.0, 1.0, optional=True)}},
+}
 _COMMON: Final[_Fields] = {"name": str, "kind": str, "sha256": str}
 _TRAINED: Final[_Fields] = {
     "weights": str,
