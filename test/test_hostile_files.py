@@ -302,13 +302,12 @@ def test_numbers_of_a_card_have_a_type_and_bounds(tmp_path: Path) -> None:
         {"random": {"PDC_TH": {"skill": 0.5}}},
         {"known": {"objects": 8, "coverage": {"PDC_TH": {"mean": 0.9}}}},
     )
-    card |= {"skill": skill, "data": {"samples": 400}, "split": {"train": 400}, "baselines": {"mean": skill}}
+    card |= {"skill": skill, "data": {"samples": 400}, "split": {"train": 400}}
     card["calibration"] |= {"level": 0.9, "regimes": regimes}
     path.write_text(json.dumps(card))
     load_model(path)  # so good
     places = {
         "skill.random.PDC_TH.skill": (True, "7", 1e20, 10**30),
-        "baselines.mean.random.PDC_TH.skill": (True, "7", -1e20),
         "data.samples": (True, "7", -5, 0.5, 1e20, 10**30),
         "split.train": (True, -5, 0.5),
         "calibration.level": (True, "7", -5, 1.5),

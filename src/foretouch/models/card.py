@@ -31,7 +31,7 @@ _TRAINED: Final[_Fields] = {
     "data": {"samples?": COUNT},
     "split": {"train?": COUNT, "unlabelled?": COUNT, "validation?": COUNT, "test?": COUNT},
     "skill": _SKILLS,
-    "baselines": {"*": _SKILLS},
+    "baselines": dict,
     "limits": list,
     "calibration": (dict, type(None)),
 }
