@@ -6,6 +6,7 @@ everything derived from them are in the camera's optical frame (x right, y down,
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self, overload
@@ -249,7 +250,7 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    # `out_of_range`, `unfamiliar`, `similar_touches`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
+    # `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
     flags: tuple[str, ...] = ()
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
@@ -285,6 +286,13 @@ class TouchPredictions(Sequence[TouchPrediction]):
         self.channels, self.refused = channels, refused
         self._shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
         self._made: list[TouchPrediction | None] = [refused.get(number) for number in range(len(grasps))]
+
+    def flagged(self, flags: Sequence[tuple[str, ...]]) -> "TouchPredictions":
+        """The same with (K,) more flags of each."""
+        twin = copy(self)
+        both = [old + new for old, new in zip(self.flags, flags, strict=True)]
+        twin.__dict__.update(flags=both, _made=[self.refused.get(number) for number in range(len(self.grasps))])
+        return twin
 
     def __len__(self) -> int:
         return len(self._made)
@@ -322,6 +330,16 @@ class TouchPredictions(Sequence[TouchPrediction]):
             one.__dict__.update(self._shared, grasp=grasp, value=value, lower=low, upper=high, flags=flags)
             built.append(one)
         return built
+
+
+def prediction_rows(predictions: Sequence[Any], size: int) -> Float64:
+    """(3, K, D) values, lower and upper bounds of predictions of D values; NaN where there is none, as of a refusal."""
+    if isinstance(predictions, TouchPredictions):
+        none = np.full((len(predictions), size), np.nan)
+        return np.array([predictions.values, *(predictions.bounds or (none, none))])
+    ends = [[getattr(one, end, None) for one in predictions] for end in ("value", "lower", "upper")]
+    nothing = np.full(size, np.nan)
+    return np.array([[nothing if one is None else one.values for one in end] for end in ends])
 
 
 def _touches(rows: Float64, channels: Channels) -> list[Touch]:

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import re
 from importlib import metadata
 
 import pytest
@@ -10,9 +11,13 @@ from foretouch.cli import doctor
 @pytest.mark.slow
 def test_this_environment_has_no_problem(call) -> None:
     answer = call("doctor", "--json", "--self-test")
-    records = {one["name"]: one for one in answer.records if one["name"] != "shared memory"}
+    records = {one["name"]: one for one in answer.records if one["name"] != "large clouds"}
     assert [name for name, one in records.items() if one["state"] not in {"ok", "optional"}] == []
     assert all(one["mend"] == one["fix"] for one in answer.records)  # the old key stays
+    (rclpy_loads,) = (one for name, one in records.items() if name.startswith("rclpy loads"))
+    assert rclpy_loads["found"] == "rmw_fastrtps_cpp"
+    (clouds,) = (one["found"] for one in answer.records if one["name"] == "large clouds")
+    assert re.match(r"rmw_fastrtps_cpp: \d+ of \d+ MB of /dev/shm are free", clouds)
     assert {
         "Python",
         "torch",

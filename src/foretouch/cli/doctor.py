@@ -10,7 +10,6 @@ import importlib.util
 import os
 import platform
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -25,7 +24,7 @@ from packaging.requirements import Requirement
 from foretouch.cli.output import announce, print_json, print_table
 from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.processes import ONE_THREAD
-from foretouch.ros.runtime.shared_memory import stale_bytes
+from foretouch.ros.runtime.shared_memory import FAST_DDS, large_clouds
 
 _State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _PATIENCE_S = 120.0  # of one check in a process of its own; the longest takes 6 s on an idle machine
@@ -86,7 +85,6 @@ def _examine() -> Iterator[_Finding]:
     yield _Finding("Python", "mismatch" if old else "ok", f"{version} {platform.machine()}", fix)
     yield from _requirements()
     yield from _imports()
-    yield _shared_memory()
     yield from _own_parts()
 
 
@@ -132,7 +130,16 @@ def _imports() -> Iterator[_Finding]:
             yield _tried(name, code, fix)
     prepared = "from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()"
     distro = os.environ.get("ROS_DISTRO") or f"{_wheels_of_ros()}, wheels of PyPI"
-    yield _tried(f"rclpy loads ({distro})", f"{prepared}; import rclpy", "pip install 'foretouch[ros]'")
+    identified = f"{prepared}; import rclpy; print(rclpy.get_rmw_implementation_identifier())"
+    loaded = _tried(f"rclpy loads ({distro})", identified, "pip install 'foretouch[ros]'")
+    yield loaded
+    text, fine = large_clouds(loaded.found if loaded.state == "ok" else FAST_DDS)
+    fix = (
+        "docker run --shm-size=1g, or --ipc=host"
+        if FAST_DDS in text.partition(":")[0]
+        else f"RMW_IMPLEMENTATION={FAST_DDS}"
+    )
+    yield _Finding("large clouds", "ok" if fine else "mismatch", text, "" if fine else fix)
     message = f"{prepared}; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()"
     yield _tried("foretouch_msgs loads", message, "pip install ./foretouch_msgs")
     for name, why in (
@@ -140,21 +147,8 @@ def _imports() -> Iterator[_Finding]:
         ("sensor_msgs_py", "comparison in tests"),
         ("sr_robot_msgs", "the messages of Shadow"),
     ):
-        present = _failure(f"import {name}") is None
+        present = _tried(name, f"import {name}", "").state == "ok"
         yield _Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
-
-
-def _shared_memory() -> _Finding:
-    try:
-        free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
-    except OSError:
-        return _Finding("shared memory", "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
-    found = f"{free_mb:.0f} MB free"
-    if (stale_mb := stale_bytes() / 1e6) > 0.0:
-        found += f"; {stale_mb:.0f} MB of processes that were killed, which the next node frees"
-    if free_mb + stale_mb >= 256:  # three segments of 64 MB and a reserve
-        return _Finding("shared memory", "ok", found)
-    return _Finding("shared memory", "mismatch", found, "docker run --shm-size=1g")
 
 
 def _own_parts() -> Iterator[_Finding]:
@@ -203,12 +197,12 @@ def _checked(name: str, otherwise: _State, fix: str, check: Callable[[], str]) -
 
 
 def _tried(name: str, code: str, fix: str) -> _Finding:
-    message = _failure(code)
-    return _Finding(name, "ok", "yes") if message is None else _Finding(name, "broken", message, fix)
+    message, found = _outcome(code)
+    return _Finding(name, "ok", found or "yes") if message is None else _Finding(name, "broken", message, fix)
 
 
-def _failure(code: str) -> str | None:
-    """Run code in another process, which may crash; returns the last line of the error, else None."""
+def _outcome(code: str) -> tuple[str | None, str]:
+    """Run code in another process, which may crash; returns the last line of the error, else None, and what it prints."""
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter and code
             [sys.executable, "-c", code],
@@ -216,8 +210,8 @@ def _failure(code: str) -> str | None:
             env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return f"takes more than {_PATIENCE_S:g} s"
+        return f"takes more than {_PATIENCE_S:g} s", ""
     if done.returncode < 0:
-        return f"its process ended by {signal.Signals(-done.returncode).name}"
+        return f"its process ended by {signal.Signals(-done.returncode).name}", ""
     lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-    return lines[-1][:300] if done.returncode else None
+    return lines[-1][:300] if done.returncode else None, done.stdout.strip()

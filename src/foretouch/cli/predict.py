@@ -26,6 +26,7 @@ from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
 from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
 
@@ -96,6 +97,7 @@ def _answer(
             grasps, reason = [], str(err)
         planned = time.perf_counter()
         predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
+        predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = [one.reason for one in predictions if one.status != "ok"]
         yield {

@@ -27,6 +27,7 @@ import pyarrow as pa
 
 from foretouch.channels import Channels
 from foretouch.checked_files import (
+    COUNT,
     FileBytes,
     Version,
     file_sha256,
@@ -73,11 +74,11 @@ _POINTS: Final = ("xyz", "rgb")
 _VECTORS: Final = ("g1", "g2", "rotation", "touch", "tare")
 _NULLABLE: Final = ("rgb", "touch", "tare")
 _MANIFEST_SCHEMA: Final = {
-    "samples": int,
+    "samples": COUNT,
     "sha256": str,
     "about?": dict,
     "sensor?": dict,
-    "shards?": [{"file": str, "samples": int, "sha256": str}],
+    "shards?": [{"file": str, "samples": COUNT, "sha256": str}],
     "files?": [{"file": str, "sha256": str}],
 }
 

@@ -61,7 +61,7 @@ _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
 _SOFT = 0.05  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
-_APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
+APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
@@ -362,7 +362,7 @@ def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> l
         if len(chosen) == count:
             break
         ends = np.stack(completed.contacts(lines, int(angle), int(line)))
-        if not (np.linalg.norm(taken - ends, axis=2).max(axis=1, initial=0.0) < _APART_M).any():
+        if not (np.linalg.norm(taken - ends, axis=2).max(axis=1, initial=0.0) < APART_M).any():
             chosen.append((int(angle), int(line)))
             taken = np.concatenate([taken, ends[None]])
     return chosen

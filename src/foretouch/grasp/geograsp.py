@@ -21,6 +21,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neig
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
+    APART_M,
     COMPLETED_POINTS,
     SCORE_OF_NONE,
     CompletedObject,
@@ -237,5 +238,8 @@ def _plan_completed(
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"best of {counts['n_free']} of {counts['n_lines']} closing lines"
+        if len(plan.grasps) < config.count:
+            near = f"all others are within {APART_M * 1e3:g} mm of one of these"
+            plan.reason += f"; {len(plan.grasps)} grasps instead of {config.count}: {near}"
     else:
         plan.reason = why_no_line(lines, hand, obstacles)

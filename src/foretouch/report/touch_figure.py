@@ -68,12 +68,15 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
     scale = _Scale(view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
+    seen = ""  # title of the last scene, which is not repeated
     for part, one, row in zip(parts, grasps, panels, strict=True):
         part.suptitle("\n".join(filter(None, (one.title, _agreement(one, view.sensor)))), fontsize=10)
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
         views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
         if one.target is not None:
-            _draw_scene(views[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+            title = f"what the camera sees\nof the table, {abs(one.target.plane.offset):.2f} m away"
+            _draw_scene(views[0], one.scene or one.target.cloud, one.target, "" if title == seen else title)
+            seen = title
             _draw_front(views[1], one.target.cloud, one.prediction.grasp, view.fingers)
         for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
@@ -175,6 +178,7 @@ class _Scale:
             largest = max(map(abs, self.limits))
             self.limits, self._colours = (-largest, largest), "PuOr"
         self.drawn: Any = None  # what a bar of colours is made for
+        self._ringed = False  # whether any taxel has a ring
 
     def _levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
         return self.view.levels(touch, rest if self._tared else None, finger)
@@ -199,6 +203,7 @@ class _Scale:
             axes.scatter(across[~valid], along[~valid], s=size, edgecolors="grey", **hollow)
         if outside is not None:
             ringed = outside & valid
+            self._ringed |= bool(ringed.any())
             axes.scatter(across[ringed], along[ringed], s=2.2 * size, edgecolors="black", **hollow)
         axes.set(xticks=[], yticks=[])
         axes.margins(0.15)
@@ -206,19 +211,19 @@ class _Scale:
     def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
         """Add the bar of colours below some axes, or alone to a figure without any."""
         what = self.view.label(from_rest=self._tared)
-        label = f"{what}\nseen from outside, unrolled; up: towards the tip; ringed: outside of its 90 % interval"
+        rings = "; ringed: outside of its 90 % interval" * self._ringed
+        label = f"{what}\nseen from outside, unrolled; up: towards the tip{rings}"
         own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}
         figure.colorbar(self.drawn, label=label, **own)
 
 
-def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
+def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
     """Draw the scene from the camera, coloured by depth, with the outline of the target.
 
     An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
     """
-    title = f"what the camera sees\nof the table, {abs(target.plane.offset):.2f} m away"
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
         rows, columns = np.divmod(target.pixels, target.image_shape[1])

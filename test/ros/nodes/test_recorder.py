@@ -13,7 +13,9 @@ from foretouch.dataset.record import HOLD
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.errors import ConfigError
 from foretouch.ros.messages.tactile import biotac_all_to_msg
+from foretouch.ros.nodes.recorder import RecorderConfig
 from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
@@ -172,3 +174,9 @@ def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(grap
     node.end()
     assert tactile().received == robot.sent["/rh/tactile"]
     assert len(stored(tmp_path / "set")) == 1
+
+
+@pytest.mark.parametrize("name", ["hand", "camera"])
+def test_an_empty_name_of_hand_or_camera_is_refused(name):
+    with pytest.raises(ConfigError, match=rf"identity\.{name}: is empty; a dataset names the model of its {name}"):
+        RecorderConfig.from_mapping({f"identity.{name}": " "})

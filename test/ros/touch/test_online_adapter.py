@@ -463,6 +463,11 @@ def test_a_named_hand_remembers_across_a_restart(graph, card, tmp_path):
     assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")
 
 
+def test_an_empty_name_of_the_hand_is_named(graph, card):
+    (node,) = graph.add("touch_predictor", model=card, hand="")
+    assert node.notes()["history.file"] == "none: hand is empty, so that readings are forgotten when the node ends"
+
+
 def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(graph, card, model_card):
     (node,) = graph.add("touch_predictor", model=card, tactile__type="std_msgs/String")
     lines = graph.talk_matched(String, "/rh/tactile")

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
 from foretouch.checked_files import (
+    COUNT,
     TEXT_LIMIT,
     free_name,
     open_own,
@@ -39,7 +40,7 @@ _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash ca
 _FIRST: Final = ("relabel", "drop", "undo")  # in version 1
 _ACTIONS: Final = (*_FIRST, "outcome", "note", "object", "pause")
 _VERSION: Final = 2
-_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": int}
+_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": COUNT}
 _ADDED: Final = {"text": "", "stamp_ns": 0}  # left out of a line where they are these
 
 
@@ -224,7 +225,7 @@ def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
     if content["action"] not in _ACTIONS:
         raise DatasetError(f"action {content['action']!r} is not one of {', '.join(_ACTIONS)}")
     added = {**_ADDED, **{name: content[name] for name in _ADDED if name in content}}
-    require_schema(file, added, {"text": str, "stamp_ns": int}, f"line {known + 1}")
+    require_schema(file, added, {"text": str, "stamp_ns": COUNT}, f"line {known + 1}")
     edit = Edit(**{name: content[name] for name in ("action", "object", "edit")}, ids=tuple(content["ids"]), **added)
     if edit.action in ("relabel", "object") or (edit.action == "undo" and edit.ids):
         check_name(edit.object, "object")

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
+from foretouch.checked_files import COUNT, TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
 from foretouch.config import Settings, flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
@@ -257,7 +257,7 @@ def _read_manifest(file: Path) -> dict[str, Any]:
     """A manifest whose sessions can be continued and whose cells, if it was once written to the end, are counted."""
     manifest: dict[str, Any] = require_schema(file, read_json(file), _SCHEMA)
     if manifest.get("cells", {}) != {}:
-        require_schema(file, manifest["cells"], {"all": int, "finished": int, "failed": dict}, "cells")
+        require_schema(file, manifest["cells"], {"all": COUNT, "finished": COUNT, "failed": dict}, "cells")
     return manifest
 
 

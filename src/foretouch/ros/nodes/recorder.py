@@ -53,6 +53,12 @@ class IdentityConfig(Settings, read_only=True):
     camera: str = setting("realsense", "Model of the camera")
     camera_serial: str = setting("", "Serial number of the camera")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("hand", "camera"):
+            if not getattr(self, name).strip():
+                raise ConfigError(f"{name}: is empty; a dataset names the model of its {name}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecorderConfig(NodeConfig, TactileInput):

@@ -38,8 +38,8 @@ from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
-REQUESTS = QoSProfile(depth=1000)
-"""Of services: with rclpy's depth of 10, of 200 requests at once 190 are lost without a trace."""
+REQUESTS = QoSProfile(depth=5000)
+"""Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
 
 
 @dataclass(frozen=True, kw_only=True)

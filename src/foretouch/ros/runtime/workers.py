@@ -10,6 +10,7 @@ another thread published to a subscription of the same process.
 """
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,7 +22,10 @@ from rclpy.node import Node
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.ros.messages.requests import RefusalError, status_code
 
-_PATIENCE_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some
+PATIENCE_S: Final = 10.0
+"""How long a request waits for a thread until it is refused [s]."""
+
+_CATCH_UP_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some
 
 _T = TypeVar("_T")
 
@@ -151,7 +155,7 @@ class Worker(Generic[_T]):
         thread: WorkerThread | None = None,
     ) -> None:
         self._work = work
-        self._queue = BoundedQueue[_T](depth, patience_s=_PATIENCE_S, on_drop=on_drop)
+        self._queue = BoundedQueue[_T](depth, patience_s=_CATCH_UP_S, on_drop=on_drop)
         self._thread = WorkerThread(name) if thread is None else thread
 
     def start(self) -> None:
@@ -178,7 +182,7 @@ class Worker(Generic[_T]):
 class ThreadPool:
     """So many threads for the requests of one node, whose executor is woken when work is done.
 
-    At most `limit` requests wait; further ones are refused, as `busy`.
+    At most `limit` requests wait, for `PATIENCE_S` each; others are refused, as `busy`.
     """
 
     def __init__(self, node: Node, threads: int, limit: int) -> None:
@@ -195,7 +199,7 @@ class ThreadPool:
             raise RefusalError(status_code("busy"), f"busy: {self._limit} requests wait already: ask again later")
         self._waiting += 1
         try:
-            future = self._pool.submit(work)
+            future = self._pool.submit(_in_time, work, time.monotonic() + PATIENCE_S)
             future.add_done_callback(self._wake)
             while not future.done():
                 await _Pause()
@@ -210,6 +214,15 @@ class ThreadPool:
     def _wake(self, _: Future[Any]) -> None:
         if self._node.executor is not None:
             self._node.executor.wake()
+
+
+def _in_time(work: Callable[[], _T], end_s: float) -> _T:
+    """Do work that has waited until a time at most [s], or refuse it."""
+    if time.monotonic() > end_s:
+        raise RefusalError(
+            status_code("busy"), f"busy: waited for {PATIENCE_S:g} s behind other requests: ask again later"
+        )
+    return work()
 
 
 class _Pause:
