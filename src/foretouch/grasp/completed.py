@@ -32,10 +32,10 @@ from foretouch.types import Float32, Float64, Grasp, Int32, Int64, Plane
 
 _closing_lines = Kernel(
     "closing_lines",
-    *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, int, int),
+    *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, np.float32, int, int),
     *(np.float64, int, np.float64),
 )
-_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, int, int, np.float64)
+_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64)
 
 _ANGLES = 24  # directions in half a turn
 _LINES = 21  # in each direction, next to the centre
@@ -152,30 +152,38 @@ class CompletedObject:
         self._weights = np.where(near, self._weights, 0.0)
 
     @cached_property
-    def _outline(self) -> tuple[Float64, Float32]:
-        """Column, row and pitch of a grid over the object's image, and the depth of the nearest point of each cell [m].
-
-        The depth is infinite in gaps of the outline, and zero outside of it.
+    def _outline(self) -> tuple[Float64, Float32, Float32]:
+        """A grid over the object's image: column, row and pitch; the depth of the nearest point of each cell [m], infinite in gaps; and
+        how certainly a cell is inside of the outline: it has points, of which each counts for the four cells around it, or is in a gap.
         """
-        from scipy.ndimage import binary_closing
+        from scipy.ndimage import maximum_filter, minimum_filter
 
         xyz = self._points.xyz
         place = xyz[:, :2] / xyz[:, 2:]
         pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
         low = place.min(axis=0) - 4.0 * pitch
-        column, row = np.floor((place - low) / pitch).astype(np.int64).T
-        nearest = np.full((int(row.max()) + 5, int(column.max()) + 5), np.inf, np.float32)
+        at = (place - low) / pitch
+        column, row = np.floor(at).astype(np.int64).T
+        shape = int(row.max()) + 5, int(column.max()) + 5
+        nearest = np.full(shape, np.inf, np.float32)
         np.minimum.at(nearest, (row, column), xyz[:, 2].astype(np.float32))
-        closed = binary_closing(np.isfinite(nearest), iterations=2) | np.isfinite(nearest)
-        nearest[~closed] = 0.0
-        return np.array([*low, pitch]), nearest
+        part = at - 0.5
+        first = np.floor(part).astype(np.int64)
+        part -= first
+        flat = first[:, 1] * shape[1] + first[:, 0]
+        filled = np.zeros(shape)
+        for step, weight in ((0, (1.0 - part[:, 0]) * (1.0 - part[:, 1])), (1, part[:, 0] * (1.0 - part[:, 1])), (shape[1], (1.0 - part[:, 0]) * part[:, 1]), (shape[1] + 1, part[:, 0] * part[:, 1])):
+            filled += np.bincount(flat + step, weight, filled.size).reshape(shape)
+        filled = np.minimum(filled, 1.0).astype(np.float32)
+        inside = minimum_filter(maximum_filter(filled, 5), 5)
+        return np.array([*low, pitch]), nearest, inside
 
-    def _camera(self) -> tuple[Float64, Float32, int, int]:
+    def _camera(self) -> tuple[Float64, Float32, Float32, int, int]:
         """The outline and the pose of the table's frame in the camera's, as the kernels read them."""
         if not self._in_view:
-            return np.zeros(15), np.zeros((1, 1), np.float32), 0, 0
-        grid, nearest = self._outline
-        return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, *nearest.shape
+            return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
+        grid, nearest, inside = self._outline
+        return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
 
     def _mirrored(self, seen: Float64) -> tuple[Float64, Float64]:
         """Points mirrored about the vertical line through the middle of the top, where the camera cannot see; and their weights."""
@@ -198,14 +206,14 @@ class CompletedObject:
         return other[kept], weight[kept]
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """(A, n_lines, 5) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
         settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        found = np.empty((len(turns), n_lines, 6))
+        found = np.empty((len(turns), n_lines, 5))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
             *(others, len(others), found),
@@ -216,7 +224,7 @@ class CompletedObject:
         """All closing lines with their costs."""
         hand = self._hand
         angles = np.pi * np.arange(_ANGLES) / _ANGLES
-        low, high, height, top, blocker, _ = np.moveaxis(
+        low, high, height, top, blocker = np.moveaxis(
             self._close(np.stack([angles, 0.0 * angles], axis=1), _LINES), 2, 0
         )
         width, met = high - low, np.isfinite(height)
@@ -259,7 +267,7 @@ class CompletedObject:
         weight /= weight.sum()
         turn = np.pi * (angle + float((weight * turns).sum())) / _ANGLES
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * steps).sum()))
-        low, high, height, top, blocker, _ = self._close(np.array([[turn, beside_m]]), 1)[0, 0].tolist()
+        low, high, height, top, blocker = self._close(np.array([[turn, beside_m]]), 1)[0, 0].tolist()
         if not self._admits(high - low, height, top) or blocker >= 0.0:
             return self.contacts(lines, angle, line)
         return self._ends(turn, beside_m, low, high, height)

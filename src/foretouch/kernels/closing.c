@@ -6,15 +6,17 @@
 #define ALONG_M 0.0005f /* of a bin of the histogram along a line */
 #define HEIGHTS 640     /* bins: no object is higher than 0.6 m */
 #define ALONGS 2560     /* bins: nor longer than 1.2 m */
-#define STEPS 24        /* places of a column that are tried for free space */
+#define STEPS 16        /* places of a column that are tried for free space */
 #define FADE 4.0f       /* bins of height over which points fade out below the fingertips */
 #define END_M 0.003f    /* from either end of a line are the points that have the height of the end */
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
-#define FOUND 6         /* values of a line */
+#define FADE_M 0.002    /* before and behind such a depth, over which it fades */
+#define FOUND 5         /* values of a line */
 
 typedef struct {
     const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch of the grid */
-    const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap, 0 outside of the outline */
+    const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap */
+    const float *inside;  /* (rows, columns) how certainly a cell is inside of the outline, 0 ... 1 */
     int64_t rows, columns;
 } Outline;
 
@@ -23,28 +25,29 @@ INLINE double smooth(double value, double low, double high) {
     return inside * inside * (3.0 - 2.0 * inside);
 }
 
-/* How far a place of the table's frame is behind the object's nearest point on its ray; infinite in a gap, -infinite outside. */
-INLINE double depth_behind(const Outline *seen, double x, double y, double z) {
+/* How certainly a place of the table's frame is hidden by the object, 0 ... 1, around a depth behind its nearest point on the ray. */
+INLINE double hidden_by(const Outline *seen, double x, double y, double z, double depth_behind) {
     const double *c = seen->camera, depth = c[6] * x + c[7] * y + c[8] * z + c[11];
     if (!(depth > 0.0)) {
-        return -INFINITY;
+        return 0.0;
     }
     const double column = floor(((c[0] * x + c[1] * y + c[2] * z + c[9]) / depth - c[12]) / c[14]);
     const double row = floor(((c[3] * x + c[4] * y + c[5] * z + c[10]) / depth - c[13]) / c[14]);
     if (!(column >= 0.0 && row >= 0.0 && column < (double)seen->columns && row < (double)seen->rows)) {
-        return -INFINITY;
+        return 0.0;
     }
-    const float nearest = seen->nearest[(int64_t)row * seen->columns + (int64_t)column];
-    return nearest == 0.0f ? -INFINITY : (isinf(nearest) ? INFINITY : depth - (double)nearest);
+    const int64_t cell = (int64_t)row * seen->columns + (int64_t)column;
+    const float nearest = seen->nearest[cell];
+    const double behind = isinf(nearest) ? 1.0 : depth - (double)nearest;
+    return (double)seen->inside[cell] * smooth(behind, depth_behind - FADE_M, depth_behind + FADE_M);
 }
 
 /* hidden (n): how certainly the object hides each of the points (n, 3) from the camera, 0 ... 1, around a depth behind it. */
-void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, int64_t rows,
-                   int64_t columns, double *hidden) {
-    const Outline seen = {camera, nearest, rows, columns};
+void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, const float *inside,
+                   int64_t rows, int64_t columns, double *hidden) {
+    const Outline seen = {camera, nearest, inside, rows, columns};
     for (int64_t i = 0; i < n; i++) {
-        const double behind = depth_behind(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2]);
-        hidden[i] = smooth(behind < 1.0 ? behind : 1.0, 0.5 * depth, 1.5 * depth);
+        hidden[i] = hidden_by(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2], depth);
     }
 }
 
@@ -120,19 +123,34 @@ INLINE double round_underside(double top, double lowest, double end, double widt
     return underside > 0.0 ? tall * none * bent * from_above * underside : 0.0;
 }
 
+/* Height down to which the object hides its columns, as a mean over three along a line, whose middle is at `mid`. */
+INLINE double seen_under(const Outline *seen, double c, double s, double mid, double offset, double top, double tip) {
+    double sum = 0.0;
+    for (int64_t j = -1; j <= 1; j++) {
+        const double along = mid + (double)j * tip / 2.0, x = c * along - s * offset, y = s * along + c * offset;
+        double hidden = 1.0;
+        for (int64_t k = 2; k <= STEPS; k++) { /* downwards from the top, until the table is seen through the column */
+            const double here = hidden > 0.0 ? hidden_by(seen, x, y, top * (1.0 - (double)k / STEPS), -SEEN_M) : 0.0;
+            hidden = here < hidden ? here : hidden;
+            sum += (1.0 - hidden) * top / STEPS;
+        }
+    }
+    return sum / 3.0;
+}
+
 /* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
  *
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
  * turns (angles, 2): direction of the lines [rad], and how far the middle one is beside the axis. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
  * part of the direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
- * found (angles, lines, 6): both ends, height, top, the first of `others` in the way of a finger, or -1, and the weight of the points. Ends are
+ * found (angles, lines, 5): both ends, height, top, and the first of `others` in the way of a finger, or -1. Ends are
  * NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
-                              int64_t lines, const double *settings, const double *camera, const float *nearest, int64_t rows, int64_t columns,
+                              int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns,
                               const double *others, int64_t m, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
-    const Outline seen = {camera, nearest, rows, columns};
+    const Outline seen = {camera, nearest, inside, rows, columns};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
     float *memory = malloc(((size_t)n * 11 + HEIGHTS + ALONGS + 8) * sizeof(float));
     int64_t *start = malloc((size_t)(bins + 1) * sizeof(int64_t)), used = 0, highest = 0;
@@ -198,14 +216,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
-            double under = 0.0;
-            for (int64_t k = 2; k <= STEPS; k++) { /* downwards from the top, until the table is seen through the column */
-                const double z = top * (1.0 - (double)k / STEPS);
-                if (rows > 0 && depth_behind(&seen, c * mid - s * offset, s * mid + c * offset, z) < -SEEN_M) {
-                    under = z;
-                    break;
-                }
-            }
+            double under = rows > 0 ? seen_under(&seen, c, s, mid, offset, top, tip) : 0.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
                 const float at_end = END_M / ALONG_M;
                 const double first = height_at_end(&strip, &heights, (float)low + at_end, -1.0f);
@@ -224,7 +235,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 continue;
             }
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
-            one[4] = -1.0, one[5] = alongs.total;
+            one[4] = -1.0;
             for (int64_t i = 0; i < m && one[4] < 0.0; i++) {
                 const double x = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
                 const int beside = fabs(y - offset) < tip && others[3 * i + 2] > z - tip;
