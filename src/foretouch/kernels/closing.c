@@ -141,7 +141,7 @@ INLINE double seen_under(const Outline *seen, double c, double s, double mid, do
 /* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
  *
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
- * turns (angles, 2): direction of the lines [rad], and how far the middle one is beside the axis. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
+ * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
  * part of the direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
  * found (angles, lines, 5): both ends, height, top, and the first of `others` in the way of a finger, or -1. Ends are
  * NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
@@ -174,7 +174,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
     }
     for (int64_t angle = 0; angle < angles; angle++) {
-        const double c = cos(turns[2 * angle]), s = sin(turns[2 * angle]), beside_m = turns[2 * angle + 1];
+        const double c = cos(turns[3 * angle]), s = sin(turns[3 * angle]), beside_m = turns[3 * angle + 1];
         const float c_place = (float)c / ALONG_M, s_place = (float)s / ALONG_M, c_line = (float)(c / step), s_line = (float)(s / step);
         const float first = (float)((double)(bins / 2) - beside_m / step), last = (float)bins;
         memset(start, 0, (size_t)(bins + 1) * sizeof(int64_t));
@@ -225,7 +225,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 const double round = round_underside(top, lowest, end, width, horizontal);
                 under = round > under ? round : under;
             }
-            double z = (top + under) / 2.0 + shift;
+            double z = isnan(turns[3 * angle + 2]) ? (top + under) / 2.0 + shift : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < under ? under : z;
             z = z < floor_m ? floor_m : z;
