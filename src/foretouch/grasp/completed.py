@@ -52,6 +52,8 @@ _FAR_M = 0.6  # from the centre: no hand reaches it
 _STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
+_BIAS = 7.5
+_WIDE = 1.0
 _ALMOST = 0.96  # of the opening, from where on a line is the worse the wider it is
 REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_too_steep", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
@@ -236,7 +238,8 @@ class CompletedObject:
             counts[name] = int(np.count_nonzero(left & refused[name]))
             left = left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
-        cost = np.where(left, _smoothed(np.where(left, self._cost(high - low, slope), _MOST_COST)), np.inf)
+        cost = np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST)
+        cost = np.where(left, _smoothed(np.where(left | refused["n_too_wide"], np.minimum(cost, _MOST_COST), _MOST_COST)), np.inf)
         return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
@@ -256,7 +259,7 @@ class CompletedObject:
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None]
         opening_m = self._hand.opening_m  # noise does not decide what the hand can just about hold
-        return np.asarray(cost + _MOST_COST * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
+        return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""

@@ -8,7 +8,7 @@
 #define ALONGS 2560     /* bins: nor longer than 1.2 m */
 #define STEPS 16        /* places of a column that are tried for free space */
 #define FADE 4.0f       /* bins of height over which points fade out below the fingertips */
-#define END_M 0.003f    /* from either end of a line are the points that have the height of the end */
+#define END_M 0.004f    /* from either end of a line are the points that have the height of the end */
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
 #define FOUND 5         /* values of a line */
@@ -100,16 +100,14 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
     *high = quantile(bins, 1.0 - share);
 }
 
-/* Median height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
-INLINE double height_at_end(const Strip *one, Histogram *bins, float place, float sign) {
-    clear(bins, bins->from, bins->to);
+/* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
+INLINE double height_at_end(const Strip *one, float place, float sign) {
+    float sum = 0.0f, total = 1e-9f;
     for (int64_t i = 0; i < one->n; i++) {
-        if (sign * (one->along[i] - place) > 0.0f) {
-            bins->bins[(int64_t)one->height[i]] += one->weight[i];
-            bins->total += one->weight[i];
-        }
+        const float beyond = sign * (one->along[i] - place) / (END_M / ALONG_M), share = beyond < 0.0f ? 0.0f : (beyond > 1.0f ? 1.0f : beyond);
+        sum += one->weight[i] * share * one->height[i], total += one->weight[i] * share;
     }
-    return quantile(bins, 0.5);
+    return (double)(sum / total);
 }
 
 /* Height of the underside of a body that is as thick as it is wide, as an arch seen from above; 0 if the points speak for walls.
@@ -218,9 +216,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
             double under = rows > 0 ? seen_under(&seen, c, s, mid, offset, top, tip) : 0.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
-                const float at_end = END_M / ALONG_M;
-                const double first = height_at_end(&strip, &heights, (float)low + at_end, -1.0f);
-                const double second = height_at_end(&strip, &heights, (float)high - at_end, 1.0f);
+                const float at_end = END_M / ALONG_M; /* the weight of a point grows over that length */
+                const double first = height_at_end(&strip, (float)low + at_end, -1.0f), second = height_at_end(&strip, (float)high - at_end, 1.0f);
                 const double end = (first > second ? first : second) * (double)HEIGHT_M;
                 const double round = round_underside(top, lowest, end, width, horizontal);
                 under = round > under ? round : under;
