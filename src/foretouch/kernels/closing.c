@@ -10,6 +10,8 @@
 #define FADE 4.0f       /* bins of height over which points fade out below the fingertips */
 #define END_M 0.004f    /* from either end of a line are the points that have the height of the end */
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
+#define LEAST 0.5       /* of the share beyond an end, from which on its place is a mean */
+#define MOST 2.5        /* up to which */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
 #define FOUND 5         /* values of a line */
 
@@ -75,6 +77,21 @@ INLINE double quantile(const Histogram *one, double share) {
     return (double)one->to + 1.0;
 }
 
+/* Mean of the quantiles from one share to another, in bins: it moves little where few points decide. */
+INLINE double mean_quantile(const Histogram *one, double first, double last) {
+    const double from = first * one->total, to = last * one->total;
+    double below = 0.0, sum = 0.0;
+    for (int64_t i = one->from; i <= one->to && below < to; i++) {
+        const double bin = one->bins[i], above = below + bin;
+        const double a = below > from ? below : from, b = above < to ? above : to;
+        if (b > a) {
+            sum += (b - a) * ((double)i + ((a + b) / 2.0 - below) / bin);
+        }
+        below = above;
+    }
+    return to > from ? sum / (to - from) : (double)one->to;
+}
+
 /* The points of one strip, which lie one after the other. */
 typedef struct {
     const float *along, *height, *weight;
@@ -96,8 +113,8 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
     for (int64_t i = bins->from; i <= bins->to; i++) {
         bins->total += bins->bins[i];
     }
-    *low = quantile(bins, share);
-    *high = quantile(bins, 1.0 - share);
+    *low = mean_quantile(bins, LEAST * share, MOST * share);
+    *high = mean_quantile(bins, 1.0 - MOST * share, 1.0 - LEAST * share);
 }
 
 /* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
