@@ -38,7 +38,7 @@ _closing_lines = Kernel(
 _hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64)
 
 _ANGLES = 24  # directions in half a turn
-_LINES = 21  # in each direction, next to the centre
+_LINES = 19  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.02  # of the points of a line that are beyond either end
@@ -59,7 +59,7 @@ REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_too_steep", "n_blocked")
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
 _SLOPE_DEG = 45.0  # of either side against the line
-_ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
+_ACROSS = 0.5  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
@@ -94,7 +94,7 @@ class Obstacles:
 
 @dataclass(frozen=True, eq=False)
 class ClosingLines:
-    """The lines of one object. Arrays are (24, 21): directions, and places beside the centre."""
+    """The lines of one object. Arrays are (24, 19): directions, and places beside the centre."""
 
     low: Float64  # float64 [m], where the line enters the object, from its middle; NaN where it meets nothing
     high: Float64  # float64 [m], where it leaves it

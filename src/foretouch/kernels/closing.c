@@ -77,15 +77,15 @@ INLINE double quantile(const Histogram *one, double share) {
     return (double)one->to + 1.0;
 }
 
-/* Mean of the quantiles from one share to another, in bins: it moves little where few points decide. */
-INLINE double mean_quantile(const Histogram *one, double first, double last) {
+/* Mean of the quantiles from one share to another, in bins, from below (sign 1) or above (-1): it moves little where few points decide. */
+INLINE double mean_quantile(const Histogram *one, double first, double last, int64_t sign) {
     const double from = first * one->total, to = last * one->total;
     double below = 0.0, sum = 0.0;
-    for (int64_t i = one->from; i <= one->to && below < to; i++) {
+    for (int64_t i = sign > 0 ? one->from : one->to; i >= one->from && i <= one->to && below < to; i += sign) {
         const double bin = one->bins[i], above = below + bin;
         const double a = below > from ? below : from, b = above < to ? above : to;
         if (b > a) {
-            sum += (b - a) * ((double)i + ((a + b) / 2.0 - below) / bin);
+            sum += (b - a) * ((double)(i + (sign < 0)) + (double)sign * ((a + b) / 2.0 - below) / bin);
         }
         below = above;
     }
@@ -95,26 +95,23 @@ INLINE double mean_quantile(const Histogram *one, double first, double last) {
 /* The points of one strip, which lie one after the other. */
 typedef struct {
     const float *along, *height, *weight;
-    int64_t n;
+    int64_t n, first, last; /* number of points; first and last bin along the line */
 } Strip;
 
 /* Ends of a strip along its line: quantiles of the points above a height [bins]. */
 INLINE void ends(const Strip *one, Histogram *bins, float above, double share, double *low, double *high) {
-    float least = INFINITY, most = -INFINITY;
-    for (int64_t i = 0; i < one->n; i++) {
-        least = one->along[i] < least ? one->along[i] : least;
-        most = one->along[i] > most ? one->along[i] : most;
-    }
-    clear(bins, (int64_t)least, (int64_t)most);
+    double total = 0.0;
+    clear(bins, one->first, one->last);
     for (int64_t i = 0; i < one->n; i++) {
         const float share = (one->height[i] - above) / FADE + 0.5f;
         bins->bins[(int32_t)one->along[i]] += one->weight[i] * (share < 0.0f ? 0.0f : (share > 1.0f ? 1.0f : share));
     }
     for (int64_t i = bins->from; i <= bins->to; i++) {
-        bins->total += bins->bins[i];
+        total += (double)bins->bins[i];
     }
-    *low = mean_quantile(bins, LEAST * share, MOST * share);
-    *high = mean_quantile(bins, 1.0 - MOST * share, 1.0 - LEAST * share);
+    bins->total = total;
+    *low = mean_quantile(bins, LEAST * share, MOST * share, 1);
+    *high = mean_quantile(bins, LEAST * share, MOST * share, -1);
 }
 
 /* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
@@ -132,8 +129,8 @@ INLINE double height_at_end(const Strip *one, float place, float sign) {
  * Evidence are ends that are seen well below the top, and nothing that is seen lower than the underside of a round body is seen. */
 INLINE double round_underside(double top, double lowest, double end, double width, double horizontal) {
     const double radius = width / 2.0, below = lowest - (top - radius - radius * horizontal);
-    const double tall = smooth(top / width, 1.2, 1.5), none = smooth(below, -0.4 * radius, -0.2 * radius);
-    const double bent = smooth(top - end, 0.25 * radius, 0.5 * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
+    const double tall = smooth(top / width, 1.2, 1.5), none = smooth(below, -0.4 * radius, -0.1 * radius);
+    const double bent = smooth(top - end, 0.2 * radius, 0.6 * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
     const double underside = top - width;
     return underside > 0.0 ? tall * none * bent * from_above * underside : 0.0;
 }
@@ -214,19 +211,23 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = line ? start[line - 1] : 0;
-            const Strip strip = {along + from, height + from, tent, start[line + 3] - from};
+            Strip strip = {along + from, height + from, tent, start[line + 3] - from, 0, 0};
             double *one = found + (angle * lines + line) * FOUND, low, high;
             if (strip.n < 8) {
                 continue;
             }
+            float least = INFINITY, most = 0.0f;
+            clear(&heights, 0, highest);
             for (int64_t i = 0; i < strip.n; i++) { /* a point on the line counts once, one two steps beside it not at all */
                 tent[i] = weight[from + i] * (1.0f - 0.5f * fabsf(across[from + i] - (float)(line + 2)));
+                least = strip.along[i] < least ? strip.along[i] : least;
+                most = strip.along[i] > most ? strip.along[i] : most;
             }
-            ends(&strip, &alongs, -FADE, share, &low, &high);
-            clear(&heights, 0, highest);
             for (int64_t i = 0; i < strip.n; i++) {
                 heights.bins[(int32_t)strip.height[i]] += strip.weight[i];
             }
+            strip.first = (int64_t)least, strip.last = (int64_t)most;
+            ends(&strip, &alongs, -FADE, share, &low, &high);
             heights.total = alongs.total;
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
