@@ -96,18 +96,20 @@ INLINE double mean_quantile(const Histogram *one, double first, double last, int
 typedef struct {
     const float *along, *height, *weight;
     int64_t n, first, last; /* number of points; first and last bin along the line */
+    float *faded;           /* place for n weights */
 } Strip;
 
 /* Ends of a strip along its line: quantiles of the points above a height [bins]. */
 INLINE void ends(const Strip *one, Histogram *bins, float above, double share, double *low, double *high) {
-    double total = 0.0;
+    float total = 0.0f;
     clear(bins, one->first, one->last);
     for (int64_t i = 0; i < one->n; i++) {
-        const float share = (one->height[i] - above) / FADE + 0.5f;
-        bins->bins[(int32_t)one->along[i]] += one->weight[i] * (share < 0.0f ? 0.0f : (share > 1.0f ? 1.0f : share));
+        const float part = (one->height[i] - above) / FADE + 0.5f, positive = part < 0.0f ? 0.0f : part;
+        one->faded[i] = one->weight[i] * (positive > 1.0f ? 1.0f : positive);
     }
-    for (int64_t i = bins->from; i <= bins->to; i++) {
-        total += (double)bins->bins[i];
+    for (int64_t i = 0; i < one->n; i++) {
+        bins->bins[(int32_t)one->along[i]] += one->faded[i];
+        total += one->faded[i];
     }
     bins->total = total;
     *low = mean_quantile(bins, LEAST * share, MOST * share, 1);
@@ -164,8 +166,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
     const Outline seen = {camera, nearest, inside, rows, columns};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
-    float *memory = malloc(((size_t)n * 11 + HEIGHTS + ALONGS + 8) * sizeof(float));
-    int64_t *start = malloc((size_t)(bins + 1) * sizeof(int64_t)), used = 0, highest = 0;
+    float *memory = malloc(((size_t)n * 12 + HEIGHTS + ALONGS + 8) * sizeof(float));
+    int64_t *start = malloc((size_t)(bins + 1) * 3 * sizeof(int64_t)), used = 0, highest = 0;
     for (int64_t i = 0; i < angles * lines * FOUND; i++) {
         found[i] = NAN;
     }
@@ -174,8 +176,9 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         return;
     }
     float *along = memory, *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
-    float *place = share_of + n, *beside = place + n, *across = beside + n, *tent = across + n;
-    Histogram heights = {tent + n, 0, 0, 0.0}, alongs = {tent + n + HEIGHTS, 0, 0, 0.0};
+    float *place = share_of + n, *beside = place + n, *across = beside + n, *tent = across + n, *faded = tent + n;
+    int64_t *least = start + bins + 1, *most = least + bins; /* bins along the line of the points in each strip of one step */
+    Histogram heights = {faded + n, 0, 0, 0.0}, alongs = {faded + n + HEIGHTS, 0, 0, 0.0};
     for (int64_t i = 0; i < n; i++) {
         if (weights[i] > 0.0) {
             const double bin = points[3 * i + 2] / (double)HEIGHT_M;
@@ -202,31 +205,33 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
         for (int64_t j = 0; j < bins; j++) {
             start[j + 1] += start[j];
+            least[j] = ALONGS, most[j] = 0;
         }
         for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step; afterwards start[j] is the end of strip j */
             if (beside[i] >= 0.0f && beside[i] < last) {
-                const int64_t at = start[(int32_t)beside[i]]++;
+                const int64_t j = (int64_t)(int32_t)beside[i], at = start[j]++, bin = (int64_t)(int32_t)place[i];
+                least[j] = bin < least[j] ? bin : least[j], most[j] = bin > most[j] ? bin : most[j];
                 along[at] = place[i], height[at] = level[i], weight[at] = share_of[i], across[at] = beside[i];
             }
         }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = line ? start[line - 1] : 0;
-            Strip strip = {along + from, height + from, tent, start[line + 3] - from, 0, 0};
+            Strip strip = {along + from, height + from, tent, start[line + 3] - from, ALONGS, 0, faded};
             double *one = found + (angle * lines + line) * FOUND, low, high;
             if (strip.n < 8) {
                 continue;
             }
-            float least = INFINITY, most = 0.0f;
-            clear(&heights, 0, highest);
             for (int64_t i = 0; i < strip.n; i++) { /* a point on the line counts once, one two steps beside it not at all */
                 tent[i] = weight[from + i] * (1.0f - 0.5f * fabsf(across[from + i] - (float)(line + 2)));
-                least = strip.along[i] < least ? strip.along[i] : least;
-                most = strip.along[i] > most ? strip.along[i] : most;
             }
+            for (int64_t j = line; j < line + 4; j++) {
+                strip.first = least[j] < strip.first ? least[j] : strip.first;
+                strip.last = most[j] > strip.last ? most[j] : strip.last;
+            }
+            clear(&heights, 0, highest);
             for (int64_t i = 0; i < strip.n; i++) {
                 heights.bins[(int32_t)strip.height[i]] += strip.weight[i];
             }
-            strip.first = (int64_t)least, strip.last = (int64_t)most;
             ends(&strip, &alongs, -FADE, share, &low, &high);
             heights.total = alongs.total;
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
