@@ -35,6 +35,7 @@ _closing_lines = Kernel(
     *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, np.float32, int, int),
     *(np.float64, int, np.float64),
 )
+_outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
 _hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64)
 
 _ANGLES = 24  # directions in half a turn
@@ -156,37 +157,27 @@ class CompletedObject:
         self._weights = np.where(near, self._weights, 0.0)
 
     @cached_property
-    def _outline(self) -> tuple[Float64, Float32, Float32]:
+    def _seen(self) -> tuple[Float64, Float32, Float32]:
         """A grid over the object's image: column, row and pitch; the depth of the nearest point of each cell [m], infinite in gaps; and
-        how certainly a cell is inside of the outline: it has points, of which each counts for the four cells around it, or is in a gap.
+        how certainly a cell is inside of the outline.
         """
-        from scipy.ndimage import maximum_filter, minimum_filter
-
         xyz = self._points.xyz
         place = xyz[:, :2] / xyz[:, 2:]
         pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
         low = place.min(axis=0) - 4.0 * pitch
-        at = (place - low) / pitch
-        column, row = np.floor(at).astype(np.int64).T
-        shape = int(row.max()) + 5, int(column.max()) + 5
-        nearest = np.full(shape, np.inf, np.float32)
-        np.minimum.at(nearest, (row, column), xyz[:, 2].astype(np.float32))
-        part = at - 0.5
-        first = np.floor(part).astype(np.int64)
-        part -= first
-        flat = first[:, 1] * shape[1] + first[:, 0]
-        filled = np.zeros(shape)
-        for step, weight in ((0, (1.0 - part[:, 0]) * (1.0 - part[:, 1])), (1, part[:, 0] * (1.0 - part[:, 1])), (shape[1], (1.0 - part[:, 0]) * part[:, 1]), (shape[1] + 1, part[:, 0] * part[:, 1])):
-            filled += np.bincount(flat + step, weight, filled.size).reshape(shape)
-        filled = np.minimum(filled, 1.0).astype(np.float32)
-        inside = minimum_filter(maximum_filter(filled, 5), 5)
-        return np.array([*low, pitch]), nearest, inside
+        columns, rows = (np.floor((place.max(axis=0) - low) / pitch).astype(np.int64) + 5).tolist()
+        nearest, inside = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+        grid = np.array([*low, pitch])
+        _outline(xyz, len(xyz), grid, rows, columns, nearest, inside)
+        if np.isnan(inside[0, 0]):
+            raise MemoryError("outline")
+        return grid, nearest, inside
 
     def _camera(self) -> tuple[Float64, Float32, Float32, int, int]:
         """The outline and the pose of the table's frame in the camera's, as the kernels read them."""
         if not self._in_view:
             return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
-        grid, nearest, inside = self._outline
+        grid, nearest, inside = self._seen
         return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
 
     def _mirrored(self, seen: Float64) -> tuple[Float64, Float64]:

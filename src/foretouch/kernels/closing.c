@@ -27,6 +27,55 @@ INLINE double smooth(double value, double low, double high) {
     return inside * inside * (3.0 - 2.0 * inside);
 }
 
+/* The largest (sign 1) or smallest (-1) of each cell and its neighbours up to two cells away, first along rows, then along columns; the
+ * two cells at the border are left as they are. values, other: (rows, columns); the result is in `values`. */
+INLINE void widen(float *values, float *other, int64_t rows, int64_t columns, float sign) {
+    for (int64_t axis = 0; axis < 2; axis++) {
+        const int64_t step = axis ? columns : 1;
+        const float *from = axis ? other : values;
+        float *to = axis ? values : other;
+        for (int64_t i = 2 * step; i < rows * columns - 2 * step; i++) {
+            float best = sign * from[i - 2 * step];
+            for (int64_t k = -1; k <= 2; k++) {
+                best = sign * from[i + k * step] > best ? sign * from[i + k * step] : best;
+            }
+            to[i] = sign * best;
+        }
+    }
+}
+
+/* The outline of n points (n, 3) in front of the camera, in cells of grid[2] from column grid[0] and row grid[1] on, with four empty cells around.
+ *
+ * nearest (rows, columns): depth of the nearest point, infinite without one. inside (rows, columns): 0 ... 1, each point counts for the four
+ * cells around it, one in all; gaps narrower than five cells are closed. It is continuous in the points. inside[0] is NaN without memory. */
+void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest, float *inside) {
+    float *other = calloc((size_t)(rows * columns), sizeof(float));
+    for (int64_t i = 0; i < rows * columns; i++) {
+        nearest[i] = INFINITY, inside[i] = 0.0f;
+    }
+    if (!other) {
+        inside[0] = NAN;
+        return;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        const double depth = points[3 * i + 2];
+        const double column = (points[3 * i] / depth - grid[0]) / grid[2], row = (points[3 * i + 1] / depth - grid[1]) / grid[2];
+        float *cell = nearest + (int64_t)row * columns + (int64_t)column;
+        *cell = (float)depth < *cell ? (float)depth : *cell;
+        const int64_t left = (int64_t)(column - 0.5), up = (int64_t)(row - 0.5);
+        const float right = (float)(column - 0.5 - (double)left), down = (float)(row - 0.5 - (double)up);
+        float *first = inside + up * columns + left;
+        first[0] += (1.0f - right) * (1.0f - down), first[1] += right * (1.0f - down);
+        first[columns] += (1.0f - right) * down, first[columns + 1] += right * down;
+    }
+    for (int64_t i = 0; i < rows * columns; i++) {
+        inside[i] = inside[i] > 1.0f ? 1.0f : inside[i];
+    }
+    widen(inside, other, rows, columns, 1.0f);
+    widen(inside, other, rows, columns, -1.0f);
+    free(other);
+}
+
 /* How certainly a place of the table's frame is hidden by the object, 0 ... 1, around a depth behind its nearest point on the ray. */
 INLINE double hidden_by(const Outline *seen, double x, double y, double z, double depth_behind) {
     const double *c = seen->camera, depth = c[6] * x + c[7] * y + c[8] * z + c[11];
