@@ -42,7 +42,7 @@ _ANGLES = 24  # directions in half a turn
 _LINES = 19  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
-_END_SHARE = 0.02  # of the points of a line that are beyond either end
+_END_SHARE = 0.03  # of the points of a line that are beyond either end
 _TOP_SHARE, _TOP_M = 0.12, 0.004  # of the height, and at least: what counts as the top of an object
 _TOP_CELL_M, _MASS_CELL_M = 0.003, 0.004  # of the grids for the middle of the top, and for the centre of mass
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
@@ -53,8 +53,8 @@ _FAR_M = 0.6  # from the centre: no hand reaches it
 _STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
-_BIAS = 7.5
-_WIDE = 1.0
+_BIAS = 15.0
+_WIDE = 3.0
 _ALMOST = 0.96  # of the opening, from where on a line is the worse the wider it is
 REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_too_steep", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
@@ -64,7 +64,7 @@ _ACROSS = 0.5  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
-_SOFT = 0.05  # of the cost, in which the weight of a line falls by a factor of e
+_SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 _APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
@@ -265,7 +265,7 @@ class CompletedObject:
         inside = (columns >= 0) & (columns < _LINES)
         cost = np.where(inside, lines.cost[rows, np.clip(columns, 0, _LINES - 1)], np.inf)
         weight = np.exp(-np.minimum((cost - lines.cost[angle, line]) / _SOFT, 700.0)) * np.isfinite(cost)
-        around = np.outer(_BINOMIAL, _BINOMIAL) * np.isfinite(cost)
+        around = 1.0 * np.isfinite(cost)
         heights = np.where(np.isfinite(cost), lines.height[rows, np.clip(columns, 0, _LINES - 1)], 0.0)
         weight /= weight.sum()
         turn = np.pi * (angle + float((weight * turns).sum())) / _ANGLES
