@@ -36,10 +36,12 @@ _closing_lines = Kernel(
     *(np.float64, int, np.float64),
 )
 _outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
-_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64)
+_hidden_points = Kernel(
+    "hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64
+)
 
 _ANGLES = 24  # directions in half a turn
-_LINES = 19  # in each direction, next to the centre
+_LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.03  # of the points of a line that are beyond either end
@@ -53,15 +55,21 @@ _FAR_M = 0.6  # from the centre: no hand reaches it
 _STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
-_BIAS = 15.0
-_WIDE = 3.0
-_ALMOST = 0.96  # of the opening, from where on a line is the worse the wider it is
-REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_too_steep", "n_blocked")  # counts of refused lines, in this order
+_ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
+REASONS = (
+    "n_too_flat",
+    "n_too_wide",
+    "n_too_thin",
+    "n_too_steep",
+    "n_blocked",
+)  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
 _SLOPE_DEG = 45.0  # of either side against the line
 _ACROSS = 0.5  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
+_WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
+_BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
@@ -95,7 +103,7 @@ class Obstacles:
 
 @dataclass(frozen=True, eq=False)
 class ClosingLines:
-    """The lines of one object. Arrays are (24, 19): directions, and places beside the centre."""
+    """The lines of one object. Arrays are (24, 17): directions, and places beside the centre."""
 
     low: Float64  # float64 [m], where the line enters the object, from its middle; NaN where it meets nothing
     high: Float64  # float64 [m], where it leaves it
@@ -230,7 +238,9 @@ class CompletedObject:
             left = left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
         cost = np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST)
-        cost = np.where(left, _smoothed(np.where(left | refused["n_too_wide"], np.minimum(cost, _MOST_COST), _MOST_COST)), np.inf)
+        cost = np.where(
+            left, _smoothed(np.where(left | refused["n_too_wide"], np.minimum(cost, _MOST_COST), _MOST_COST)), np.inf
+        )
         return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
@@ -249,7 +259,7 @@ class CompletedObject:
         angle = np.pi * np.arange(_ANGLES) / _ANGLES
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None]
-        opening_m = self._hand.opening_m  # noise does not decide what the hand can just about hold
+        opening_m = self._hand.opening_m
         return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
