@@ -12,6 +12,7 @@
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
 #define LEAST 0.5       /* of the share beyond an end, from which on its place is a mean */
 #define MOST 2.5        /* up to which */
+#define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
 #define FOUND 5         /* values of a line */
 
@@ -161,8 +162,11 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
         total += one->faded[i];
     }
     bins->total = total;
-    *low = mean_quantile(bins, LEAST * share, MOST * share, 1);
-    *high = mean_quantile(bins, LEAST * share, MOST * share, -1);
+    const double first = mean_quantile(bins, LEAST * share, MOST * share, 1);
+    const double last = mean_quantile(bins, LEAST * share, MOST * share, -1);
+    const double beyond = OUTWARDS * share * (last - first); /* of what an even density leaves beyond such a mean */
+    *low = first - beyond > 0.0 ? first - beyond : 0.0;
+    *high = last + beyond < ALONGS - 1.0 ? last + beyond : ALONGS - 1.0;
 }
 
 /* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
