@@ -113,7 +113,7 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
     assert simulation.failures_by_reason == {"slips": 3}
     long = CAN | {"size_m": [0.12, 0.3, 0.1], "shape": "box", "pose": {"rest": "upright"}}
     with pytest.raises(SimulationError, match=r"2 too_wide.*the hand opens 0.1 m"):
-        list(Simulation(scene(long, grasps={"max_width_m": 0.1}, max_attempts=2)).samples(1))
+        list(Simulation(scene(long, grasps=above | {"max_width_m": 0.1}, max_attempts=2)).samples(1))
 
 
 def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
