@@ -24,7 +24,9 @@ def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_data(parser)
-    parser.add_argument("--all", action="store_true", help="also the recorded clouds that did not tune an earlier method")
+    parser.add_argument(
+        "--all", action="store_true", help="also the recorded clouds that did not tune an earlier method"
+    )
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "results.csv")
     arguments = parser.parse_args()
     groups = {"made": list(made_clouds())}
