@@ -166,9 +166,7 @@ class CompletedObject:
 
     @cached_property
     def _seen(self) -> tuple[Float64, Float32, Float32]:
-        """A grid over the object's image: column, row and pitch; the depth of the nearest point of each cell [m], infinite in gaps; and
-        how certainly a cell is inside of the outline.
-        """
+        """A grid over the object's image: column, row and pitch; and as `outline` finds them, `nearest` [m] and `inside`."""
         xyz = self._points.xyz
         place = xyz[:, :2] / xyz[:, 2:]
         pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
