@@ -65,7 +65,7 @@ REASONS = (
 )  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
-_SLOPE_DEG = 45.0  # of either side against the line
+_SLOPE_DEG = 40.0  # of either side against the line
 _ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
