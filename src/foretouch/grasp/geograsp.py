@@ -232,7 +232,8 @@ def _plan_completed(
         plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held
-            held_score = SCORE_OF_NONE - lines.cost[completed.nearest_line(last.grasp)]
+            cost = float(lines.cost[completed.nearest_line(last.grasp)])
+            held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
             plan.grasps = (first, *plan.grasps[1:])
     if plan.grasps:
