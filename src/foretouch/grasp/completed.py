@@ -28,7 +28,7 @@ from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Grasp, Int32, Int64, Plane
+from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane
 
 _closing_lines = Kernel(
     "closing_lines",
@@ -99,6 +99,7 @@ class ClosingLines:
     blocker: Int64  # int64, index of the first obstacle in the way of a finger, or -1
     cost: Float64  # float64, infinite for lines that the hand cannot execute
     counts: dict[str, int]  # of lines: all, and those refused by each filter
+    lost: float  # by which the best cost is higher than it would be without obstacles; infinite if they block all
 
 
 class CompletedObject:
@@ -227,13 +228,17 @@ class CompletedObject:
             "n_too_steep": np.maximum(_slopes(low), _slopes(high)) > _STEEPEST,
             "n_blocked": blocker >= 0.0,
         }
-        counts, left = {"n_lines": int(np.count_nonzero(met))}, met
+        counts, left, alone = {"n_lines": int(np.count_nonzero(met))}, met, met
         for name, mask in refused.items():
             counts[name] = int(np.count_nonzero(left & mask))
-            left = left & ~mask
+            alone, left = left, left & ~mask
         counts["n_free"] = int(np.count_nonzero(left))
-        cost = np.where(left, _smoothed(np.where(left, self._cost(low, high), _MOST_COST)), np.inf)
-        return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
+        every = self._cost(low, high)
+        cost, lost = _final(every, left), 0.0
+        if counts["n_blocked"]:
+            lost = float(cost.min() - _final(every, alone).min())
+        blockers = np.nan_to_num(blocker, nan=-1.0).astype(np.int64)
+        return ClosingLines(low, high, height, top, blockers, cost, counts, lost)
 
     def _cost(self, low: Float64, high: Float64) -> Float64:
         """What speaks against each line; the smallest is the best."""
@@ -282,6 +287,11 @@ class CompletedObject:
         middle, turn = self._basis @ (grasp.midpoint - self._foot), np.pi * angle / _ANGLES
         beside = float(np.cos(turn) * middle[1] - np.sin(turn) * middle[0])
         return angle, int(np.clip(round(beside / _STEP_M) + _LINES // 2, 0, _LINES - 1))
+
+
+def _final(cost: Float64, left: Bool) -> Float64:
+    """Costs of the lines that are left, smoothed; infinite for the others."""
+    return np.where(left, _smoothed(np.where(left, cost, _MOST_COST)), np.inf)
 
 
 def _smoothed(cost: Float64) -> Float64:
@@ -368,18 +378,24 @@ def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> l
     return chosen
 
 
+def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
+    """Ids of the objects that block lines, ascending."""
+    return (
+        () if obstacles is None else tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
+    )
+
+
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
     """Why the hand can execute none of the lines."""
     counts = lines.counts
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"
-    blockers = [] if obstacles is None else np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist()
     reasons = {
         "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
         "n_too_steep": f"at an edge, steeper than {_STEEPEST:g} on one side",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
-        "n_blocked": f"blocked by object {', '.join(map(str, blockers))}",
+        "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
     }
     found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
     return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"
