@@ -17,7 +17,6 @@ _CAMERA = Camera(50.0, 0.95)
 
 def _pile(*solids: tuple, yaw: float = 0.0) -> Cloud:
     """Solids at places of the table, turned about the vertical together, as the camera sees them and the table."""
-    rotation, eye = _CAMERA.pose
     rays = _CAMERA.see(box(9.0, 9.0, 1e-6)).xyz  # the table
     depth, turn = [rays[..., 2]], about_vertical(yaw)
     for solid, x, y in solids:
@@ -97,6 +96,6 @@ def test_the_rule_by_hand() -> None:
     assert why.startswith(f"{AMBIGUOUS_TARGET}: objects 2 and 3 are equally near")
     assert why.endswith("; object 1 is blocked")
     assert chosen({1: 0.3, 2: 0.21}) == ([3], "object 1 is blocked; object 2 is blocked")
-    assert chosen({k: np.inf for k in range(1, 5)})[0] == [1]  # none has a grasp: the nearest
+    assert chosen(dict.fromkeys(range(1, 5), np.inf))[0] == [1]  # none has a grasp: the nearest
     assert chosen({1: 0.9, 2: 0.5, 3: 0.7}, max_objects=3)[0] == [2]
     assert chosen({1: 0.9, 2: 0.5, 3: 0.5}, max_objects=3)[1].endswith("object 2 is hindered least")
