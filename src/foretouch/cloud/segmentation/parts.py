@@ -31,7 +31,6 @@ _split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64,
 _concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden", "joined_concentric")
-_CELL_M = 0.005  # side of a cell at the median depth of the clusters, as the noise of a stereo camera it grows with depth² beyond 1 m
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
@@ -49,6 +48,11 @@ class SplitConfig(Settings):
         bounds=(5.0, 180.0),
     )
     step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
+    cell_m: float = setting(
+        0.005,
+        "Side of the squares over which the surface is averaged; as the noise of a stereo camera it grows with depth² beyond 1 m",
+        bounds=(0.002, 0.02),
+    )
     min_part_m: float = setting(
         0.03, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
     )
@@ -86,7 +90,7 @@ def split_clusters(
     _concave(first, xyz.shape[1], h, w, _STRIDE, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
-    cell = min(max(round(_CELL_M * max(1.0, depth**2) / side), 1), _MAX_CELL)
+    cell = min(max(round(config.cell_m * max(1.0, depth**2) / side), 1), _MAX_CELL)
     settings = [
         np.radians(config.angle_deg),
         config.step_m,
