@@ -45,7 +45,7 @@ class SplitConfig(Settings):
 
     angle_deg: float = setting(
         34.0,
-        "A border that is concave by more than this on average separates two objects; 180 does not split at all",
+        "A border that is concave by more than this on average separates two objects; from 40 on all that touches is joined, 180 does not split at all",
         bounds=(5.0, 180.0),
     )
     step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
