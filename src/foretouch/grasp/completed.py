@@ -112,6 +112,7 @@ class ClosingLines:
     blocker: Int64  # int64, index of the first obstacle in the way of a finger, or -1
     cost: Float64  # float64, infinite for lines that the hand cannot execute
     counts: dict[str, int]  # of lines: all, and those refused by each filter
+    lost: float  # by which the best cost is higher than it would be without obstacles; infinite if they block all
 
 
 class CompletedObject:
@@ -229,17 +230,19 @@ class CompletedObject:
         low, high, height, top, blocker = np.moveaxis(found, 2, 0)
         slope = np.stack([_slopes(low), _slopes(high)])
         refused = self._refused(found) | {"n_too_steep": slope.max(axis=0) > _STEEPEST}
-        left = np.isfinite(height)
+        left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
             counts[name] = int(np.count_nonzero(left & refused[name]))
-            left = left & ~refused[name]
+            alone, left = left, left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
-        cost = np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST)
-        cost = np.where(
-            left, _smoothed(np.where(left | refused["n_too_wide"], np.minimum(cost, _MOST_COST), _MOST_COST)), np.inf
+        every = np.minimum(np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST), _MOST_COST)
+        cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
+        if counts["n_blocked"]:
+            lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
+        return ClosingLines(
+            low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost
         )
-        return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
         """Which lines (..., 5) of `_close` the hand cannot execute, by the names of `REASONS`."""
@@ -297,6 +300,11 @@ class CompletedObject:
         middle, turn = self._basis @ (grasp.midpoint - self._foot), np.pi * angle / _ANGLES
         beside = float(np.cos(turn) * middle[1] - np.sin(turn) * middle[0])
         return angle, int(np.clip(round(beside / _STEP_M) + _LINES // 2, 0, _LINES - 1))
+
+
+def _final(cost: Float64, left: Bool, wide: Bool) -> Float64:
+    """Costs of the lines that are left, smoothed with those that are only too wide; infinite for the others."""
+    return np.where(left, _smoothed(np.where(left | wide, cost, _MOST_COST)), np.inf)
 
 
 def _smoothed(cost: Float64) -> Float64:
@@ -383,18 +391,24 @@ def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> l
     return chosen
 
 
+def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
+    """Ids of the objects that block lines, ascending."""
+    return (
+        () if obstacles is None else tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
+    )
+
+
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
     """Why the hand can execute none of the lines."""
     counts = lines.counts
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"
-    blockers = [] if obstacles is None else np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist()
     reasons = {
         "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
         "n_too_steep": f"at an edge, steeper than {_STEEPEST:g} on one side",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
-        "n_blocked": f"blocked by object {', '.join(map(str, blockers))}",
+        "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
     }
     found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
     return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"

@@ -27,6 +27,7 @@ from foretouch.grasp.completed import (
     CompletedObject,
     Obstacles,
     best_lines,
+    blocking_objects,
     why_no_line,
 )
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
@@ -59,6 +60,8 @@ class GraspPlan:
     centroid: Float64 | None = None  # (3,) float64 [m], of the object
     axis_ratio: float | None = None  # middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary
     slide_m: float = 0.0  # shift of the grasp plane along the axis [m]
+    lost: float = 0.0  # score of the best grasp that other objects cost; infinite if they block all ("completed" only)
+    blocked_by: tuple[int, ...] = ()  # ids of the objects that block some grasps, ascending
     outdone: int = 0  # number of clouds in a row on which another grasp was better than the held one
     counts: dict[str, int] = field(default_factory=dict)  # points, candidates and pairs after each stage, by name
     ms: dict[str, float] = field(default_factory=dict)  # wall time of each stage and their `total` [ms]
@@ -225,6 +228,7 @@ def _plan_completed(
     with timed(plan.ms, "candidates"):
         lines = completed.lines()
         counts |= lines.counts
+        plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
         best = best_lines(completed, lines, config.count)
         ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
