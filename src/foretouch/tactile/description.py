@@ -131,7 +131,7 @@ class SensorConfig(Settings):
     group: str = setting("", "Group of sensors that it belongs to, such as fingertips")
     update_rate: float = setting(100.0, "Readings per second", unit="Hz", bounds=(0.01, 1e5))
     fingers: tuple[FingerConfig, ...] = ()
-    grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2; by default the first two")
+    grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2, then others that are recorded with them; by default the first two")
     array: ArrayConfig | None = None
     taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
     pixels: tuple[int, ...] = setting(
@@ -154,7 +154,7 @@ class SensorConfig(Settings):
         if Path(self.taxels).name != self.taxels:
             raise ConfigError(f"taxels: {self.taxels!r} is not a valid file name beside the description")
         require_length(self, 6, "pad")
-        require_length(self, 2, *(name for name in ("pixels", "grasp") if getattr(self, name)))
+        require_length(self, 2, *(["pixels"] if self.pixels else []))
         if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
             raise ConfigError(f"source.type: {self.source.type!r} is not a type of messages, as package/Name")
         scalars = [channel.name for channel in self.scalars]
