@@ -350,6 +350,13 @@ def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
     return facts if sensor.is_biotac else {**facts, "sensor": sensor.to_mapping()}
 
 
+def require_two(sensor: Sensor) -> Sensor:
+    """The sensor, if it is read on two fingers as a hand is driven; a `ConfigError` if a recording has more."""
+    if len(sensor.channels.fingers) != 2:
+        raise ConfigError(f"sensor: {sensor.config.name}: grasp: {', '.join(sensor.channels.fingers)} are not two fingers")
+    return sensor
+
+
 def require_same(found: Channels, wanted: Channels, what: str) -> None:
     """Refuse `what` is of another sensor, or of another description of the same, by a `TactileError` that names both."""
     if found is wanted or found.sha256 == wanted.sha256:
