@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of what is learnt without a camera, as rows, tables and a figure."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.experiments.framework.experiment import Row, Table
+from foretouch.experiments.shared.tables import grouped, select
+from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.types import Bool, Float64
+
+BINS: Final = 15
+_BASELINE: Final = {"next": "last", "level": "mean of all"}
+_COLUMNS: Final = ("what", "left_out", "method", "modality", "grasps", "objects", "score", "score_low", "score_high", "rmse", "calibration_error")
+
+
+def auc(chance: Float64, held: Bool) -> float:
+    """Probability that a grasp that held has the higher chance than one that did not; equal ones count half. NaN without both."""
+    order = np.argsort(chance, kind="stable")
+    _, place, count = np.unique(chance[order], return_inverse=True, return_counts=True)
+    ends = np.cumsum(count)
+    ranks = np.empty(len(chance))
+    ranks[order] = (ends - (count - 1) / 2.0)[place]
+    yes, no = int(held.sum()), int((~held).sum())
+    return float((ranks[held].sum() - yes * (yes + 1) / 2.0) / (yes * no)) if yes and no else float("nan")
+
+
+def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
+    """Mean difference of predicted and observed share over bins of equal width, weighted by their grasps."""
+    place = np.minimum((chance * bins).astype(int), bins - 1)
+    parts = [(place == k) for k in range(bins)]
+    return float(sum(abs(chance[part].sum() - held[part].sum()) for part in parts if part.any()) / len(chance))
+
+
+def _interval(score: Callable[[Any], float], objects: Any, config: BootstrapConfig) -> tuple[float, float]:
+    """95 % interval of a score of grasps, by bootstrap over the objects."""
+    rng, names = np.random.default_rng(config.seed), np.unique(objects)
+    own = {name: np.flatnonzero(objects == name) for name in names}
+    draws = [score(np.concatenate([own[one] for one in rng.choice(names, len(names))])) for _ in range(config.draws)]
+    low, high = np.nanpercentile(draws, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
+    """Rows of `results.csv`, of the rows of all cells."""
+    found: list[Row] = []
+    hold = select(rows, what="hold")
+    for (left_out, method), parts in grouped(hold, "left_out", "method"):
+        chance, held, objects = (np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects"))
+        low, high = _interval(lambda k, c=chance, h=held: auc(c[k], h[k]), objects, config)  # type: ignore[misc]
+        facts = {"grasps": len(held), "objects": len(np.unique(objects)), "score": auc(chance, held)}
+        error = calibration_error(chance, held)
+        found.append({"what": "hold", "left_out": left_out, "method": method, **facts, "score_low": low, "score_high": high, "calibration_error": error})
+    for what, baseline in _BASELINE.items():
+        for modality, parts in grouped(select(rows, what=what), "modality"):
+            objects = np.array(sorted({part["left_out"] for part in parts}))
+            for method, own in grouped(parts, "method"):
+                sums = {part["left_out"]: part for part in own}
+                base = {part["left_out"]: part for part in select(parts, method=baseline)}
+                squares, against, counts = (
+                    np.array([each[name][key] for name in objects], np.float64)
+                    for each, key in ((sums, "squares"), (base, "squares"), (sums, "count"))
+                )
+                low, high = _interval(lambda k, s=squares, a=against: 1.0 - s[k].sum() / a[k].sum(), objects, config)  # type: ignore[misc]
+                facts = {"objects": len(objects), "score": 1.0 - squares.sum() / against.sum(), "score_low": low, "score_high": high}
+                rmse = float(np.sqrt(squares.sum() / counts.sum()))
+                found.append({"what": what, "left_out": "objects", "method": method, "modality": modality, **facts, "rmse": rmse})
+    return [{name: row.get(name) for name in _COLUMNS} for row in found]
+
+
+def summarise(rows: Sequence[Row]) -> list[Table]:
+    """A table for each question."""
+    tables = []
+    for left_out, parts in grouped(select(rows, what="hold"), "left_out"):
+        lines = [[str(row["method"]), _between(row), f"{float(row['calibration_error']):.3f}"] for row in parts]
+        head = f"will it hold, {left_out} left out: {parts[0]['grasps']} grasps, {parts[0]['objects']} objects"
+        tables.append(Table(head, ("method", "AUC", f"calibration error, {BINS} bins"), lines, [_NOTE]))
+    for what, baseline in _BASELINE.items():
+        for modality, parts in grouped(select(rows, what=what), "modality"):
+            lines = [[str(row["method"]), f"{float(row['rmse']):.3g}", _between(row)] for row in parts]
+            head = {"next": "next reading in contact", "level": "touch of the next grasp"}[what]
+            note = f"skill: 1 - MSE / MSE of `{baseline}`; {_NOTE}"
+            tables.append(Table(f"{head}, {modality}", ("method", "RMSE", "skill"), lines, [note]))
+    return tables
+
+
+_NOTE: Final = "[95 % interval by bootstrap over objects]"
+
+
+def _between(row: Row) -> str:
+    return f"{float(row['score']):.3f} [{float(row['score_low']):.3f}, {float(row['score_high']):.3f}]"
+
+
+def draw_hold(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """AUC of each method with its interval, by what was left out; none without outcomes."""
+    if not (hold := select(rows, what="hold")):
+        return []
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    methods = list(dict.fromkeys(str(row["method"]) for row in hold))
+    for k, (left_out, parts) in enumerate(grouped(hold, "left_out")):
+        score, low, high = (np.array([float(row[key]) for row in parts]) for key in ("score", "score_low", "score_high"))
+        places = np.arange(len(parts)) + 0.15 * (k - 1.5)
+        axes.errorbar(places, score, [score - low, high - score], fmt="o", markersize=4, capsize=2, label=f"{left_out} left out")
+    axes.axhline(0.85, color="grey", linewidth=0.8, linestyle=":")
+    axes.set_xticks(range(len(methods)), methods, fontsize=8)
+    axes.set(ylabel="AUC", ylim=(0.45, 1.0))
+    axes.legend(fontsize=7, loc="lower right")
+    path = folder / "hold.png"
+    figure.savefig(path, dpi=120)
+    return [path]
