@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores of what is learnt without a camera, as rows, tables and a figure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,13 +19,17 @@ _COLUMNS: Final = ("what", "left_out", "method", "modality", "grasps", "objects"
 
 def auc(chance: Float64, held: Bool) -> float:
     """Probability that a grasp that held has the higher chance than one that did not; equal ones count half. NaN without both."""
-    order = np.argsort(chance, kind="stable")
-    _, place, count = np.unique(chance[order], return_inverse=True, return_counts=True)
-    ends = np.cumsum(count)
-    ranks = np.empty(len(chance))
-    ranks[order] = (ends - (count - 1) / 2.0)[place]
-    yes, no = int(held.sum()), int((~held).sum())
-    return float((ranks[held].sum() - yes * (yes + 1) / 2.0) / (yes * no)) if yes and no else float("nan")
+    wins, pairs = _pairs(chance, held, np.zeros(len(held)))
+    return float(wins.sum() / pairs.sum()) if pairs.sum() else float("nan")
+
+
+def _pairs(chance: Float64, held: Bool, objects: Any) -> tuple[Float64, Float64]:
+    """(O, O) won and all comparisons of the grasps on an object that held with those on another one that did not."""
+    names = np.unique(objects)
+    yes = [np.sort(chance[held & (objects == name)]) for name in names]
+    no = [np.sort(chance[~held & (objects == name)]) for name in names]
+    wins = [[(b.searchsorted(a, "left").sum() + b.searchsorted(a, "right").sum()) / 2.0 for b in no] for a in yes]
+    return np.array(wins), np.outer([len(a) for a in yes], [len(b) for b in no]).astype(np.float64)
 
 
 def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
@@ -35,13 +39,14 @@ def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
     return float(sum(abs(chance[part].sum() - held[part].sum()) for part in parts if part.any()) / len(chance))
 
 
-def _interval(score: Callable[[Any], float], objects: Any, config: BootstrapConfig) -> tuple[float, float]:
-    """95 % interval of a score of grasps, by bootstrap over the objects."""
-    rng, names = np.random.default_rng(config.seed), np.unique(objects)
-    own = {name: np.flatnonzero(objects == name) for name in names}
-    draws = [score(np.concatenate([own[one] for one in rng.choice(names, len(names))])) for _ in range(config.draws)]
-    low, high = np.nanpercentile(draws, [2.5, 97.5])
-    return float(low), float(high)
+def _draws(objects: int, config: BootstrapConfig) -> Float64:
+    """(draws, O) how often each object is in a resample."""
+    return np.random.default_rng(config.seed).multinomial(objects, np.full(objects, 1.0 / objects), config.draws).astype(np.float64)
+
+
+def _interval(scores: Float64) -> dict[str, float]:
+    low, high = np.nanpercentile(scores, [2.5, 97.5])
+    return {"score_low": float(low), "score_high": float(high)}
 
 
 def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
@@ -50,10 +55,12 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
     hold = select(rows, what="hold")
     for (left_out, method), parts in grouped(hold, "left_out", "method"):
         chance, held, objects = (np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects"))
-        low, high = _interval(lambda k, c=chance, h=held: auc(c[k], h[k]), objects, config)  # type: ignore[misc]
+        wins, pairs = _pairs(chance, held, objects)
+        drawn = _draws(len(wins), config)
+        interval = _interval(np.einsum("no,op,np->n", drawn, wins, drawn, optimize=True) / np.einsum("no,op,np->n", drawn, pairs, drawn, optimize=True))
         facts = {"grasps": len(held), "objects": len(np.unique(objects)), "score": auc(chance, held)}
         error = calibration_error(chance, held)
-        found.append({"what": "hold", "left_out": left_out, "method": method, **facts, "score_low": low, "score_high": high, "calibration_error": error})
+        found.append({"what": "hold", "left_out": left_out, "method": method, **facts, **interval, "calibration_error": error})
     for what, baseline in _BASELINE.items():
         for modality, parts in grouped(select(rows, what=what), "modality"):
             objects = np.array(sorted({part["left_out"] for part in parts}))
@@ -64,8 +71,9 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
                     np.array([each[name][key] for name in objects], np.float64)
                     for each, key in ((sums, "squares"), (base, "squares"), (sums, "count"))
                 )
-                low, high = _interval(lambda k, s=squares, a=against: 1.0 - s[k].sum() / a[k].sum(), objects, config)  # type: ignore[misc]
-                facts = {"objects": len(objects), "score": 1.0 - squares.sum() / against.sum(), "score_low": low, "score_high": high}
+                drawn = _draws(len(objects), config)
+                interval = _interval(1.0 - drawn @ squares / (drawn @ against))
+                facts = {"objects": len(objects), "score": 1.0 - squares.sum() / against.sum(), **interval}
                 rmse = float(np.sqrt(squares.sum() / counts.sum()))
                 found.append({"what": what, "left_out": "objects", "method": method, "modality": modality, **facts, "rmse": rmse})
     return [{name: row.get(name) for name in _COLUMNS} for row in found]
