@@ -4,7 +4,16 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.other_recordings import EXPERIMENT, OtherSettings, Records, contact_readings, folds_of, hold_method, level, next_reading
+from benchmarks.other_recordings import (
+    EXPERIMENT,
+    OtherSettings,
+    Records,
+    contact_readings,
+    folds_of,
+    hold_method,
+    level,
+    next_reading,
+)
 from benchmarks.other_recordings.results import _pairs, auc, calibration_error, tabulate
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.experiments import find_experiment
@@ -20,7 +29,9 @@ def record(number: int, counts: np.ndarray, outcome: str = "unknown") -> SampleR
     phases = np.where(np.arange(len(counts)) < 5, REST, HOLD).astype(np.uint8)
     touch = biotac_touch(np.median(counts[5:], axis=0))
     name = f"object_{number % 4}"
-    sample = GraspSample(id=f"{name}/{number}", object=name, touch=touch, tare=biotac_touch(counts[0]), stamp_ns=int(stamps[0]))
+    sample = GraspSample(
+        id=f"{name}/{number}", object=name, touch=touch, tare=biotac_touch(counts[0]), stamp_ns=int(stamps[0])
+    )
     return SampleRecord(sample=sample, series=TouchSeries(stamps, counts.astype(np.float32), phases), outcome=outcome)  # type: ignore[arg-type]
 
 
@@ -51,7 +62,9 @@ def test_a_line_is_learnt_where_readings_are_lines_and_the_last_reading_where_th
     sums = {(row["method"], row["modality"]): row["squares"] for row in next_reading(lines, "object_1")}
     assert sums["line", "E_TH"] < 0.01 * sums["last", "E_TH"]
     assert sums["autoregression", "E_TH"] < 0.01 * sums["last", "E_TH"]
-    steps = Records([record(k, np.cumsum(RNG.normal(0.0, 5.0, (60, BIOTAC.size)), axis=0) + 2000.0) for k in range(8)], "")
+    steps = Records(
+        [record(k, np.cumsum(RNG.normal(0.0, 5.0, (60, BIOTAC.size)), axis=0) + 2000.0) for k in range(8)], ""
+    )
     sums = {(row["method"], row["modality"]): row["squares"] for row in next_reading(steps, "object_1")}
     assert sums["line", "E_TH"] > 1.5 * sums["last", "E_TH"]  # twice the variance
     assert abs(sums["autoregression", "E_TH"] / sums["last", "E_TH"] - 1.0) < 0.05
@@ -66,18 +79,26 @@ def test_repeated_readings_count_once() -> None:
 
 def test_the_level_of_a_grasp_follows_its_own_tare_where_sensors_drift() -> None:
     drift = np.cumsum(RNG.normal(0.0, 30.0, (20, BIOTAC.size)), axis=0)
-    grasps = [record(k, np.where(np.arange(60)[:, None] < 5, 2000.0, 2100.0) + drift[k] + RNG.normal(0, 1, (60, BIOTAC.size))) for k in range(20)]
+    grasps = [
+        record(k, np.where(np.arange(60)[:, None] < 5, 2000.0, 2100.0) + drift[k] + RNG.normal(0, 1, (60, BIOTAC.size)))
+        for k in range(20)
+    ]
     sums = {(row["method"], row["modality"]): row["squares"] for row in level(Records(grasps, ""), "object_2")}
     assert sums["tare + mean change", "E_MF"] < 0.05 * sums["last grasp", "E_MF"] < sums["mean of all", "E_MF"]
 
 
 def test_what_holds_is_learnt_from_other_objects_and_tabulated_with_an_interval() -> None:
-    grasps = [record(k, walk(0.0, 1.0) + 40.0 * (k % 3 == 0), "success" if k % 3 == 0 else "failure") for k in range(40)]
+    grasps = [
+        record(k, walk(0.0, 1.0) + 40.0 * (k % 3 == 0), "success" if k % 3 == 0 else "failure") for k in range(40)
+    ]
     data, held = Records(grasps, ""), np.arange(40) % 3 == 0
     chance = hold_method("electrode mean", OtherSettings(), data)(np.arange(40) < 20, held)
     assert auc(chance[20:], held[20:]) == 1.0
     cells = {"what": "hold", "left_out": "objects", "objects": data.objects.tolist(), "held": held.tolist()}
-    rows = [{**cells, "method": "a", "chance": chance.tolist()}, {**cells, "method": "b", "chance": RNG.random(40).tolist()}]
+    rows = [
+        {**cells, "method": "a", "chance": chance.tolist()},
+        {**cells, "method": "b", "chance": RNG.random(40).tolist()},
+    ]
     good, blind = tabulate(rows, BootstrapConfig(draws=500))
     assert (good["score"], good["score_low"], good["grasps"], good["objects"]) == (1.0, 1.0, 40, 4)
     assert blind["score_low"] < blind["score"] < blind["score_high"]

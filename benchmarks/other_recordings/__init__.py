@@ -93,7 +93,11 @@ def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
 def _run(cell: Cell, settings: OtherSettings, data: Records) -> list[Row]:
     if cell.values["what"] == "hold":
         return _hold(cell, settings, data)
-    return next_reading(data, cell.values["left_out"]) if cell.values["what"] == "next" else level(data, cell.values["left_out"])
+    return (
+        next_reading(data, cell.values["left_out"])
+        if cell.values["what"] == "next"
+        else level(data, cell.values["left_out"])
+    )
 
 
 def folds_of(objects: Any, count: int, seed: int) -> Any:
@@ -147,7 +151,9 @@ def contact_readings(record: SampleRecord) -> tuple[Float64, Float64]:
     series, tare = record.series, record.sample.tare
     assert series is not None
     values = series.counts[series.phases == HOLD].astype(np.float64)
-    changed = np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)]) if len(values) else np.zeros(0, bool)
+    changed = (
+        np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)]) if len(values) else np.zeros(0, bool)
+    )
     return values[changed], np.zeros(values.shape[1]) if tare is None else tare.values
 
 
@@ -157,7 +163,11 @@ def predictors(values: Float64, rest: Float64) -> tuple[dict[str, Float64], Floa
     step, before = past - values[_LAGS - 2 : -2], values[_LAGS - 2 : -2] - values[_LAGS - 3 : -3]
     mean = np.cumsum(values, axis=0)[_LAGS - 1 : -1] / np.arange(_LAGS, len(values))[:, None]
     around = np.broadcast_to(step.mean(axis=1, keepdims=True), step.shape)
-    return {"last": past, "mean so far": mean, "line": past + step}, np.stack([step, before, past - rest, past - mean, around], -1), truth
+    return (
+        {"last": past, "mean so far": mean, "line": past + step},
+        np.stack([step, before, past - rest, past - mean, around], -1),
+        truth,
+    )
 
 
 def next_reading(data: Records, target: str) -> list[Row]:
@@ -187,7 +197,10 @@ def next_reading(data: Records, target: str) -> list[Row]:
                 key = (method, name)
                 errors[key] = errors.get(key, 0.0) + float(np.square(truth[:, columns] - values).sum())
             counts[name] += truth[:, columns].size
-    return [{"method": method, "modality": name, "squares": one, "count": counts[name]} for (method, name), one in errors.items()]
+    return [
+        {"method": method, "modality": name, "squares": one, "count": counts[name]}
+        for (method, name), one in errors.items()
+    ]
 
 
 def level(data: Records, target: str) -> list[Row]:
@@ -218,7 +231,10 @@ def level(data: Records, target: str) -> list[Row]:
                 error = float(np.square(truth[k] - value)[columns].sum())
                 rows[method, name] = rows.get((method, name), 0.0) + error
     sizes = {name: len(scored) * len(columns) for name, columns in channels.modality_columns.items()}
-    return [{"method": method, "modality": name, "squares": one, "count": sizes[name]} for (method, name), one in rows.items()]
+    return [
+        {"method": method, "modality": name, "squares": one, "count": sizes[name]}
+        for (method, name), one in rows.items()
+    ]
 
 
 def _tabulate(settings: OtherSettings, rows: Sequence[Row]) -> list[Row]:

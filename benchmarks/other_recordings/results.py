@@ -14,7 +14,19 @@ from foretouch.types import Bool, Float64
 
 BINS: Final = 15
 _BASELINE: Final = {"next": "last", "level": "mean of all"}
-_COLUMNS: Final = ("what", "left_out", "method", "modality", "grasps", "objects", "score", "score_low", "score_high", "rmse", "calibration_error")
+_COLUMNS: Final = (
+    "what",
+    "left_out",
+    "method",
+    "modality",
+    "grasps",
+    "objects",
+    "score",
+    "score_low",
+    "score_high",
+    "rmse",
+    "calibration_error",
+)
 
 
 def auc(chance: Float64, held: Bool) -> float:
@@ -41,7 +53,11 @@ def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
 
 def _draws(objects: int, config: BootstrapConfig) -> Float64:
     """(draws, O) how often each object is in a resample."""
-    return np.random.default_rng(config.seed).multinomial(objects, np.full(objects, 1.0 / objects), config.draws).astype(np.float64)
+    return (
+        np.random.default_rng(config.seed)
+        .multinomial(objects, np.full(objects, 1.0 / objects), config.draws)
+        .astype(np.float64)
+    )
 
 
 def _interval(scores: Float64) -> dict[str, float]:
@@ -54,13 +70,20 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
     found: list[Row] = []
     hold = select(rows, what="hold")
     for (left_out, method), parts in grouped(hold, "left_out", "method"):
-        chance, held, objects = (np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects"))
+        chance, held, objects = (
+            np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects")
+        )
         wins, pairs = _pairs(chance, held, objects)
         drawn = _draws(len(wins), config)
-        interval = _interval(np.einsum("no,op,np->n", drawn, wins, drawn, optimize=True) / np.einsum("no,op,np->n", drawn, pairs, drawn, optimize=True))
+        interval = _interval(
+            np.einsum("no,op,np->n", drawn, wins, drawn, optimize=True)
+            / np.einsum("no,op,np->n", drawn, pairs, drawn, optimize=True)
+        )
         facts = {"grasps": len(held), "objects": len(np.unique(objects)), "score": auc(chance, held)}
         error = calibration_error(chance, held)
-        found.append({"what": "hold", "left_out": left_out, "method": method, **facts, **interval, "calibration_error": error})
+        found.append(
+            {"what": "hold", "left_out": left_out, "method": method, **facts, **interval, "calibration_error": error}
+        )
     for what, baseline in _BASELINE.items():
         for modality, parts in grouped(select(rows, what=what), "modality"):
             objects = np.array(sorted({part["left_out"] for part in parts}))
@@ -75,7 +98,9 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
                 interval = _interval(1.0 - drawn @ squares / (drawn @ against))
                 facts = {"objects": len(objects), "score": 1.0 - squares.sum() / against.sum(), **interval}
                 rmse = float(np.sqrt(squares.sum() / counts.sum()))
-                found.append({"what": what, "left_out": "objects", "method": method, "modality": modality, **facts, "rmse": rmse})
+                found.append(
+                    {"what": what, "left_out": "objects", "method": method, "modality": modality, **facts, "rmse": rmse}
+                )
     return [{name: row.get(name) for name in _COLUMNS} for row in found]
 
 
@@ -112,9 +137,13 @@ def draw_hold(rows: Sequence[Row], folder: Path) -> list[Path]:
     axes = figure.subplots()
     methods = list(dict.fromkeys(str(row["method"]) for row in hold))
     for k, (left_out, parts) in enumerate(grouped(hold, "left_out")):
-        score, low, high = (np.array([float(row[key]) for row in parts]) for key in ("score", "score_low", "score_high"))
+        score, low, high = (
+            np.array([float(row[key]) for row in parts]) for key in ("score", "score_low", "score_high")
+        )
         places = np.arange(len(parts)) + 0.15 * (k - 1.5)
-        axes.errorbar(places, score, [score - low, high - score], fmt="o", markersize=4, capsize=2, label=f"{left_out} left out")
+        axes.errorbar(
+            places, score, [score - low, high - score], fmt="o", markersize=4, capsize=2, label=f"{left_out} left out"
+        )
     axes.axhline(0.85, color="grey", linewidth=0.8, linestyle=":")
     axes.set_xticks(range(len(methods)), methods, fontsize=8)
     axes.set(ylabel="AUC", ylim=(0.45, 1.0))

@@ -166,7 +166,10 @@ def test_other_formats_give_the_same_samples(tmp_path: Path, source: Path, write
 def test_arrays_of_two_dimensions_are_numbered_columns(tmp_path: Path, source: Path) -> None:
     values = np.array([row[1:7] for row in rows()])
     np.savez(source / "cup_1.npz", a=values[:, :3], b=values[:, 3:], t=10 * np.arange(100))
-    columns = [{"finger": "A", "channel": "P", "columns": ["a[{0..2}]"]}, {"finger": "B", "channel": "P", "columns": ["b[{0..2}]"]}]
+    columns = [
+        {"finger": "A", "channel": "P", "columns": ["a[{0..2}]"]},
+        {"finger": "B", "channel": "P", "columns": ["b[{0..2}]"]},
+    ]
     (found,) = imported(tmp_path, source, table={"file": "{object}_{id}.npz"}, values=columns, others=[], outcome={})
     assert found.series is not None
     assert_array_equal(found.series.counts, values)
@@ -197,16 +200,26 @@ def test_files_beside_are_joined_by_row_and_missing_rows_are_counted(tmp_path: P
 
 
 def test_lines_that_make_one_row_are_joined(tmp_path: Path, source: Path) -> None:
-    text = "-1\n" + "".join(f"{row[0]} {row[7]}\n{row[1]} {row[2]} {row[3]}\n{row[4]} {row[5]}  {row[6]}\n" for row in rows())
+    text = "-1\n" + "".join(
+        f"{row[0]} {row[7]}\n{row[1]} {row[2]} {row[3]}\n{row[4]} {row[5]}  {row[6]}\n" for row in rows()
+    )
     (source / "cup_1.txt").write_text(text)
-    values = [{"finger": "A", "channel": "P", "columns": ["f{2..4}"]}, {"finger": "B", "channel": "P", "columns": ["f{5..7}"]}]
-    changes: dict[str, Any] = {"values": values, "others": ["f1"], "outcome": {}, "stamps": {"column": "f0", "unit": "ms"}}
+    values = [
+        {"finger": "A", "channel": "P", "columns": ["f{2..4}"]},
+        {"finger": "B", "channel": "P", "columns": ["f{5..7}"]},
+    ]
+    changes: dict[str, Any] = {
+        "values": values,
+        "others": ["f1"],
+        "outcome": {},
+        "stamps": {"column": "f0", "unit": "ms"},
+    }
     table = {"file": "{object}_{id}.txt", "header": False, "separator": "space", "skip": 1, "lines": 3}
     (found,) = imported(tmp_path, source, table=table, **changes)
     assert found.series is not None
     assert_array_equal(found.series.counts, [row[1:7] for row in rows()])
     (source / "cup_1.txt").write_text(text + "1 2\n")
-    with pytest.raises(FileError, match="cup_1.txt: row 101: ends after 1 of 3 lines"):
+    with pytest.raises(FileError, match=r"cup_1.txt: row 101: ends after 1 of 3 lines"):
         imported(tmp_path, source, table=table, **changes)
 
 
@@ -265,7 +278,9 @@ def test_other_units_are_refused_by_the_map_or_by_the_range(tmp_path: Path, sour
     with pytest.raises(ConfigError, match=r"map.yaml: values: P_A: columns in N, but pads in counts"):
         imported(tmp_path, source, values=values)
     write_csv(source / "red_can_7.csv", [[row[0], *(1000.0 * one for one in row[1:7]), *row[7:]] for row in rows()])
-    with pytest.raises(FileError, match=r"row 1, column a0: .* is not between 0 and 4000 counts, as most of P_A: another unit\?"):
+    with pytest.raises(
+        FileError, match=r"row 1, column a0: .* is not between 0 and 4000 counts, as most of P_A: another unit\?"
+    ):
         imported(tmp_path, source)
 
 
@@ -374,7 +389,9 @@ def test_a_description_is_compared_with_what_was_recorded(tmp_path: Path, source
     assert ["P: range", "[0.0, 4000.0]", "[0.0, 4001.0]"] in found["corrections"]
 
 
-@pytest.mark.parametrize("path", sorted(path for path in MAPS.glob("*.yaml") if "table:" in path.read_text()), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted(path for path in MAPS.glob("*.yaml") if "table:" in path.read_text()), ids=lambda path: path.stem
+)
 def test_the_maps_of_the_examples_are_short_and_fit_their_sensors(tmp_path: Path, path: Path) -> None:
     text = path.read_text()
     assert len(text.splitlines()) < 40
@@ -416,5 +433,7 @@ def raw_sums(root: Path, folder: str) -> Any:
         parts = []
         for robot in root.glob("*/*/robot_state.csv"):
             count = sum(1 for line in robot.open() if line.strip()) - 1
-            parts += [np.loadtxt(robot.parent / f"xela_sensor{k}.csv", delimiter=",", skiprows=1)[:count] for k in (1, 2)]
+            parts += [
+                np.loadtxt(robot.parent / f"xela_sensor{k}.csv", delimiter=",", skiprows=1)[:count] for k in (1, 2)
+            ]
     return np.array([sum(one.sum() for one in parts), sum(np.square(one).sum() for one in parts)])

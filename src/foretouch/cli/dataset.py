@@ -99,7 +99,9 @@ def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> Non
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}), ROS bag, or tables")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
-    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5")
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
+    )
     group = parser.add_argument_group("ROS bags without foretouch samples")
     for name, topic, content in (
         ("cloud", CLOUD_TOPIC, "clouds of the object"),

@@ -66,7 +66,9 @@ def _compare(arguments: argparse.Namespace) -> int:
             continue
         modalities = found["modalities"]
         columns = [key.replace("_", " ") for key in next(iter(modalities.values()))]
-        rows = [[key, *("" if one in (None, []) else str(one) for one in row.values())] for key, row in modalities.items()]
+        rows = [
+            [key, *("" if one in (None, []) else str(one) for one in row.values())] for key, row in modalities.items()
+        ]
         print_table(f"{name}: {found['readings']} readings of {found['grasps']} grasps", ["modality", *columns], rows)
         print_table("corrections", ["setting", "stated", "recorded"], found["corrections"])
     return 0

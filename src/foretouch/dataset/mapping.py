@@ -8,8 +8,9 @@ a series are stored as float32, which holds counts of 24 bits exactly. Rows are 
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -95,11 +96,13 @@ class MappedSource:
         self.path, self._root, self._where = source, source if source.is_dir() else source.parent, shown(map_file)
         beside = map_file.parent / config.sensor
         self.sensor = load_sensor(beside if beside.suffix else config.sensor)
-        self.identity = Identity(hand={"name": self.sensor.config.name, "source": map_file.stem}, camera={"name": "none"})
+        self.identity = Identity(
+            hand={"name": self.sensor.config.name, "source": map_file.stem}, camera={"name": "none"}
+        )
         self._values, self._others = self._of_values(), _expanded(config.others)
         in_path, stamps = _NAME.findall(config.table.file), config.stamps
-        texts = [config.object, config.id, stamps.start, stamps.rate]
-        names = [name for text in texts for name in _NAME.findall(text) if name not in in_path]
+        self._templates = [config.object, config.id, stamps.start, stamps.rate]
+        names = [name for text in self._templates for name in _NAME.findall(text) if name not in in_path]
         names += [one for one in (config.outcome.column, config.grasp) if one not in ("", "file", "row")]
         whole = STAMP_UNITS[stamps.unit] < STAMP_UNITS["ms"]  # as float64, stamps of today have 0.2 us
         self._types = dict.fromkeys([*self._values, *self._others], pa.float64()) | dict.fromkeys(names, pa.string())
@@ -133,7 +136,9 @@ class MappedSource:
         Raises:
             FileError: If a file breaks a rule; names file, row, column and rule.
         """
-        pattern = _NAME.sub(r"(?P<\1>[^/]+)", re.sub(r"[^\w{}/-]", lambda one: re.escape(one[0]), self.config.table.file))
+        pattern = _NAME.sub(
+            r"(?P<\1>[^/]+)", re.sub(r"[^\w{}/-]", lambda one: re.escape(one[0]), self.config.table.file)
+        )
         files = sorted(self._root.glob(_NAME.sub("*", self.config.table.file))) if self.path.is_dir() else [self.path]
         if not files:
             raise FileError(self.path, f"holds no file {self.config.table.file}")
@@ -152,7 +157,7 @@ class MappedSource:
             count, key = len(rows[_ROW]), rows.get(self.config.grasp)
             begins = [] if key is None else (np.flatnonzero(key[1:] != key[:-1]) + 1).tolist()
             begins = list(range(count + 1)) if self.config.grasp == "row" else [0, *begins]
-            yield from (_part(rows, *ends) for ends in zip(begins, begins[1:], strict=False))
+            yield from (_part(rows, *ends) for ends in pairwise(begins))
             held = _part(rows, begins[-1], count) if begins[-1] < count else {}
             if held and len(held[_ROW]) * len(held) > _MOST_CELLS:
                 rule = f"more than {_MOST_CELLS} numbers in one grasp: set `grasp` to the column that counts grasps"
@@ -196,44 +201,53 @@ class MappedSource:
                 wrong = ~np.isfinite(rows[name].astype(np.float32))
             if wrong.any():
                 row = int(wrong.argmax())
-                raise FileError(path, f"{rows[name][row]} is not a finite number", field=f"row {rows[_ROW][row]}, column {name}")
+                raise FileError(
+                    path, f"{rows[name][row]} is not a finite number", field=f"row {rows[_ROW][row]}, column {name}"
+                )
 
     def _record(self, path: Path, words: Mapping[str, str], rows: _Rows) -> SampleRecord:
-        config, row, channels = self.config, f"row {rows[_ROW][0]}", self.sensor.channels
+        config, row = self.config, f"row {rows[_ROW][0]}"
         texts = {name: str(rows[name][0]) for name, kind in self._types.items() if kind == pa.string()} | dict(words)
         for name in texts.keys() - words.keys():
             if (rows[name] != rows[name][0]).any():
                 raise FileError(path, "changes within a grasp", field=f"{row}, column {name}")
-
-        def _filled(text: str) -> str:
-            return _NAME.sub(lambda name: texts.get(name[1], name[0]), text)
-
-        label, name = _filled(config.object), _filled(config.id)
+        filled = [_NAME.sub(lambda one: texts.get(one[1], one[0]), text) for text in self._templates]
+        label, name, start, rate = filled
         try:
             check_id(f"{label}/{name or '1'}", label)
-            stamps = self._stamps(rows, _filled(config.stamps.start), _filled(config.stamps.rate))
-            outcome = self._outcome(texts)
-        except (DatasetError, ValueError) as err:
+            stamps, outcome = self._stamps(rows, start, rate), self._outcome(texts)
+        except (DatasetError, ValueError, ZeroDivisionError) as err:
             raise FileError(path, str(err), field=row) from err
         values = np.column_stack([rows[one] for one in self._values])
+        others = {one.rpartition(":")[2]: rows[one].astype(np.float32) for one in self._others}
+        sample = GraspSample(id=f"{label}/{name}" if name else "", object=label, stamp_ns=int(stamps[0]))
+        flags = [*self._range_flags(path, row, values), *(["stamped_by_rate"] if config.stamps.rate else [])]
+        note = f"{path.relative_to(self._root)}, {row}"
+        if config.grasp == "row":
+            extra = {name: float(value[0]) for name, value in others.items()}
+            sample = replace(sample, touch=Touch(values[0], self.sensor.channels), extra=extra)
+            return SampleRecord(sample=sample, outcome=outcome, note=note, flags=tuple(flags))
+        touch, tare, phases, contact_ns = self._cut(stamps, values)
+        return SampleRecord(
+            sample=replace(sample, touch=touch, tare=tare),
+            outcome=outcome,
+            note=note,
+            series=TouchSeries(stamps, values.astype(np.float32), phases, others),
+            contact_ns=contact_ns,
+            detector="" if contact_ns is None else "contact_detector",
+            flags=tuple(flags),
+        )
+
+    def _range_flags(self, path: Path, row: str, values: Float64) -> list[str]:
+        """A flag, if a working sensor cannot have sent some of (n, D) values; if most of a finger, they are of another unit."""
+        channels = self.sensor.channels
         outside = (values < channels.low) | (values > channels.high)
         for modality, columns in channels.modality_columns.items():
             if outside[:, columns].mean() > 0.5:
-                one, channel = columns[outside[:, columns].any(axis=0).argmax()], channels.channel_of[modality]
-                rule = f"not between {channel.low:g} and {channel.high:g} {channel.unit}, as most of {modality}: another unit?"
-                raise FileError(path, f"{values[0, one]:g} is {rule}", field=f"{row}, column {self._values[one]}")
-        others = {one.rpartition(":")[2]: rows[one].astype(np.float32) for one in self._others}
-        flags = [*(["out_of_range"] if outside.any() else []), *(["stamped_by_rate"] if config.stamps.rate else [])]
-        shared = {"outcome": outcome, "note": f"{path.relative_to(self._root)}, {row}", "flags": tuple(flags)}
-        sample = {"id": f"{label}/{name}" if name else "", "object": label, "stamp_ns": int(stamps[0])}
-        if config.grasp == "row":
-            extra = {name: float(value[0]) for name, value in others.items()}
-            return SampleRecord(sample=GraspSample(**sample, touch=Touch(values[0], channels), extra=extra), **shared)
-        touch, tare, phases, contact_ns = self._cut(stamps, values)
-        series = TouchSeries(stamps, values.astype(np.float32), phases, others)
-        detector = "contact_detector" if config.rest_rows else ""
-        made = GraspSample(**sample, touch=touch, tare=tare)
-        return SampleRecord(sample=made, series=series, contact_ns=contact_ns, detector=detector, **shared)
+                one, channel = columns[outside[0, columns].argmax()], channels.channel_of[modality]
+                rule = f"is not between {channel.low:g} and {channel.high:g} {channel.unit}, as most of {modality}: another unit?"
+                raise FileError(path, f"{values[0, one]:g} {rule}", field=f"{row}, column {self._values[one]}")
+        return ["out_of_range"] if outside.any() else []
 
     def _outcome(self, texts: Mapping[str, str]) -> Outcome:
         config = self.config.outcome
@@ -258,11 +272,11 @@ class MappedSource:
         if np.abs(found).max() * float(STAMP_UNITS[config.unit]) > 2.0**62:
             raise ValueError(f"column {config.column}: is no time in {config.unit}")
         ticks = found * STAMP_UNITS[config.unit]
-        stamps = begin + (ticks if found.dtype.kind == "i" else np.rint(ticks).astype(np.int64))
+        stamps: Int64 = begin + (ticks if found.dtype.kind == "i" else np.rint(ticks).astype(np.int64))
         if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
             row, by = rows[_ROW][back[0] + 1], (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS
             raise ValueError(f"column {config.column}: goes back by {by:g} s in row {row}")
-        return np.asarray(stamps, np.int64)
+        return stamps
 
     def _cut(self, stamps: Int64, values: Float64) -> tuple[Touch | None, Touch | None, AnyArray, int | None]:
         """Touch and tare of (n, D) readings, the phase of each, and the first contact [ns]; what is not there is None."""

@@ -6,14 +6,61 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.record import REST, readings
+from foretouch.dataset.record import REST, TouchSeries, readings
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import TactileError
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, Float64
+from foretouch.types import SECOND_NS, Float64, Index
 
 _STILL: Final = 20  # readings without change, through which a working taxel shows its noise
 _SATURATED: Final = 0.01  # of a taxel's readings at an end of its range
+
+
+class _Tally:
+    """What the readings of a sensor of D values show."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._channels, size = sensor.channels, sensor.channels.size
+        self._bottom, self._top = self._channels.by_modality(_limits(sensor)).T
+        self.low, self.high = np.full(size, np.inf), np.full(size, -np.inf)
+        self.still, self.ends, self.outside = np.zeros((3, size), np.int64)
+        self.grasps, self.readings, self.repeated = 0, 0, 0
+        self.steps, self.noise, self.rests = list[Float64](), list[Float64](), list[Float64]()
+
+    def add(self, series: TouchSeries) -> None:
+        """Add the readings of a grasp."""
+        values = series.counts.astype(np.float64)
+        self.grasps, self.readings = self.grasps + 1, self.readings + len(values)
+        self.low, self.high = np.minimum(self.low, values.min(axis=0)), np.maximum(self.high, values.max(axis=0))
+        self.outside += ((values < self._channels.low) | (values > self._channels.high)).sum(axis=0)
+        self.ends += ((values <= self._bottom) | (values >= self._top)).sum(axis=0)
+        self.still += (np.ptp(values, axis=0) == 0.0) & (len(values) >= _STILL)
+        self.repeated += int((np.diff(values, axis=0) == 0.0).all(axis=1).sum())
+        self.steps.append(np.diff(series.stamps_ns) / SECOND_NS)
+        if len(rest := values[series.phases == REST]) > 1:
+            self.noise.append(rest.var(axis=0, ddof=1))
+            self.rests.append(np.median(rest, axis=0))
+
+    def modality(self, columns: Index) -> dict[str, Any]:
+        """Row of one modality."""
+        dead = (self.low == self.high) & (self.readings >= _STILL)
+        calm = np.sort(self.noise, axis=0)[: max(1, int(0.9 * len(self.noise)))]  # a tenth was least at rest
+        return {
+            "range": [float(self.low[columns].min()), float(self.high[columns].max())],
+            "outside": int(self.outside[columns].sum()),
+            "noise": _median(np.sqrt(calm.mean(axis=0))[columns]) if self.noise else None,
+            "drift": _median(np.median(np.abs(np.diff(self.rests, axis=0)), axis=0)[columns])
+            if self.rests[1:]
+            else None,
+            "saturated": np.flatnonzero(self.ends[columns] > _SATURATED * self.readings).tolist(),
+            "dead": np.flatnonzero(dead[columns]).tolist(),
+            "stuck": np.flatnonzero(~dead[columns] & (self.still[columns] > 0)).tolist(),
+        }
+
+
+def _limits(sensor: Sensor) -> Float64:
+    """(M, 2) lowest and highest number of each modality that still follows the contact."""
+    return np.array([one.saturation or one.limits for one, _ in sensor.predicted for _ in sensor.channels.fingers])
 
 
 def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
@@ -26,48 +73,26 @@ def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
         FileError: If there is no dataset.
         TactileError: If its readings have another number of values, or it holds none.
     """
-    channels, size = sensor.channels, sensor.channels.size
-    low, high, still, ends = np.full(size, np.inf), np.full(size, -np.inf), np.zeros(size, int), np.zeros(size, int)
-    count, outside, grasps, repeated = 0, np.zeros(size, int), 0, 0
-    noise, rests, steps = list[Float64](), list[Float64](), list[Float64]()
-    edge = [one.saturation or one.limits for one, size in sensor.predicted for _ in channels.fingers for _ in range(size)]
-    bottom, top = np.array(edge).T
+    tally, channels = _Tally(sensor), sensor.channels
     for record in open_samples(path).records():
-        if (series := readings(record)) is None:
-            continue
-        values = series.counts.astype(np.float64)
-        if values.shape[1] != size:
-            raise TactileError(f"{path}: {values.shape[1]} values in a reading, and {size} of {channels.sensor}")
-        grasps, count = grasps + 1, count + len(values)
-        low, high = np.minimum(low, values.min(axis=0)), np.maximum(high, values.max(axis=0))
-        outside += ((values < channels.low) | (values > channels.high)).sum(axis=0)
-        ends += ((values <= bottom) | (values >= top)).sum(axis=0)
-        still += (np.ptp(values, axis=0) == 0.0) & (len(values) >= _STILL)
-        repeated += int((np.diff(values, axis=0) == 0.0).all(axis=1).sum())
-        steps.append(np.diff(series.stamps_ns) / SECOND_NS)
-        if (rest := values[series.phases == REST]).shape[0] > 1:
-            noise.append(rest.std(axis=0, ddof=1))
-            rests.append(np.median(rest, axis=0))
-    if not grasps:
+        if (series := readings(record)) is not None and len(series.counts):
+            if series.counts.shape[1] != channels.size:
+                rule = f"{series.counts.shape[1]} values in a reading, and {channels.size} of {channels.sensor}"
+                raise TactileError(f"{path}: {record.sample.id}: {rule}")
+            tally.add(series)
+    if not tally.grasps:
         raise TactileError(f"{path}: holds no readings")
-    step = float(np.median(np.concatenate(steps))) if any(map(len, steps)) else 0.0
-    calm = np.sort(np.square(noise), axis=0)[: max(1, int(0.9 * len(noise)))] if noise else np.full((1, size), np.nan)
-    level = np.sqrt(calm.mean(axis=0))  # without the tenth of the grasps that were least at rest
-    drift = np.median(np.abs(np.diff(rests, axis=0)), axis=0) if len(rests) > 1 else np.full(size, np.nan)
-    dead, modalities = (low == high) & (count >= _STILL), dict[str, Any]()
-    for name, columns in channels.modality_columns.items():
-        modalities[name] = {
-            "range": [float(low[columns].min()), float(high[columns].max())],
-            "outside": int(outside[columns].sum()),
-            "noise": _number(level[columns]),
-            "drift": _number(drift[columns]),
-            "saturated": np.flatnonzero(ends[columns] > _SATURATED * count).tolist(),
-            "dead": np.flatnonzero(dead[columns]).tolist(),
-            "stuck": np.flatnonzero(~dead[columns] & (still[columns] > 0)).tolist(),
-        }
-    found = {"grasps": grasps, "readings": count, "rate_hz": 1.0 / step if step else None}
-    found["repeated"] = repeated / max(1, count - grasps)
-    return {**found, "modalities": modalities, "corrections": _corrections(sensor, found["rate_hz"], modalities)}
+    step = float(np.median(np.concatenate(tally.steps))) if any(map(len, tally.steps)) else 0.0
+    rate_hz = 1.0 / step if step > 0.0 else None
+    modalities = {name: tally.modality(columns) for name, columns in channels.modality_columns.items()}
+    return {
+        "grasps": tally.grasps,
+        "readings": tally.readings,
+        "rate_hz": rate_hz,
+        "repeated": tally.repeated / max(1, tally.readings - tally.grasps),
+        "modalities": modalities,
+        "corrections": _corrections(sensor, rate_hz, modalities),
+    }
 
 
 def _corrections(sensor: Sensor, rate_hz: float | None, modalities: dict[str, Any]) -> list[list[str]]:
@@ -81,7 +106,9 @@ def _corrections(sensor: Sensor, rate_hz: float | None, modalities: dict[str, An
             rows.append([f"{one.name}: range", str(list(one.limits)), str(ends)])
         noises = [part["noise"] for part in parts if part["noise"] is not None]
         if noises and not (one.noise and 0.5 < np.median(noises) / one.noise < 2.0):
-            rows.append([f"{one.name}: noise", "none" if one.noise is None else f"{one.noise:g}", f"{np.median(noises):.3g}"])
+            rows.append(
+                [f"{one.name}: noise", "none" if one.noise is None else f"{one.noise:g}", f"{np.median(noises):.3g}"]
+            )
     for finger in config.chosen_fingers():
         own = [modalities[f"{one.name}_{finger.name}"]["dead"] for one, size in sensor.predicted if size == sensor.size]
         if (dead := sorted(set.intersection(*map(set, own)))) != sorted(finger.dead):
@@ -89,5 +116,5 @@ def _corrections(sensor: Sensor, rate_hz: float | None, modalities: dict[str, An
     return rows
 
 
-def _number(values: Float64) -> float | None:
-    return None if np.isnan(values).all() else float(f"{np.nanmedian(values):.3g}")
+def _median(values: Float64) -> float:
+    return float(f"{np.median(values):.3g}")

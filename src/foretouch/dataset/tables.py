@@ -76,7 +76,9 @@ def _located(path: Path, table: TableConfig, text: str) -> FileError:
     rule = f"{quoted(value[1])} is not a number" if value else f"cannot be read: {' '.join(text.split())}"
     where = [f"row {int(row[1]) - table.skip - table.header}"] if row else []
     where += [f"column {_header(path, table)[int(column[1])]}"] if column else []
-    return FileError(path, f"holds {sizes[2]} values, not {sizes[1]}" if sizes else rule, field=", ".join(where) or None)
+    return FileError(
+        path, f"holds {sizes[2]} values, not {sizes[1]}" if sizes else rule, field=", ".join(where) or None
+    )
 
 
 def _require(path: Path, names: list[str], wanted: Mapping[str, Any]) -> None:
@@ -157,7 +159,7 @@ def _opened(path: Path) -> Any:
                 raise FileError(path, f"has more than {_WHOLE} bytes: use Parquet", field=large.filename)
         return np.load(path, allow_pickle=False)
     try:
-        import h5py
+        import h5py  # type: ignore[import-untyped, import-not-found, unused-ignore]
     except ImportError as err:
         raise MissingDependencyError(f"{shown(path)}: needs h5py: pip install 'foretouch[hdf5]'") from err
     return h5py.File(path, "r")

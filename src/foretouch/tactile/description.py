@@ -131,7 +131,9 @@ class SensorConfig(Settings):
     group: str = setting("", "Group of sensors that it belongs to, such as fingertips")
     update_rate: float = setting(100.0, "Readings per second", unit="Hz", bounds=(0.01, 1e5))
     fingers: tuple[FingerConfig, ...] = ()
-    grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2, then others that are recorded with them; by default the first two")
+    grasp: tuple[str, ...] = setting(
+        (), "Fingers that touch g1 and g2, then others that are recorded with them; by default the first two"
+    )
     array: ArrayConfig | None = None
     taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
     pixels: tuple[int, ...] = setting(
@@ -353,7 +355,9 @@ def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
 def require_two(sensor: Sensor) -> Sensor:
     """The sensor, if it is read on two fingers as a hand is driven; a `ConfigError` if a recording has more."""
     if len(sensor.channels.fingers) != 2:
-        raise ConfigError(f"sensor: {sensor.config.name}: grasp: {', '.join(sensor.channels.fingers)} are not two fingers")
+        raise ConfigError(
+            f"sensor: {sensor.config.name}: grasp: {', '.join(sensor.channels.fingers)} are not two fingers"
+        )
     return sensor
 
 
