@@ -206,13 +206,12 @@ class MappedSource:
                 )
 
     def _record(self, path: Path, words: Mapping[str, str], rows: _Rows) -> SampleRecord:
-        config, row = self.config, f"row {rows[_ROW][0]}"
+        row = f"row {rows[_ROW][0]}"
         texts = {name: str(rows[name][0]) for name, kind in self._types.items() if kind == pa.string()} | dict(words)
         for name in texts.keys() - words.keys():
             if (rows[name] != rows[name][0]).any():
                 raise FileError(path, "changes within a grasp", field=f"{row}, column {name}")
-        filled = [_NAME.sub(lambda one: texts.get(one[1], one[0]), text) for text in self._templates]
-        label, name, start, rate = filled
+        label, name, start, rate = (_NAME.sub(lambda one: texts.get(one[1], one[0]), text) for text in self._templates)
         try:
             check_id(f"{label}/{name or '1'}", label)
             stamps, outcome = self._stamps(rows, start, rate), self._outcome(texts)
@@ -221,9 +220,9 @@ class MappedSource:
         values = np.column_stack([rows[one] for one in self._values])
         others = {one.rpartition(":")[2]: rows[one].astype(np.float32) for one in self._others}
         sample = GraspSample(id=f"{label}/{name}" if name else "", object=label, stamp_ns=int(stamps[0]))
-        flags = [*self._range_flags(path, row, values), *(["stamped_by_rate"] if config.stamps.rate else [])]
+        flags = [*self._range_flags(path, row, values), *(["stamped_by_rate"] if rate else [])]
         note = f"{path.relative_to(self._root)}, {row}"
-        if config.grasp == "row":
+        if self.config.grasp == "row":
             extra = {name: float(value[0]) for name, value in others.items()}
             sample = replace(sample, touch=Touch(values[0], self.sensor.channels), extra=extra)
             return SampleRecord(sample=sample, outcome=outcome, note=note, flags=tuple(flags))
@@ -250,13 +249,10 @@ class MappedSource:
         return ["out_of_range"] if outside.any() else []
 
     def _outcome(self, texts: Mapping[str, str]) -> Outcome:
-        config = self.config.outcome
-        if not config.column:
-            return "unknown"
-        text = texts[config.column]
-        if text not in (*config.success, *config.failure):
+        config, text = self.config.outcome, texts.get(self.config.outcome.column, "")
+        if config.column and text not in (*config.success, *config.failure):
             raise ValueError(f"{config.column}: {none_of(text, (*config.success, *config.failure))}")
-        return "success" if text in config.success else "failure"
+        return "unknown" if not config.column else "success" if text in config.success else "failure"
 
     def _stamps(self, rows: _Rows, start: str, rate: str) -> Int64:
         """(n,) stamps [ns]; a ValueError if they are none or go back."""
@@ -267,7 +263,7 @@ class MappedSource:
             begin = round(datetime.fromisoformat(start).replace(tzinfo=UTC).timestamp() * SECOND_NS)
         if not config.column:
             step = SECOND_NS / float(rate) if rate else 0.0
-            return begin + np.rint(np.arange(count) * step).astype(np.int64)
+            return np.asarray(begin + np.rint(np.arange(count) * step).astype(np.int64))
         found = rows[config.column]
         if np.abs(found).max() * float(STAMP_UNITS[config.unit]) > 2.0**62:
             raise ValueError(f"column {config.column}: is no time in {config.unit}")
@@ -284,12 +280,12 @@ class MappedSource:
         phases[: len(rest)] = REST
         if not len(rest):
             return None, None, phases, None
-        channels, config = self.sensor.channels, ContactConfig()
+        channels, level = self.sensor.channels, ContactConfig().release_level
         tare = rest_of(np.median(rest, axis=0), channels)
-        onsets = [one for one in find_contact(stamps, values, rest, config, channels) if one is not None]
+        onsets = [one for one in find_contact(stamps, values, rest, None, channels) if one is not None]
         if not onsets:
             return None, tare, phases, None
-        touching = (contact_scores(values, rest, config, channels) >= config.release_level).any(axis=1)
+        touching = (contact_scores(values, rest, None, channels) >= level).any(axis=1)
         held = touching & (stamps >= min(onsets) + _SETTLE_NS) & (phases != REST)
         phases[held] = HOLD
         return Touch(np.median(values[held], axis=0), channels) if held.any() else None, tare, phases, min(onsets)
