@@ -156,7 +156,7 @@ class SensorConfig(Settings):
         if Path(self.taxels).name != self.taxels:
             raise ConfigError(f"taxels: {self.taxels!r} is not a valid file name beside the description")
         require_length(self, 6, "pad")
-        require_length(self, 2, *(["pixels"] if self.pixels else []))
+        require_length(self, 2, *(["pixels"] if self.pixels else []), *(["grasp"] if len(self.grasp) == 1 else []))
         if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
             raise ConfigError(f"source.type: {self.source.type!r} is not a type of messages, as package/Name")
         scalars = [channel.name for channel in self.scalars]
