@@ -21,7 +21,7 @@ from foretouch.config import Settings, load_yaml, setting
 from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.tables import TableConfig, read_blocks
 from foretouch.errors import ConfigError, DatasetError, FileError, none_of, quoted, shown
-from foretouch.tactile.contact_detector import ContactConfig, contact_scores, find_contact
+from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
 from foretouch.tactile.description import STAMP_UNITS, load_sensor
 from foretouch.tactile.readings import rest_of
 from foretouch.types import SECOND_NS, AnyArray, Float64, GraspSample, Int64, Touch
@@ -280,12 +280,12 @@ class MappedSource:
         phases[: len(rest)] = REST
         if not len(rest):
             return None, None, phases, None
-        channels, level = self.sensor.channels, ContactConfig().release_level
+        channels = self.sensor.channels
         tare = rest_of(np.median(rest, axis=0), channels)
-        onsets = [one for one in find_contact(stamps, values, rest, None, channels) if one is not None]
+        onsets = [one for one in find_contact(stamps, values, rest, channels) if one is not None]
         if not onsets:
             return None, tare, phases, None
-        touching = (contact_scores(values, rest, None, channels) >= level).any(axis=1)
+        touching = (contact_scores(values, rest, channels) >= RELEASE_LEVEL).any(axis=1)
         held = touching & (stamps >= min(onsets) + _SETTLE_NS) & (phases != REST)
         phases[held] = HOLD
         return Touch(np.median(values[held], axis=0), channels) if held.any() else None, tare, phases, min(onsets)
