@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries, check_id
-from foretouch.dataset.tables import TableConfig, read_blocks
+from foretouch.dataset.tables import TableConfig, expanded, read_blocks
 from foretouch.errors import ConfigError, DatasetError, FileError, none_of, quoted, shown
 from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
 from foretouch.tactile.description import STAMP_UNITS, load_sensor
@@ -99,7 +99,7 @@ class MappedSource:
         self.identity = Identity(
             hand={"name": self.sensor.config.name, "source": map_file.stem}, camera={"name": "none"}
         )
-        self._values, self._others = self._of_values(), _expanded(config.others)
+        self._values, self._others = self._of_values(), expanded(config.others)
         in_path, stamps = _NAME.findall(config.table.file), config.stamps
         self._templates = [config.object, config.id, stamps.start, stamps.rate]
         names = [name for text in self._templates for name in _NAME.findall(text) if name not in in_path]
@@ -116,7 +116,7 @@ class MappedSource:
         """(D,) column of each value of a touch."""
         channels, found = self.sensor.channels, dict[str, list[str]]()
         for part in self.config.values:
-            name, columns, where = f"{part.channel}_{part.finger}", _expanded(part.columns), f"{self._where}: values"
+            name, columns, where = f"{part.channel}_{part.finger}", expanded(part.columns), f"{self._where}: values"
             if name not in channels.modalities or name in found:
                 rule = f"{name} occurs twice" if name in found else none_of(name, channels.modalities)
                 raise ConfigError(f"{where}: {rule}")
@@ -293,14 +293,3 @@ class MappedSource:
 
 def _part(rows: _Rows, start: int, end: int) -> _Rows:
     return {name: column[start:end] for name, column in rows.items()}
-
-
-def _expanded(columns: tuple[str, ...]) -> list[str]:
-    """The names of columns with each {a..b} replaced by the numbers from a to b."""
-    found = list(columns)
-    while part := next((one for one in found if re.search(r"\{\d+\.\.\d+\}", one)), None):
-        head, first, last, tail = re.split(r"\{(\d+)\.\.(\d+)\}", part, maxsplit=1)
-        step = 1 if int(first) <= int(last) else -1
-        k = found.index(part)
-        found[k : k + 1] = [f"{head}{n}{tail}" for n in range(int(first), int(last) + step, step)]
-    return found

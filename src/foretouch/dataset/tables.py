@@ -47,6 +47,17 @@ class TableConfig(Settings):
             raise ConfigError(f"file: {quoted(self.file)} is not a path in the source")
 
 
+def expanded(columns: tuple[str, ...]) -> list[str]:
+    """The names of columns with each {a..b} replaced by the numbers from a to b."""
+    found = list(columns)
+    while part := next((one for one in found if re.search(r"\{\d+\.\.\d+\}", one)), None):
+        head, first, last, tail = re.split(r"\{(\d+)\.\.(\d+)\}", part, maxsplit=1)
+        step = 1 if int(first) <= int(last) else -1
+        k = found.index(part)
+        found[k : k + 1] = [f"{head}{n}{tail}" for n in range(int(first), int(last) + step, step)]
+    return found
+
+
 def read_blocks(path: Path, table: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[dict[str, AnyArray]]:
     """Blocks of some columns by name, (n,) each of its type; numbers that are missing are NaN.
 
