@@ -352,14 +352,21 @@ def _touches(rows: Float64, channels: Channels) -> list[Touch]:
     return made
 
 
+NO_CLOUD = Cloud(np.empty((0, 3), np.float32))
+"""The cloud of a sample that was recorded without a camera: it has no points, and the sample's grasp is not known."""
+
+NO_GRASP = Grasp(np.array([0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.0]), np.eye(3)[:, [1, 2, 0]])
+"""In the place of a grasp that is not known: contacts that no hand reaches."""
+
+
 @dataclass(frozen=True, eq=False)
 class GraspSample:
     """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
 
     id: str  # `<object>/<source id>`
     object: str  # label of the object
-    cloud: Cloud  # the object's cloud on which the grasp was planned
-    grasp: Grasp
+    cloud: Cloud = NO_CLOUD  # the object's cloud on which the grasp was planned
+    grasp: Grasp = NO_GRASP
     touch: Touch | None = None  # reading in contact; None for an unlabelled sample
     tare: Touch | None = None  # reading without contact; None if there is none
     stamp_ns: int = 0  # time of recording [ns]

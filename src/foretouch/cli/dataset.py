@@ -93,8 +93,11 @@ def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> Non
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}) or ROS bag")
+    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}), ROS bag, or tables")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
+    )
     group = parser.add_argument_group("ROS bags without foretouch samples")
     for name, topic, content in (
         ("cloud", CLOUD_TOPIC, "clouds of the object"),
@@ -358,11 +361,14 @@ def _import(arguments: argparse.Namespace) -> int:
     hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
     identity = Identity(hand=hand, camera=camera) if hand or camera else None
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
-        result = import_samples(arguments.source, arguments.out, identity=identity, topics=topics, progress=advance)
+        result = import_samples(
+            arguments.source, arguments.out, identity=identity, topics=topics, map_file=arguments.map, progress=advance
+        )
     record = {
         "out": str(arguments.out),
         "samples": result.samples,
         "labelled": result.labelled,
+        "readings": result.readings,
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
     return _print_result("imported", record, as_json=arguments.json)

@@ -26,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if count:
             about = "YAML file, or the name of a sensor of the package"
             action.add_argument("sensors", metavar="SENSOR", nargs=count, help=about)
+        if name == "check":
+            about = "dataset to compare the description with: ranges, noise, drift, rate, and taxels that failed"
+            action.add_argument("--against", type=Path, metavar="DS", help=about)
         if name == "show":
             action.add_argument("-o", "--out", type=Path, required=True, metavar="F.png", help="image file")
 
@@ -37,6 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         require_writable(arguments.out, *PICTURE_SUFFIXES)
         save_sensor_figure(load_sensor(arguments.sensors[0]), arguments.out)
+    if arguments.action == "check" and arguments.against is not None:
+        return _compare(arguments)
     records = [_record(name) for name in (sensor_files() if arguments.action == "list" else arguments.sensors)]
     found = [record for record in records if record["status"] == "ok"]
     for record in records if arguments.json else ():
@@ -48,6 +53,25 @@ def run(arguments: argparse.Namespace) -> int:
         if record["status"] != "ok":
             warn(record["reason"])
     return int(len(found) < len(records))
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    """Print what a recording shows of each modality, and the corrections that follow."""
+    from foretouch.dataset.sensor_check import compare_sensor
+
+    for name in arguments.sensors:
+        found = compare_sensor(load_sensor(name), arguments.against)
+        if arguments.json:
+            print_json({"input": name, "against": str(arguments.against), **found})
+            continue
+        modalities = found["modalities"]
+        columns = [key.replace("_", " ") for key in next(iter(modalities.values()))]
+        rows = [
+            [key, *("" if one in (None, []) else str(one) for one in row.values())] for key, row in modalities.items()
+        ]
+        print_table(f"{name}: {found['readings']} readings of {found['grasps']} grasps", ["modality", *columns], rows)
+        print_table("corrections", ["setting", "stated", "recorded"], found["corrections"])
+    return 0
 
 
 def _record(name: str) -> dict[str, Any]:

@@ -247,6 +247,9 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> No
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
     points = _finite_subset(target)
+    if not len(points):
+        axes.set_axis_off()
+        return
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
     ends = np.stack([grasp.g1, grasp.g2])
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)

@@ -131,7 +131,9 @@ class SensorConfig(Settings):
     group: str = setting("", "Group of sensors that it belongs to, such as fingertips")
     update_rate: float = setting(100.0, "Readings per second", unit="Hz", bounds=(0.01, 1e5))
     fingers: tuple[FingerConfig, ...] = ()
-    grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2; by default the first two")
+    grasp: tuple[str, ...] = setting(
+        (), "Fingers that touch g1 and g2, then others that are recorded with them; by default the first two"
+    )
     array: ArrayConfig | None = None
     taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
     pixels: tuple[int, ...] = setting(
@@ -154,7 +156,7 @@ class SensorConfig(Settings):
         if Path(self.taxels).name != self.taxels:
             raise ConfigError(f"taxels: {self.taxels!r} is not a valid file name beside the description")
         require_length(self, 6, "pad")
-        require_length(self, 2, *(name for name in ("pixels", "grasp") if getattr(self, name)))
+        require_length(self, 2, *(["pixels"] if self.pixels else []), *(["grasp"] if len(self.grasp) == 1 else []))
         if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
             raise ConfigError(f"source.type: {self.source.type!r} is not a type of messages, as package/Name")
         scalars = [channel.name for channel in self.scalars]
@@ -348,6 +350,15 @@ def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:
 def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
     """The facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none."""
     return facts if sensor.is_biotac else {**facts, "sensor": sensor.to_mapping()}
+
+
+def require_two(sensor: Sensor) -> Sensor:
+    """The sensor, if it is read on two fingers as a hand is driven; a `ConfigError` if a recording has more."""
+    if len(sensor.channels.fingers) != 2:
+        raise ConfigError(
+            f"sensor: {sensor.config.name}: grasp: {', '.join(sensor.channels.fingers)} are not two fingers"
+        )
+    return sensor
 
 
 def require_same(found: Channels, wanted: Channels, what: str) -> None:

@@ -13,7 +13,7 @@ from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, Temperat
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
 from foretouch.simulation.scene.ranges import RangedSettings, Switch
 from foretouch.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
-from foretouch.tactile.description import Sensor, load_sensor
+from foretouch.tactile.description import Sensor, load_sensor, require_two
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ class FingersConfig(Settings):
         if not self.sensor:
             return None
         try:
-            sensor = load_sensor(self.sensor)
+            sensor = require_two(load_sensor(self.sensor))
         except ForetouchError as err:
             raise ConfigError(f"sensor: {err}") from err
         return None if sensor.is_biotac else sensor

@@ -16,7 +16,7 @@ from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.tactile.description import Sensor, load_sensor
+from foretouch.tactile.description import Sensor, load_sensor, require_two
 from foretouch.types import SECOND_NS, Float32
 
 #: Message type to the module that decodes it.
@@ -54,7 +54,7 @@ class TactileConfig(Settings, read_only=True):
         """The sensor (raises as `load_sensor`)."""
         if not self.sensor:
             return BIOTAC_SP
-        return load_sensor(self.sensor)
+        return require_two(load_sensor(self.sensor))
 
     @property
     def message_type(self) -> str:
