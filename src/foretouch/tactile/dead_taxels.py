@@ -27,7 +27,7 @@ def usable(readings: Float64, channels: Channels, valid: Bool | None = None) -> 
 def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
     """The sensor, with those of its taxels declared dead, too, that (S, D) readings show to be.
 
-    A number without noise at rest, such as a force that no contact reached, may be constant. Of a finger of which half of the taxels or
+    A number that is zero at rest and has no noise, such as a force that no contact reached, may be constant. Of a finger of which half of the taxels or
     more would be dead none is declared: it was not read.
     """
     if len(readings) < FEWEST_READINGS:
@@ -35,7 +35,7 @@ def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
     channels, values = sensor.channels, usable(readings, sensor.channels)
     spread = np.fmax.reduce(values) - np.fmin.reduce(values)  # NaN where none is usable
     at_limit = ~((values > channels.low) & (values < channels.high)).any(axis=0)
-    noisy = channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])
+    noisy = channels.tared | channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])
     failed = np.isnan(spread) | (noisy & ((spread == 0.0) | at_limit))
     dead = failed[sensor.taxel_columns].any(axis=-1)
     dead[2 * dead.sum(axis=1) >= sensor.size] = False

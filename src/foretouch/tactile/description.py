@@ -277,7 +277,9 @@ class Sensor:
 
     def with_dead(self, dead: Bool) -> "Sensor":
         """The same sensor with further taxels declared dead, by an (F, N) mask."""
-        found = dict(zip((one.name for one in self.config.chosen_fingers()), dead | ~self.valid, strict=True))
+        found = dict(
+            zip((one.name for one in self.config.chosen_fingers()), np.atleast_2d(dead | ~self.valid), strict=True)
+        )
         fingers = [
             one.replace(dead=tuple(np.flatnonzero(found[one.name]).tolist())) if one.name in found else one
             for one in self.config.fingers

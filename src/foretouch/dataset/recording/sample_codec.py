@@ -57,7 +57,8 @@ _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
 OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _OLD_TYPE: Final = f"{SAMPLE_TYPE}1"  # version 1
-_FINITE: Final = ("touch", "tare", "series", "others", "extra_values")
+_READINGS: Final = ("touch", "tare", "series")  # NaN where a taxel was not read
+_FINITE: Final = (*_READINGS, "others", "extra_values")
 
 
 class StoredSample(NamedTuple):
@@ -123,7 +124,8 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
     for name in _FINITE:
-        if not np.isfinite(getattr(message, name, 0.0)).all():
+        values = np.asarray(getattr(message, name, 0.0))
+        if np.isinf(values).any() or (np.isnan(values).any() and name not in _READINGS):
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
     body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()

@@ -118,7 +118,7 @@ def evaluate_model(
     own = own_samples(card, data, chosen)
     fitted = own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
-    facts = {
+    facts: dict[str, Any] = {
         "split": split,
         "scored": "training_samples" if training_scores and own is not None and own.any() else "held_out",
         "excluded": int((~kept).sum()),

@@ -89,7 +89,10 @@ def train_run(
     if calibration is not None and skill:
         facts |= _release_facts(facts, learner, data, skill, calibration[1])
     if dead := learner.sensor.dead:
-        facts["limits"] = [*facts["limits"], f"Dead in the training data, so that their predictions are not valid: taxels {named_taxels(dead)}."]
+        facts["limits"] = [
+            *facts["limits"],
+            f"Dead in the training data, so that their predictions are not valid: taxels {named_taxels(dead)}.",
+        ]
     card = learner.save(out, config.name, facts, calibration)
     result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": learner.epochs, "data_sha256": data.sha256}
     result |= {"calibrated": calibration is not None, "limits": facts["limits"], "dead_taxels": dead}
