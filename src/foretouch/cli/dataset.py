@@ -76,6 +76,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_out(export, "DIR", "folder to create; must not exist")
     exported = [entry.name for entry in formats.FORMATS if entry.exported]
     export.add_argument("--format", required=True, choices=exported, help="format to write")
+    fps = (
+        "of lerobot: frames per second, each with the window of the newest readings; by default each reading is a frame"
+    )
+    export.add_argument("--fps", type=positive_number, metavar="N", help=fps)
 
     show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
     show.add_argument("source", metavar="DS", help=dataset)
@@ -385,8 +389,11 @@ def _name_and_value(text: str) -> tuple[str, str]:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    if arguments.fps and arguments.format != "lerobot":
+        raise ConfigError(f"--fps: {arguments.format} has no frames")
+    options = {"fps": arguments.fps} if arguments.fps else {}
     with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
-        result = export_samples(arguments.source, arguments.out, arguments.format, advance)
+        result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
     record = {
         "out": str(arguments.out),
         "format": arguments.format,

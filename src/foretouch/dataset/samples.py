@@ -69,7 +69,7 @@ class DatasetFormat:
     recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
     open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
     convert: Callable[[Path], SampleSet] | None = None  # as `open`, also of versions that are only read to convert them
-    export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
+    export: Callable[..., None] = _not_supported
 
 
 def _functions(entry: formats.FormatEntry) -> DatasetFormat:
@@ -109,7 +109,7 @@ def only_finite(sample: GraspSample) -> GraspSample:
 
 
 def export_samples(
-    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None
+    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None, **options: Any
 ) -> ExportResult:
     """Write the samples of a dataset in another format; reading them back gives equal numbers.
 
@@ -118,6 +118,7 @@ def export_samples(
         out: Folder to create; must not exist.
         kind: Name of a format in `formats.FORMATS` that is exported.
         progress: Called once a sample.
+        options: Of the format: `fps` of lerobot.
 
     Raises:
         FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
@@ -126,5 +127,5 @@ def export_samples(
     export = _functions(next(entry for entry in formats.FORMATS if entry.name == kind)).export
     result = ExportResult()
     with new_folder(Path(out)) as folder:
-        export(open_samples(source), folder, result, progress)
+        export(open_samples(source), folder, result, progress, **options)
     return result

@@ -272,14 +272,13 @@ class Sensor:
 
     def taxels_of(self, values: Bool) -> dict[str, list[int]]:
         """Indices of the taxels of which a value is in a (D,) mask, by finger that has some."""
-        named = zip(self.channels.fingers, values[self.taxel_columns].any(axis=-1), strict=True)
+        named = zip(self.channels.fingers, np.asarray(values[self.taxel_columns].any(axis=-1)), strict=True)
         return {finger: np.flatnonzero(chosen).tolist() for finger, chosen in named if chosen.any()}
 
     def with_dead(self, dead: Bool) -> "Sensor":
         """The same sensor with further taxels declared dead, by an (F, N) mask."""
-        found = dict(
-            zip((one.name for one in self.config.chosen_fingers()), np.atleast_2d(dead | ~self.valid), strict=True)
-        )
+        failed: Bool = np.logical_or(dead, ~self.valid)
+        found = dict(zip((one.name for one in self.config.chosen_fingers()), failed, strict=True))
         fingers = [
             one.replace(dead=tuple(np.flatnonzero(found[one.name]).tolist())) if one.name in found else one
             for one in self.config.fingers
