@@ -13,9 +13,10 @@ import numpy as np
 from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
 from foretouch.dataset.files import new_folder
-from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
+from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
 from foretouch.errors import FileError
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
 
@@ -100,6 +101,19 @@ def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = 
     if found is None:
         raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
     return found.convert(path) if convert and found.convert is not None else found.open(path, unfinished)
+
+
+def sensor_of_samples(samples: SampleSet) -> Sensor:
+    """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
+    rows = [
+        series.counts[:: max(1, len(series.counts) // 50)] for one in samples.records() if (series := readings(one))
+    ]
+    return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
+
+
+def has_points(sample: GraspSample) -> bool:
+    """Whether a point of the cloud is finite; a recording without a camera has none."""
+    return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
 
 
 def only_finite(sample: GraspSample) -> GraspSample:
