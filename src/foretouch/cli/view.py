@@ -128,12 +128,10 @@ class _Steps:
         """The readings of all samples, with what became of their grasp."""
         samples = open_samples(path, unfinished=True)
         for record in samples.records():
-            series, tare = readings(record), record.sample.tare
+            series, tare, name = readings(record), record.sample.tare, f"{record.sample.id}: {record.outcome}"
             for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
                 read = Touch(counts.astype(np.float64), samples.sensor.channels)
-                yield ViewStep(
-                    name=record.sample.id, stamp_ns=stamp, read=read, tare=tare, reason=f"outcome: {record.outcome}"
-                )
+                yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")
 
     def _of_answers(self, path: Path) -> Iterator[ViewStep]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""

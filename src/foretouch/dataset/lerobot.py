@@ -17,7 +17,7 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 from foretouch.checked_files import read_json, require_schema
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, open_samples
+from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, has_points, open_samples
 from foretouch.dataset.taxels import channel_key, finger_key
 from foretouch.errors import FileError, shown
 from foretouch.tactile.description import Sensor
@@ -50,19 +50,28 @@ _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "x
 ]
 
 
+@dataclass(frozen=True)
+class _Survey:
+    """What the episodes of a dataset have in common."""
+
+    others: list[str]  # channels of both fingers besides their touches
+    rate: int  # readings per second
+    image: tuple[int, int] | None  # rows and columns of their depth images
+    seen: bool  # whether an episode has points; else it was recorded without a camera, and its grasp is not known
+
+
 def _export(
     samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
 ) -> None:
     out.mkdir(parents=True)
-    others, period_ns, image = _survey(samples)
-    rate = max(1, round(SECOND_NS / period_ns)) if period_ns else 1
-    tables = _Tables(out, samples.sensor, others, fps or rate, -(-rate // fps) if fps else 0, image)
+    survey = _survey(samples)
+    tables = _Tables(out, samples.sensor, survey, fps)
     config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
         for record in samples.records(discarded=True):
             progress()
             writer.append(record)
-            if reason := _no_episode(record):
+            if reason := _no_episode(record, survey.seen):
                 result.left_out[reason] += 1
             else:
                 tables.add(record)
@@ -72,27 +81,30 @@ def _export(
     tables.finish(samples.identity.hand.get("model", ""))
 
 
-def _no_episode(record: SampleRecord) -> str:
+def _no_episode(record: SampleRecord, seen: bool) -> str:
     """Why a sample is not an episode, or "" if it is one."""
     if DISCARDED in record.flags or record.sample.touch is None:
         return "discarded" if DISCARDED in record.flags else "unlabelled"
-    return "" if np.isfinite(record.sample.cloud.xyz).all(axis=-1).any() else "no points"
+    return "" if has_points(record.sample) or not seen else "no points"
 
 
-def _survey(samples: SampleSet) -> tuple[list[str], float, tuple[int, int] | None]:
-    """What all samples have of both fingers besides their touches, the median period of their readings [ns], or 0, and the size of their depth images, if all are."""
+def _survey(samples: SampleSet) -> _Survey:
     others: list[set[str]] = []
-    periods, shapes = [], set()
+    periods: list[float] = []
+    shapes = set()
     for record in samples.records():
-        if not _no_episode(record):
+        if (series := readings(record)) is None:
+            continue
+        suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
+        both = [{name.removesuffix(one) for name in series.others if name.endswith(one)} for one in suffixes]
+        others = [set.intersection(*both, *others)]
+        periods += np.diff(series.stamps_ns)[:100].tolist()
+        if has_points(record.sample):
             shapes.add(record.sample.cloud.xyz.shape[:-1])
-        if (series := readings(record)) is not None:
-            suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
-            both = [{name.removesuffix(one) for name in series.others if name.endswith(one)} for one in suffixes]
-            others = [set.intersection(*both, *others)]
-            periods += np.diff(series.stamps_ns)[:100].tolist()
-    image = shapes.pop() if len(shapes) == 1 else ()
-    return sorted(set().union(*others)), float(np.median(periods or [0])), image if len(image) == 2 else None
+    period_ns = float(np.median(periods or [0]))
+    rate = max(1, round(SECOND_NS / period_ns)) if period_ns else 1
+    image = next(iter(shapes)) if len(shapes) == 1 else ()
+    return _Survey(sorted(set().union(*others)), rate, (image[0], image[1]) if len(image) == 2 else None, bool(shapes))
 
 
 class _Rows:
@@ -129,29 +141,35 @@ class _Rows:
 class _Tables:
     """The tables of a dataset: adds episodes, and writes what describes them at the end."""
 
-    def __init__(
-        self, root: Path, sensor: Sensor, others: Sequence[str], fps: int, window: int, image: tuple[int, int] | None
-    ) -> None:
-        names = [*_value_names(sensor), *(name.lower() for name in others)]
+    def __init__(self, root: Path, sensor: Sensor, survey: _Survey, fps: int | None) -> None:
+        self._window = window = -(-survey.rate // fps) if fps else 0
         self._fingers = {finger: finger_key(finger) for finger in sensor.channels.fingers}
+        self._parts = _described(sensor, self._fingers)
+        names = [*_value_names(sensor), *(name.lower() for name in survey.others)]
         vectors = {f"observation.tactile.{finger}": names for finger in self._fingers.values()}
-        vectors |= {"action": _ACTION, "observation.pointcloud": [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]}
+        if survey.seen:
+            points = [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]
+            vectors |= {"action": _ACTION, "observation.pointcloud": points}
         self._features: dict[str, dict[str, Any]] = {
             name: {"dtype": "float32", "shape": [len(one)], "names": one} for name, one in vectors.items()
         } | {
             name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in _OWN
         }
-        self._window, self._parts = window, _described(sensor, self._fingers)
-        steps = [window] if window else []
+        steps, outer = ([window], ["readings"]) if window else ([], [])
         for name, (columns, info) in self._parts.items():
-            shape, names = [*steps, *columns.shape], ["readings"] * bool(window) + ["taxels", "axes"]
+            shape, names = [*steps, *columns.shape], [*outer, "taxels", "axes"]
             self._features[name] = {"dtype": "float32", "shape": shape, "names": names, "info": info}
         if window:
-            self._features[_STAMPS] = {"dtype": "int64", "shape": [window], "names": ["readings"]}
-        if image:
+            self._features[_STAMPS] = {"dtype": "int64", "shape": steps, "names": outer}
+        if survey.image:
             info = {"is_depth_map": True, "depth_unit": "mm", "intrinsics": None}
-            self._features[_DEPTH] = {"dtype": "image", "shape": [*image, 1], "names": _SIDES, "info": info}
-        self._root, self._columns, self._others, self._fps = root, sensor.channels.finger_columns, others, fps
+            self._features[_DEPTH] = {"dtype": "image", "shape": [*survey.image, 1], "names": _SIDES, "info": info}
+        self._root, self._columns, self._others, self._fps = (
+            root,
+            sensor.channels.finger_columns,
+            survey.others,
+            fps or survey.rate,
+        )
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far
@@ -165,10 +183,7 @@ class _Tables:
         newest, window = _frames(series.stamps_ns, self._fps, self._window)
         count = len(newest)
         numbers = np.arange(count)
-        action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()]).astype(np.float32)
         frames: dict[str, AnyArray] = {
-            "action": np.tile(action, (count, 1)),
-            "observation.pointcloud": np.tile(_points(sample.cloud), (count, 1)),
             "timestamp": (numbers / self._fps).astype(np.float32),
             "frame_index": numbers,
             "episode_index": np.full(count, self._episodes),
@@ -176,6 +191,10 @@ class _Tables:
             "task_index": np.full(count, self._tasks.setdefault(task, len(self._tasks))),
             "stamp_ns": series.stamps_ns[newest],
         }
+        if "action" in self._features:
+            action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])
+            frames["action"] = np.tile(action.astype(np.float32), (count, 1))
+            frames["observation.pointcloud"] = np.tile(_points(sample.cloud), (count, 1))
         for name, (columns, _) in self._parts.items():
             frames[name] = series.counts[window][..., columns].astype(np.float32)
         if self._window:

@@ -208,7 +208,7 @@ class TaxelScale:
     def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
         """Add the bar of colours below some axes, or alone to a figure without any."""
         what = self.view.label(from_rest=self._tared)
-        label = f"{what}\nseen from outside, unrolled; up: towards the tip; ringed: outside of its 90 % interval"
+        label = f"{what}\nseen from outside, unrolled; up: towards the tip; ringed: outside of its 90 % interval; hollow: dead"
         own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}
