@@ -303,9 +303,9 @@ class _Writer:
 def _lively(rows: Float64) -> int:
     """Which of (steps, curves, N) values varies most over the steps: what was read, else what was predicted."""
     for k in (3, 0):
-        seen = rows[np.isfinite(rows[:, k, 0]), k]
+        seen = rows[np.isfinite(rows[:, k]).any(axis=1), k]
         if len(seen) > 1:
-            return int(np.argmax(np.nanstd(seen, axis=0)))
+            return int(np.argmax(np.ma.masked_invalid(seen).std(axis=0).filled(0.0)))
     return 0
 
 
