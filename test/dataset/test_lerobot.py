@@ -219,6 +219,10 @@ def test_at_the_rate_of_a_camera_a_frame_has_the_newest_readings_and_their_stamp
         np.testing.assert_array_equal(np.ravel(frame["observation.tactile.middle_finger.pdc"]), counts[read, 1])
         assert frame["observation.tactile.thumb"][0] == counts[read[-1], 0]
         assert frame["timestamp"] == np.float32(number / 15)
+    export_samples(tmp_path / "ds", tmp_path / "fast", "lerobot", fps=200)  # faster than the sensor: one reading each
+    fast = pq.read_table(tmp_path / "fast/data/chunk-000/file-000.parquet")["observation.tactile.stamps_ns"].to_pylist()
+    latest = [max(k for k in range(count) if stamps[k] <= stamps[0] + 5_000_000 * n) for n in range(len(fast))]
+    assert fast == stamps[latest].tolist()
     for one, other in zip(
         open_samples(tmp_path / "out").records(), open_samples(tmp_path / "ds").records(), strict=True
     ):
@@ -270,8 +274,16 @@ def test_metadata_that_do_not_fit_the_tables_are_refused(exported: Path) -> None
             ("total_frames: .* is not", {"total_frames": "24"}),
             ("data_path: is .*passwd", {"data_path": "../../etc/passwd"}),
             (
-                "features.action.shape: is \\[16\\], and file-000.parquet holds 15",
+                r"features.action: is float32 \[16\], and file-000.parquet holds float32 \[15\]",
                 {"features": features | {"action": {"dtype": "float32", "shape": [16]}}},
+            ),
+            (
+                r"features.observation.tactile.thumb.electrode: is float32 \[4, 6\], and .* holds float32 \[24, 1\]",
+                {"features": features | {"observation.tactile.thumb.electrode": {"dtype": "float32", "shape": [4, 6]}}},
+            ),
+            (
+                r"features.index: is float32 \[1\], and file-000.parquet holds int64 \[1\]",
+                {"features": features | {"index": {"dtype": "float32", "shape": [1]}}},
             ),
             (
                 "gripper: is a feature, and no column",
@@ -345,6 +357,33 @@ def test_the_newest_lerobot_reads_equal_frames(exported: Path, tmp_path: Path) -
             np.testing.assert_array_equal(found[name], expected)
 
         every_case(expected_frames().items(), check)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_the_newest_lerobot_reads_windows_and_depth(tmp_path: Path) -> None:
+    python = lerobot_python()
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number in range(2):
+            made = record(number)
+            row, column = np.indices((8, 10))
+            depth = np.full((8, 10), 1.0 + 0.1 * number)
+            xyz = np.dstack([(column - 4.5) * depth / 600.0, (row - 3.5) * depth / 600.0, depth]).astype(np.float32)
+            writer.append(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
+    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot", fps=40_000_000)
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache"), "PYTHONPATH": ""}
+    command = [python, "-c", _READ, str(tmp_path / "out"), str(tmp_path / "frames.npz")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300.0, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    stored = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    with np.load(tmp_path / "frames.npz") as found:
+        for name in ("observation.tactile.thumb.electrode", "observation.tactile.stamps_ns"):
+            np.testing.assert_array_equal(
+                found[name], np.array([one[name] for one in stored]).astype(found[name].dtype)
+            )
+        assert found["observation.tactile.thumb.electrode"].shape[1:] == (3, 24, 1)
+        expected = np.where(np.arange(len(stored)) < len(stored) // 2, 1000.0, 1100.0)
+        np.testing.assert_array_equal(found["observation.images.depth"][:, 0, 4, 5], expected)  # [mm]
 
 
 def lerobot_python() -> str:

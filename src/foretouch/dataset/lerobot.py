@@ -358,7 +358,7 @@ def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:
     if feature["dtype"] == "image":
         return pa.array([{"bytes": one, "path": None} for one in values])
     if feature["shape"] == [1]:
-        return pa.array(values)
+        return pa.array(values.ravel())
     found = pa.array(values.ravel())
     if len(feature["shape"]) == 1:
         return pa.FixedSizeListArray.from_arrays(found, feature["shape"][0])
@@ -418,24 +418,27 @@ def _require_consistent(path: Path) -> None:
             raise FileError(outside, "is a link out of the dataset")
         try:
             tables = {file: pq.ParquetFile(file) for file in files}
-        except (OSError, pa.ArrowException) as err:
-            raise FileError(path / folder, f"holds a file that is not Parquet: {err}") from err
+            firsts = {file: next(table.iter_batches(1)) for file, table in tables.items() if folder == "data"}
+        except (OSError, StopIteration, pa.ArrowException) as err:
+            raise FileError(path / folder, f"holds a file that is not Parquet, or empty: {err}") from err
         if (count := sum(one.metadata.num_rows for one in tables.values())) != info[field]:
             raise FileError(path / _INFO, f"is {info[field]}, and {folder} holds {count}", field=field)
-        for file, table in tables.items() if folder == "data" else ():
-            _require_features(path, info["features"], file, table.schema_arrow)
+        for file, first in firsts.items():
+            _require_features(path / _INFO, info["features"], file, first)
 
 
-def _require_features(path: Path, features: Mapping[str, Any], file: Path, columns: Any) -> None:
+def _require_features(path: Path, features: Mapping[str, Any], file: Path, first: Any) -> None:
+    """Refuse features that are not the columns of a file, by its first row; those of images are not opened."""
     for name, feature in features.items():
-        shape = require_schema(path / _INFO, feature, {"dtype": str, "shape": [int]}, f"features.{name}")["shape"]
-        if name not in columns.names:
+        stated = require_schema(path, feature, {"dtype": str, "shape": [int]}, f"features.{name}")
+        if name not in first.schema.names:
             raise FileError(file, "is a feature, and no column", field=name)
-        kind = columns.field(name).type
-        if pa.types.is_fixed_size_list(kind) and [kind.list_size] != shape:
-            raise FileError(
-                path / _INFO, f"is {shape}, and {file.name} holds {kind.list_size}", field=f"features.{name}.shape"
-            )
+        if stated["dtype"] != "image":
+            value = np.asarray(first[name][0].as_py())
+            kind = f"{'int64' if value.dtype.kind == 'i' else 'float32'} {list(value.shape or [1])}"
+            if f"{stated['dtype']} {stated['shape']}" != kind:
+                rule = f"is {stated['dtype']} {stated['shape']}, and {file.name} holds {kind}"
+                raise FileError(path, rule, field=f"features.{name}")
 
 
 DATASET_FORMAT = DatasetFormat(recognise=lambda path: (path / _INFO).is_file(), open=_open, export=_export)
