@@ -25,7 +25,7 @@ from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.taxels import finger_key
-from foretouch.errors import FileError
+from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import Cloud
 
@@ -223,6 +223,8 @@ def test_at_the_rate_of_a_camera_a_frame_has_the_newest_readings_and_their_stamp
     fast = pq.read_table(tmp_path / "fast/data/chunk-000/file-000.parquet")["observation.tactile.stamps_ns"].to_pylist()
     latest = [max(k for k in range(count) if stamps[k] <= stamps[0] + 5_000_000 * n) for n in range(len(fast))]
     assert fast == stamps[latest].tolist()
+    with pytest.raises(ConfigError, match="fps: 2000 exceeds 10 times the rate of the readings"):
+        export_samples(tmp_path / "ds", tmp_path / "faster", "lerobot", fps=2000)
     for one, other in zip(
         open_samples(tmp_path / "out").records(), open_samples(tmp_path / "ds").records(), strict=True
     ):

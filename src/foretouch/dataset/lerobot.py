@@ -30,7 +30,7 @@ from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, has_points, open_samples
 from foretouch.dataset.taxels import channel_key, finger_key
-from foretouch.errors import FileError, shown
+from foretouch.errors import ConfigError, FileError, shown
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
 
@@ -43,7 +43,10 @@ _INFO: Final = "meta/info.json"
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _STAMPS: Final = "observation.tactile.stamps_ns"  # of the readings of a window
 _DEPTH: Final = "observation.images.depth"
+_AXES: Final = ("X", "Y", "Z")  # channels that are the axes of one feature
 _SIDES: Final = ["height", "width", "channels"]
+_SAME_PIXELS: Final = 0.5  # between intrinsics of one camera, as its clouds have them
+_FASTEST: Final = 10  # frames per reading
 _OWN: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns")
 _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "xyz"] + [
     f"rotation_{row}{column}" for row in range(3) for column in range(3)
@@ -65,6 +68,8 @@ def _export(
 ) -> None:
     out.mkdir(parents=True)
     survey = _survey(samples)
+    if fps and fps > _FASTEST * survey.rate:
+        raise ConfigError(f"fps: {fps} exceeds {_FASTEST} times the rate of the readings, {survey.rate} Hz")
     tables = _Tables(out, samples.sensor, survey, fps)
     config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
@@ -209,9 +214,10 @@ class _Tables:
         }
         if _DEPTH in self._features:
             image, intrinsics = _depth(sample.cloud)
-            if self._features[_DEPTH]["info"]["intrinsics"] not in (None, intrinsics):
+            known = self._features[_DEPTH]["info"]["intrinsics"] or intrinsics
+            if any(abs(known[name] - value) > _SAME_PIXELS for name, value in intrinsics.items()):
                 raise FileError(self._root, f"{sample.id}: its camera has other intrinsics: {intrinsics}")
-            self._features[_DEPTH]["info"]["intrinsics"] = intrinsics
+            self._features[_DEPTH]["info"]["intrinsics"] = known
             frames[_DEPTH] = np.full(count, _tiff(image), object)
             stats[_DEPTH] = _statistics(image.reshape(-1, 1), [1, 1, 1])
         chunk, file = self._data.place()
@@ -290,7 +296,7 @@ def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[In
     stated = {one.name: one for one, _ in sensor.predicted}
     groups: dict[str, list[int]] = {}
     for k, one in enumerate(sensor.taxel_channels):
-        groups.setdefault(channel_key(one.name).partition("_")[0], []).append(k)
+        groups.setdefault("taxel" if one.name in _AXES else channel_key(one.name), []).append(k)
     places = {"positions": layout.positions.tolist(), "normals": layout.normals.tolist()}
     for number, (name, key) in enumerate(fingers.items()):
         parts = [
