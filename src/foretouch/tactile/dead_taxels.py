@@ -12,7 +12,7 @@ import numpy as np
 from foretouch.channels import Channels
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.layout import nearest_valid
-from foretouch.types import Bool, Float64
+from foretouch.types import AnyArray, Bool, Float64
 
 FEWEST_READINGS: Final = 5
 """Of which a taxel may be found to be dead."""
@@ -22,6 +22,11 @@ def usable(readings: Float64, channels: Channels, valid: Bool | None = None) -> 
     """(..., D) readings with NaN for numbers of taxels that cannot be used; `valid` are (D,) those not declared dead."""
     inside = (readings >= channels.low) & (readings <= channels.high)
     return np.where(channels.of_taxels & ~(inside if valid is None else inside & valid), np.nan, readings)
+
+
+def is_storable(readings: AnyArray, channels: Channels) -> bool:
+    """Whether (..., D) readings are finite, but for NaN of taxels that were not read."""
+    return bool((np.isfinite(readings) | (np.isnan(readings) & channels.of_taxels)).all())
 
 
 def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
