@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
+
+_SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,7 @@ def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = 
 def sensor_of_samples(samples: SampleSet) -> Sensor:
     """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
     rows = [
-        series.counts[:: max(1, len(series.counts) // 50)] for one in samples.records() if (series := readings(one))
+        series.counts[:: max(1, len(series.counts) // _SHOWN)] for one in samples.records() if (series := readings(one))
     ]
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 
