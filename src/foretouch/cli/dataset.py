@@ -15,20 +15,26 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
-from foretouch.dataset.record import Identity
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
+from foretouch.dataset.samples import (
+    SampleSet,
+    export_samples,
+    has_points,
+    only_finite,
+    open_samples,
+    sensor_of_samples,
+)
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
-from foretouch.types import GraspSample
 
 _SHEET_SAMPLES = 12
 
@@ -72,12 +78,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_out(export, "DIR", "folder to create; must not exist")
     exported = [entry.name for entry in formats.FORMATS if entry.exported]
     export.add_argument("--format", required=True, choices=exported, help="format to write")
+    fps = (
+        "of lerobot: frames per second, each with the window of the newest readings; by default each reading is a frame"
+    )
+    export.add_argument("--fps", type=positive_number, metavar="N", help=fps)
 
     show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
     show.add_argument("source", metavar="DS", help=dataset)
     _add_out(show, "F.png", "image file")
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
+    series = "draw taxels over time beside the outcome, as of recordings without a camera"
+    show.add_argument("--series", action="store_true", help=series)
     show.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 
 
@@ -236,6 +248,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 
 
 def _show(arguments: argparse.Namespace) -> int:
+    from foretouch.report.series_figure import save_series_sheet
     from foretouch.report.touch_figure import save_contact_sheet
 
     require_writable(arguments.out, *PICTURE_SUFFIXES)
@@ -244,24 +257,28 @@ def _show(arguments: argparse.Namespace) -> int:
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
-    save_contact_sheet(arguments.out, selected, title, samples.sensor)
-    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
+    sensor = sensor_of_samples(samples)
+    if arguments.series or not any(has_points(one.sample) for one in selected):
+        save_series_sheet(arguments.out, selected, title, sensor)
+    else:
+        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], title, sensor)
+    record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
     return _print_result("drawn", record, as_json=arguments.json)
 
 
-def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[GraspSample]:
+def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[SampleRecord]:
     """The samples named by --id, or some evenly spaced over the dataset."""
     if arguments.id:
         missing = set(arguments.id)
         for record in samples.records(discarded=True):
             if record.sample.id in missing:
                 missing.discard(record.sample.id)
-                yield only_finite(record.sample)
+                yield record
         if missing:
             raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
         return
     count = min(arguments.count, len(samples))
-    yield from (only_finite(samples.record(k * len(samples) // count).sample) for k in range(count))
+    yield from (samples.record(k * len(samples) // count) for k in range(count))
 
 
 def _repair(arguments: argparse.Namespace) -> int:
@@ -382,8 +399,11 @@ def _name_and_value(text: str) -> tuple[str, str]:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    if arguments.fps and arguments.format != "lerobot":
+        raise ConfigError(f"--fps: {arguments.format} has no frames")
+    options = {"fps": arguments.fps} if arguments.fps else {}
     with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
-        result = export_samples(arguments.source, arguments.out, arguments.format, advance)
+        result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
     record = {
         "out": str(arguments.out),
         "format": arguments.format,

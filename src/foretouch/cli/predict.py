@@ -192,7 +192,8 @@ def _named(model: TouchModel) -> inputs.Record:
     """The model for a record, with its sensor unless it is the BioTac SP."""
     channels = model.sensor.channels
     sensor = {} if channels == BIOTAC else {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
-    return {"name": model.name, "sha256": model.sha256, **sensor}
+    dead = {"dead_taxels": model.sensor.dead} if model.sensor.dead else {}  # of which predictions are not valid
+    return {"name": model.name, "sha256": model.sha256, **sensor, **dead}
 
 
 def _show(record: dict[str, Any], *, channels: Channels) -> None:

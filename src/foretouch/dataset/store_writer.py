@@ -25,6 +25,7 @@ from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
 from foretouch.types import GraspSample
 
@@ -252,8 +253,8 @@ def _row(sample: GraspSample) -> dict[str, Any]:
             raise DatasetError(f"{sample.id}: extra.{name}: {value} is not finite")
     touches = {"touch": sample.touch, "tare": sample.tare}
     counts = {name: None if touch is None else touch.values for name, touch in touches.items()}
-    for name, vector in counts.items():
-        if vector is not None and not np.isfinite(vector).all():
+    for name, touch in touches.items():
+        if touch is not None and not is_storable(touch.values, touch.channels):
             raise DatasetError(f"{sample.id}: {name}: holds a value that is not finite")
     return {
         "id": sample.id,

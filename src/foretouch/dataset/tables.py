@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
@@ -140,10 +141,29 @@ def _joined(path: Path, table: TableConfig) -> bytes:
 
 
 def _parquet(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:
+    """Numbers of a column of lists are `NAME[0]`, `NAME[1]` and so on, of lists of lists in the order of all of a row."""
+    parts = [(name, *re.fullmatch(r"(.*?)(?:\[(\d+)\])?", name).groups()) for name in wanted]  # type: ignore[union-attr]
+    bases = dict.fromkeys(base for _, base, _ in parts)
     with open_regular(path) as file:
         table = pq.ParquetFile(file)
-        _require(path, table.schema_arrow.names, wanted)
-        yield from ([batch[name] for name in wanted] for batch in table.iter_batches(_ROWS, columns=list(wanted)))
+        _require(path, table.schema_arrow.names, bases)
+        for batch in table.iter_batches(_ROWS, columns=list(bases)):
+            columns = {name: _numbers_of(path, name, batch[name], len(batch)) for name in bases}
+            for name, base, k in parts:
+                if (k is None) != (columns[base].ndim == 1) or (k and int(k) >= columns[base].shape[1]):
+                    raise FileError(path, f"is of a column of shape {columns[base].shape}", field=f"column {name}")
+            yield [pa.array(columns[base] if k is None else columns[base][:, int(k)]) for _, base, k in parts]
+
+
+def _numbers_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
+    """(n,) values of a column, or (n, k) of one of lists; a `FileError` if these are of several lengths."""
+    lists = pa.types.is_nested(column.type)
+    while pa.types.is_nested(column.type):
+        if len(pc.unique(pc.list_value_length(column))) > 1:
+            raise FileError(path, "holds lists of several lengths", field=f"column {name}")
+        column = column.flatten()
+    found: AnyArray = column.to_numpy(False)
+    return found.reshape(rows, -1) if lists else found
 
 
 def _arrays(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:

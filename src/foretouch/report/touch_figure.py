@@ -65,7 +65,9 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
     most = max(map(len, panels))
     left = [2.6, 1.9] if any(one.target for one in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
-    scale = _Scale(view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
+    scale = TaxelScale(
+        view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row]
+    )
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     seen = ""  # title of the last scene, which is not repeated
@@ -132,7 +134,7 @@ def save_contact_sheet(
     grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
     for axes in grid.flat:
         axes.set_axis_off()
-    scale = _Scale(view, [(one.touch, one.tare) for one in samples if one.touch is not None])
+    scale = TaxelScale(view, [(one.touch, one.tare) for one in samples if one.touch is not None])
     for front, sample in zip(grid.reshape(-1, 3), samples, strict=False):
         _draw_sample(list(front), sample, scale)
     if scale.drawn is not None:
@@ -140,7 +142,7 @@ def save_contact_sheet(
     return save(figure, Path(path), dpi=100)
 
 
-def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> None:
+def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: TaxelScale) -> None:
     """Draw object and fingers of a sample."""
     front, *fingers = panels
     front.set_axis_on()
@@ -157,7 +159,7 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> 
         axes.set_title(title, fontsize=9, color=_FINGER_COLOURS[k])
 
 
-class _Scale:
+class TaxelScale:
     """Draws taxels, all of a page by one scale of colours: their change from rest where all touches have one.
 
     Args:
@@ -173,10 +175,10 @@ class _Scale:
         ]
         known = np.concatenate([[], *levels])
         self.limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        self._colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
+        self.colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
         if self._tared and not view.channel.contact:  # in both directions from rest
             largest = max(map(abs, self.limits))
-            self.limits, self._colours = (-largest, largest), "PuOr"
+            self.limits, self.colours = (-largest, largest), "PuOr"
         self.drawn: Any = None  # what a bar of colours is made for
         self._ringed = False  # whether any taxel has a ring
 
@@ -196,7 +198,7 @@ class _Scale:
         size *= 1.0 if few else 2.0 * _FEW / sensor.size
         levels = self._levels(touch, rest, finger)
         style: dict[str, Any] = {"edgecolors": _FINGER_COLOURS[finger]} if few else {"linewidths": 0.0}
-        style |= {"vmin": low, "vmax": high, "cmap": self._colours}
+        style |= {"vmin": low, "vmax": high, "cmap": self.colours}
         self.drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **style)
         hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
         if not valid.all():
@@ -212,7 +214,8 @@ class _Scale:
         """Add the bar of colours below some axes, or alone to a figure without any."""
         what = self.view.label(from_rest=self._tared)
         rings = "; ringed: outside of its 90 % interval" * self._ringed
-        label = f"{what}\nseen from outside, unrolled; up: towards the tip{rings}"
+        dead = "; hollow: dead" * bool(self.view.sensor.dead)
+        label = f"{what}\nseen from outside, unrolled; up: towards the tip{rings}{dead}"
         own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}

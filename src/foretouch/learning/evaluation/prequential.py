@@ -12,14 +12,14 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import DatasetError, GraspError, ModelError, TactileError
+from foretouch.errors import DatasetError, GraspError, ModelError
+from foretouch.learning.data.dataset import with_readings
 from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
-from foretouch.tactile import tdc_of, touch_faults
-from foretouch.tactile.description import require_same
-from foretouch.types import Bool, Float64, GraspSample, Index, Int64
+from foretouch.tactile import tdc_of
+from foretouch.types import Bool, Float64, GraspSample, Index, Int64, Touch
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
     "none": (0, 0),
@@ -86,7 +86,7 @@ class Recording:
 
     def tare(self, k: int) -> Float64 | None:
         """(D,) tare of a grasp minus the rest level [counts]; None without."""
-        return None if self.tares is None or np.isnan(self.tares[k]).any() else self.tares[k]
+        return None if self.tares is None or np.isnan(self.tares[k]).all() else self.tares[k]
 
     def is_known(self, k: int) -> bool:
         """Whether the object of a grasp is in the distribution of the training data."""
@@ -163,7 +163,7 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
         (counts[k],), (variance,) = tracker.moments(levels[k], expected[None], None if where is None else where[None])
         deviation[k] = np.sqrt(variance)
         half[k] = tracker.factor(levels[k]) * deviation[k]
-        if np.isfinite(reading).all():
+        if not np.isnan(reading).all():
             names += tracker.add_touch(stamp, reading, expected, tdc=_row(recording.tdc, k), where=where)
         restarted.append(tuple(dict.fromkeys(names)))
     return Replayed(counts, half, deviation, levels, restarted)
@@ -271,12 +271,11 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     readings, expected = np.full((2, len(ordered), model.sensor.channels.size), np.nan)
     known, where = np.zeros(len(ordered), np.bool_), []
     for k, sample in enumerate(ordered):
-        for touch in filter(None, (sample.touch, sample.tare)):
-            require_same(touch.channels, model.sensor.channels, sample.id)
         if sample.touch is not None:
-            if faults := touch_faults(sample.touch):
-                raise TactileError(f"{sample.id}: {faults[0]}")
-            readings[k] = sample.touch.values
+            readings[k] = model.usable_values(sample.touch, sample.id)
+        if sample.tare is not None:
+            tare = Touch(model.usable_values(sample.tare, sample.id), sample.tare.channels)
+            ordered[k] = with_readings(sample, tare=tare)
         try:
             one = model.estimate_executed(sample.cloud, [sample.grasp])
         except GraspError as err:
@@ -303,20 +302,25 @@ def evaluate_prequential(
     Returns:
         `touches`: by name from `BINS` (those without a grasp are left out), `grasps` and by method and modality `rmse`,
         `skill` against the mean of the other objects, and `coverage90` and `half_width` (None without intervals).
-        `samples`; `history`; `restarted`: ids of samples whose reading restarted a finger, with its name.
+        `samples`; `history`; `restarted`: ids of samples whose reading restarted a finger, with its name; `not_scored`: indices of
+        the taxels that are dead in the training data or were not always read, by finger.
 
     Raises:
         DatasetError: As `replay_model`, or if all samples are of one object.
     """
     done = replay_model(model, samples, history)
     assert model.calibration is not None  # noqa: S101  checked by replay_model
-    reference = other_objects_mean(done.recording)
+    readings = done.recording.readings
+    valid = model.sensor.valid_values & ~np.isnan(readings).any(axis=0)
+    readings = np.nan_to_num(readings)  # of taxels that are not scored
+    recording = replace(done.recording, readings=readings)
+    reference = other_objects_mean(recording)
     forgetful = SensorTracker(replace(model.calibration, tracker=None).tracker_parameters)
     memory = replay(forgetful, done.recording, keep_sensors=False)
     counts = {"tracker": done.played.counts, "memory": memory.counts, "sight": done.recording.expected}
-    counts |= baselines(done.recording, reference)
+    counts |= baselines(recording, reference)
     half = {"tracker": done.played.half, "memory": memory.half}
-    touches, readings = done.recording.touches(), done.recording.readings
+    touches = recording.touches()
     found: dict[str, Any] = {}
     for name, (low, high) in BINS.items():
         chosen = done.scored & (touches >= low) & (touches <= high)
@@ -324,13 +328,14 @@ def evaluate_prequential(
             continue
         scores: dict[str, Any] = {}
         for method, values in counts.items():
-            scored = score(values[chosen], readings[chosen], reference[chosen], model.ranges)
+            scored = score(values[chosen], readings[chosen], reference[chosen], model.ranges, valid=valid)
             scores[method] = {
                 key: {"rmse": one.rmse, "skill": one.skill, "coverage90": None, "half_width": None}
                 for key, one in scored.items()
             }
             for key in model.sensor.channels.modalities if method in half else ():
-                own = np.ix_(chosen, model.sensor.channels.columns([key]))
+                columns = model.sensor.channels.columns([key])
+                own = np.ix_(chosen, columns[valid[columns]])
                 width = half[method][own]
                 inside = np.abs(readings[own] - values[own]) <= width
                 scores[method][key] |= {"coverage90": float(inside.mean()), "half_width": float(width.mean())}
@@ -338,4 +343,5 @@ def evaluate_prequential(
     pairs = zip(done.samples, done.played.restarted, strict=True)
     restarted = {sample.id: list(names) for sample, names in pairs if names}
     count = int(done.scored.sum())
-    return {"touches": found, "samples": count, "history": len(done.samples) - count, "restarted": restarted}
+    facts = {"samples": count, "history": len(done.samples) - count, "restarted": restarted}
+    return {"touches": found, **facts, "not_scored": model.sensor.taxels_of(~valid)}
