@@ -28,7 +28,7 @@ from foretouch.ros.runtime.workers import WorkerThread
 _COPIES: Final = 1000  # at most, on their way to a subscription: more than its queue holds
 
 
-class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not generic before Kilted
+class DirectPublisher(LifecyclePublisher):
     """A publisher that knows the subscriptions of its process."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
