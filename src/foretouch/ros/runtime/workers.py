@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slow work beside callbacks.
 
-`Worker` serves topics: callbacks only store, and when the work does not keep up, the oldest input is dropped, so
-that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
+`Worker` serves topics: callbacks only store, and when the work does not keep up, the newest input comes next and older ones are
+dropped, so that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
 spares the wait for another thread (see `helping`). `ThreadPool` serves services and actions, whose callbacks await it as
 coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
 message. rclpy's events executor (9.1) has no callback groups, blocks while a coroutine waits, and stopped for good when
@@ -138,7 +138,7 @@ class WorkerThread:
 class Worker(Generic[_T]):
     """Calls `work`, which must not raise, with each item, in order, in one thread.
 
-    At most `depth` items wait, or four times as many for a quarter of a second. `on_drop` is called with each dropped item and the reason, `superseded` or `stopped` (see
+    At most `depth` items wait, and only the newest where the work does not keep up. `on_drop` is called with each dropped item and the reason, `superseded` or `stopped` (see
     `BoundedQueue`). The thread may be shared with other workers; None makes one of that name.
     """
 
