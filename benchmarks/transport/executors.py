@@ -57,6 +57,12 @@ def executor_of(name: str) -> Any:
     return made_by[name]() if name in made_by else GraphExecutor(InternalErrors(print))
 
 
+def spin(executor: Any) -> None:
+    """As nodes do; `EventsExecutor.spin` calls back with nothing at all (rclpy 7.1.6 and 9.1.2)."""
+    while True:
+        executor.spin_once(timeout_sec=0.5)
+
+
 def receive(name: str, kind: str, rate_hz: float, count: int, *, beside: bool) -> None:
     """In a process of its own: receive, and print received, p50, p95 [ms] and CPU a message [ms]."""
     import rclpy
@@ -67,14 +73,14 @@ def receive(name: str, kind: str, rate_hz: float, count: int, *, beside: bool) -
     rclpy.init()
     node, message, ages = rclpy.create_node("receiver"), made(kind), []
 
-    def hear(content: Any, _info: Any) -> None:
+    def hear(content: Any, *_: Any) -> None:  # `EventsExecutor` raises a SystemError where the information is asked for
         ages.append((time.time_ns() - stamp_ns(content.header.stamp)) / 1e6)
 
     profile = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(type(message), "x", hear, profile, callback_group=InputGroup())
     executor = executor_of(name)
     executor.add_node(node)
-    threading.Thread(target=executor.spin, daemon=True).start()
+    threading.Thread(target=spin, args=(executor,), daemon=True).start()
     if beside:
         send(node.create_publisher(type(message), "x", 10), message, rate_hz, count)
         time.sleep(0.5)
@@ -115,7 +121,7 @@ def main() -> int:
                 found[kind, rate, name].append(run(name, kind, rate, round(rate * options.seconds)))
     rows = []
     for (kind, rate, name), results in found.items():
-        received, *times = np.array(results).T
+        received, *times = np.array([one for one in results if one] or [[0.0] * 4]).T
         p50, p95, cpu = (f"{min(values):.3g}" for values in times)
         sent = round(rate * options.seconds)
         rows.append({"executor": name, "message": kind, "Hz": f"{rate:g}", "received": f"{max(received):.0f} of {sent}",
