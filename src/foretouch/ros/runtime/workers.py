@@ -5,8 +5,7 @@
 dropped, so that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
 spares the wait for another thread (see `helping`). `ThreadPool` serves services and actions, whose callbacks await it as
 coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
-message. rclpy's events executor (9.1) has no callback groups, blocks while a coroutine waits, and stopped for good when
-another thread published to a subscription of the same process.
+message. rclpy's `EventsExecutor` has no callback groups, and raises an error where a callback asks for what is known of a message.
 """
 
 import threading
