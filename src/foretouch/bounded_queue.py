@@ -8,9 +8,7 @@ from collections.abc import Callable
 from typing import Final, Generic, Literal, TypeVar
 
 _BUSY_S: Final = 0.5  # for which something may wait without a pause until the receiver counts as late
-_CLEAN: Final = (
-    50  # items, put without dropping one, that make up for a dropped one: a loss of 2 % keeps the receiver late
-)
+_CLEAN: Final = 50  # items put without a drop that make up for a dropped one: a loss of 2 % keeps the receiver late
 _Item = TypeVar("_Item")
 
 
@@ -21,9 +19,8 @@ class BoundedQueue(Generic[_Item]):
         capacity: Sum of the sizes of the items that may wait; None for no limit.
         when_full: `drop_oldest` makes room for the new item, `reject` drops the new item, `wait` blocks its sender.
         size_of: Size of an item, such as its bytes; None counts each item as 1.
-        patience_s: Where an item has waited for longer than this [s], or some have for half a second without a pause, the receiver
-            does not keep up. Only the newest item waits then, so that the receiver is not late for good, until it keeps up
-            again. A shorter pause of the receiver loses nothing. 0 for no such limit.
+        patience_s: Where an item has waited for longer than this [s], or some have for half a second without a pause, only the
+            newest waits until the receiver keeps up again. A shorter pause of it loses nothing. 0 for no such limit.
         on_drop: Called with each dropped item and the reason. The queue is locked meanwhile: return at once.
     """
 
@@ -37,9 +34,7 @@ class BoundedQueue(Generic[_Item]):
         on_drop: Callable[[_Item, str], None] | None = None,
     ) -> None:
         self.capacity = capacity  # may be changed at any time
-        self.dropped: Counter[str] = (
-            Counter()
-        )  # as `superseded` by newer ones, `full`, `closed`, or what `close` was given
+        self.dropped: Counter[str] = Counter()  # as `superseded`, `full`, `closed`, or what `close` was given
         self._when_full = when_full
         self._size_of = size_of or (lambda _: 1)
         self._patience_s = patience_s
@@ -49,7 +44,7 @@ class BoundedQueue(Generic[_Item]):
         self._since: deque[float] = deque()  # when each was put, `time.monotonic` [s]
         self._size = 0
         self._empty_s = 0.0  # when it was last empty, `time.monotonic` [s]
-        self._late = 0  # items to be put without dropping one until the receiver keeps up
+        self._to_make_up = 0  # items to be put without dropping one until the receiver keeps up
         self._closed_reason = ""
 
     def put(self, item: _Item) -> bool:
@@ -110,9 +105,9 @@ class BoundedQueue(Generic[_Item]):
         if not self._items:
             self._empty_s = now
         waits = self._items and (now - self._since[0] > self._patience_s or now - self._empty_s > _BUSY_S)
-        if not self._patience_s or not (waits or self._late):
+        if not self._patience_s or not (waits or self._to_make_up):
             return False
-        self._late = min(self._late + _CLEAN, 2 * _CLEAN) if self._items else self._late - 1
+        self._to_make_up = min(self._to_make_up + _CLEAN, 2 * _CLEAN) if self._items else self._to_make_up - 1
         return True
 
     def _wait(self, timeout_s: float | None) -> None:

@@ -112,7 +112,6 @@ class SerializedInput:
         self._forward, self._mismatch = receive, mismatch
         override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
         self._overridden = override in getattr(node, "_parameter_overrides", {})
-        self._group = InputGroup()
         self._subscription = self._subscribe()
 
     def adapt(self) -> bool:
@@ -147,7 +146,7 @@ class SerializedInput:
             self.topic.name,
             self._receive,
             profile,
-            callback_group=self._group,
+            callback_group=InputGroup(),
             qos_overriding_options=QoSOverridingOptions(overridden),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=self._report_mismatch,

@@ -19,7 +19,6 @@ from typing import Any, Final
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, qos_check_compatible
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from foretouch.ros.messages.clouds import TargetCloud
@@ -43,20 +42,19 @@ class DirectPublisher(LifecyclePublisher):
         return self.keeps or bool(self.get_subscription_count())
 
     def publish(self, message: Any) -> None:
-        """Publish a message, a `TargetCloud` or a serialised message while the node is active.
+        """Publish a message or a `TargetCloud` while the node is active; without hand-over also a serialised message.
 
         Nothing is serialised for subscriptions of this process alone, unless it is kept for late ones.
         """
         if not self.is_activated:
             return
         receivers = self.receivers
-        content = deserialize_message(message, self.msg_type) if receivers and isinstance(message, bytes) else message
         if not receivers or self.keeps or self.get_subscription_count() > len(receivers):
             for one in receivers:
-                one.expect_copy(content)
+                one.expect_copy(message)
             super().publish(message.message if isinstance(message, TargetCloud) else message)
         for one in receivers:
-            one.receive(content)
+            one.receive(message)
 
 
 @dataclass(eq=False)

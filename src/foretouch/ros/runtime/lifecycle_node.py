@@ -76,7 +76,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.has_failed = False  # whether the process ends with exit status 1
         self.last_failure = ""  # why the latest step that failed did
-        self.is_direct = self.config.direct  # whether messages are handed over within the process
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
         self._inputs: list[Subscription[Any]] = []
@@ -154,7 +153,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
         overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]
-        publisher = self.create_publisher(
+        publisher: DirectPublisher = self.create_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
@@ -166,10 +165,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
             publisher_class=DirectPublisher,
         )
-        assert isinstance(publisher, DirectPublisher)  # noqa: S101  rclpy declares only its own class
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
-        if direct and self.is_direct:
+        if direct and self.config.direct:
             self.direct_topics.add(publisher)
         return publisher
 
@@ -201,7 +199,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
         )
         self._inputs.append(subscription)
-        if self.is_direct:
+        if self.config.direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, _receive))
             self._direct_inputs.append(direct)
             self.direct_topics.add(direct)

@@ -128,7 +128,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.config.queue_depth,
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
             lambda _, reason: self.statistics.drop(reason),
-            self.direct_topics.thread(self.get_namespace()) if self.is_direct else None,
+            self.direct_topics.thread(self.get_namespace()) if self.config.direct else None,
         )
         self._arrived = 0.0  # of the set that is being answered, `time.monotonic` [s]
         self._lacking: Counter[str] = Counter()  # sets that were given up since the last complete one, by missing topic

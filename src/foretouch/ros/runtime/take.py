@@ -82,7 +82,7 @@ class _Bytes:
 def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
     """The next message, bytes if it is `raw`, and what is known of it; None where there is none, or its bytes are damaged.
 
-    What is known has the keys that rclpy gives since 9.1, the publisher among them. The `data` of a cloud are a read-only array. Damaged bytes show as a gap in the numbers of the publisher, as with rclpy.
+    What is known has keys that rclpy gives since 9.1, the publisher among them. The `data` of a cloud are a read-only array. Damaged bytes show as a gap in the numbers of the publisher, as with rclpy.
 
     Raises:
         RuntimeError: Or another of rclpy, if the message cannot be taken.
@@ -91,8 +91,7 @@ def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
     handle = subscription.handle
     with handle:
         if _rcl is None:
-            taken: tuple[Any, Any] | None = handle.take_message(subscription.msg_type, subscription.raw)
-            return taken
+            return handle.take_message(subscription.msg_type, subscription.raw)
         content, info = _Bytes(), _Info()
         status = _rcl.rcl_take_serialized_message(handle.pointer, ctypes.byref(content.array), ctypes.byref(info), None)
     if status == _NONE:
@@ -105,14 +104,12 @@ def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
 
 
 def _known(info: _Info) -> dict[str, Any]:
-    """What rclpy 9.1 passes beside a message."""
-    numbers = info.publication_sequence_number, info.reception_sequence_number
-    publication, reception = (None if one == _NO_SEQUENCE else one for one in numbers)
+    """What rclpy 9.1 passes beside a message, but for the number of receptions."""
+    sequence = info.publication_sequence_number
     return {
         "source_timestamp": info.source_timestamp,
         "received_timestamp": info.received_timestamp,
-        "publication_sequence_number": publication,
-        "reception_sequence_number": reception,
+        "publication_sequence_number": None if sequence == _NO_SEQUENCE else sequence,
         "publisher_gid": {"data": bytes(info.publisher)},
     }
 

@@ -8,9 +8,10 @@ coroutines. A multi-threaded executor would cost three times the processor time:
 message. rclpy's `EventsExecutor` has no callback groups, and raises an error where a callback asks for what is known of a message.
 """
 
+import asyncio
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Final, Generic, TypeVar
@@ -196,8 +197,8 @@ class ThreadPool:
         try:
             future = self._pool.submit(work)
             future.add_done_callback(self._wake)
-            while not future.done():
-                await _Pause()
+            while not future.done():  # noqa: ASYNC110  the executor goes on below when it is woken
+                await asyncio.sleep(0)
             return future.result()
         finally:
             self._waiting -= 1
@@ -209,10 +210,3 @@ class ThreadPool:
     def _wake(self, _: Future[Any]) -> None:
         if self._node.executor is not None:
             self._node.executor.wake()
-
-
-class _Pause:
-    """Returns control to the executor, which continues here when it is woken."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        yield
