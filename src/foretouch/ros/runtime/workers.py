@@ -160,7 +160,7 @@ class Worker(Generic[_T]):
         self._thread.start(self)
 
     def put(self, item: _T) -> None:
-        """Queue an item; the oldest is dropped where the queue is full."""
+        """Queue an item; older ones are dropped where the queue is full or the work does not keep up."""
         if self._queue.put(item):
             self._thread.call(self)
 
