@@ -3,7 +3,6 @@
 
 import argparse
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +13,6 @@ from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
-from foretouch.dataset.chunks import ReadOnRay, chunks_folder, remove_chunks
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
@@ -25,10 +23,9 @@ from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.store_writer import ReadSamples, build_store, read_samples
+from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-from foretouch.ray_cluster import ADDRESS_HELP
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
@@ -67,7 +64,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build.add_argument("sources", metavar="IN", nargs="+", help=dataset)
     _add_out(build, "STORE", "training store to create; must not exist")
     build.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
-    build.add_argument("--address", help=f"{ADDRESS_HELP}; IN and STORE must be on a disk that all nodes share")
 
     _add_import(_action(actions, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
 
@@ -325,18 +321,13 @@ def _warn_of_other_hands(paths: Sequence[str]) -> None:
 
 def _build(arguments: argparse.Namespace) -> int:
     _warn_of_other_hands(arguments.sources)
-    read: ReadSamples = read_samples
-    if arguments.address is not None:
-        read = ReadOnRay(chunks_folder(arguments.out.absolute()), arguments.address, len(os.sched_getaffinity(0)))
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
             arguments.out,
             attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
             progress=advance,
-            read=read,
         )
-    remove_chunks(arguments.out)
     splits = json.loads(make_splits(result.samples, arguments.seed))
     record = {
         "out": str(arguments.out),

@@ -14,8 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+from foretouch.checked_files import system_errors
 from foretouch.dataset.bag import Recording, is_recording
-from foretouch.dataset.files import disk_errors, new_folder
+from foretouch.dataset.files import new_folder
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
@@ -97,7 +98,7 @@ def import_samples(
             raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
         folder = out if out.exists() else stack.enter_context(new_folder(out))
         config = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
-        with disk_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
+        with system_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
             for record in records:
                 writer.append(record)
                 result.samples += 1

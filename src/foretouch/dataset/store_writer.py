@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,8 +20,8 @@ import pyarrow as pa
 from foretouch import __version__
 from foretouch.checked_files import file_sha256
 from foretouch.dataset.files import new_folder, sealed
-from foretouch.dataset.record import DISCARDED, SampleRecord, id_number, numbered_id
-from foretouch.dataset.samples import SampleSet, only_finite, open_samples
+from foretouch.dataset.record import DISCARDED, id_number, numbered_id
+from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
 from foretouch.tactile.channels import BIOTAC_SP
@@ -156,33 +156,18 @@ class BuildResult:
     renumbered: int = 0  # samples whose id a source before had; both ids are in the manifest
 
 
-#: Reads the samples of a source, given its number among the sources: with finite points only, None for a discarded one.
-ReadSamples = Callable[[int, SampleSet], Iterable[GraspSample | None]]
-
-
-def read_samples(_number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
-    """A `ReadSamples` for this process."""
-    yield from map(usable_sample, samples.records(discarded=True))
-
-
-def usable_sample(record: SampleRecord) -> GraspSample | None:
-    """The sample with finite points only; None if the operator discarded it."""
-    return None if DISCARDED in record.flags else only_finite(record.sample)
-
-
 def build_store(
     sources: Sequence[str | Path],
     out: str | Path,
     *,
     attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] = lambda _: {},
     progress: Callable[[], None] = lambda: None,
-    read: ReadSamples = read_samples,
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
     A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
     recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
-    files to add to the store, such as splits, by name, from the samples; `read` reads those of a source, given its number.
+    files to add to the store, such as splits, by name, from the samples.
 
     Raises:
         FileError: If `out` exists, or a source is not a dataset or damaged.
@@ -193,20 +178,20 @@ def build_store(
     about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
     ids = _UniqueIds()
     with StoreWriter(out, about) as writer:
-        for number, source in enumerate(sources):
+        for source in sources:
             renumbered = ids.begin(str(source))
             samples = open_samples(source)
-            if number == 0:
+            if not origins:
                 writer.sensor = samples.sensor
             require_same(samples.sensor.channels, writer.sensor.channels, str(source))
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-            for found in read(number, samples):
+            for record in samples.records(discarded=True):
                 progress()
-                if found is None:
+                if DISCARDED in record.flags:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(found)
+                sample = ids.with_own_id(only_finite(record.sample))
                 writer.write(sample)
                 result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
             if renumbered:

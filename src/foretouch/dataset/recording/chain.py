@@ -19,8 +19,8 @@ from typing import BinaryIO
 
 from mcap.records import Metadata
 
-from foretouch.checked_files import FileBytes
-from foretouch.dataset.files import disk_errors, new_folder, sync_folder
+from foretouch.checked_files import FileBytes, system_errors
+from foretouch.dataset.files import new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.folder import opened_to_write, read_listed, session_files, write_listed
 from foretouch.dataset.recording.records import (
@@ -85,7 +85,7 @@ def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity,
     Returns:
         The dataset: its name is that of `file`'s folder, or that name with a number.
     """
-    with disk_errors(folder):
+    with system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     name = file.parent.absolute().name
     names = (name if number == 1 else f"{name}-{number}" for number in count(1))
@@ -98,7 +98,7 @@ def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity,
             os.fsync(copy.fileno())
         list_sessions(part)
         sync_folder(part)
-    with disk_errors(folder):
+    with system_errors(folder):
         sync_folder(folder)
     return path
 

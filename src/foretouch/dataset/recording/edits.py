@@ -20,8 +20,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
-from foretouch.checked_files import TEXT_LIMIT, free_name, open_own, parse_json, read_bytes, require_schema
-from foretouch.dataset.files import disk_errors, require_version, sync_folder
+from foretouch.checked_files import (
+    TEXT_LIMIT,
+    free_name,
+    open_own,
+    parse_json,
+    read_bytes,
+    require_schema,
+    system_errors,
+)
+from foretouch.dataset.files import require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
@@ -135,7 +143,7 @@ def append_edit(path: Path, edit: Edit) -> int:
             del body[name]
     digest = _digest(digest, body)
     line = (json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n").encode()
-    with disk_errors(file):
+    with system_errors(file):
         with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab", buffering=0) as log:
             log.truncate(size)  # remove a line that a crash cut off
             try:
@@ -161,7 +169,7 @@ def forget_edits(path: Path) -> str:
         try:
             _list(path, _read(file)[1])
         except FileError:
-            with disk_errors(file):
+            with system_errors(file):
                 file.rename(free_name(file, "before-repair"))
             _list(path, [])
     return lost

@@ -33,7 +33,6 @@ from foretouch.simulation.execution import Counts, GraspTimingConfig, GraspTraje
 from foretouch.simulation.message_faults import TactileFaultConfig, TactileFaults
 from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.simulation.world import CAMERA_FRAME
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
@@ -81,18 +80,7 @@ class HandConfig(NodeConfig):
     course: GraspTimingConfig = field(default_factory=GraspTimingConfig)
     faults: TactileFaultConfig = field(default_factory=TactileFaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
-    biotacs: tuple[str, ...] = setting(
-        ("MF", "TH"),
-        "Fingers with a BioTac, where the scene has any; the others send zeros",
-        choices=FINGER_ORDER,
-        read_only=True,
-    )
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not set(_GRASPING) <= set(self.biotacs):
-            raise ConfigError(f"biotacs: {list(self.biotacs)} lacks TH or MF, which the hand grasps with")
 
 
 class HandNode(ForetouchNode[HandConfig]):
@@ -115,7 +103,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
-        self._resting: list[RestingFingers] = []
+        self._resting: RestingFingers
         self._faults = TactileFaults(TactileFaultConfig())
         super().__init__(name, HandConfig, **options)
 
@@ -127,9 +115,8 @@ class HandNode(ForetouchNode[HandConfig]):
             self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)
         at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._sensor = sensor = self._hand.sensor
-        self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING and sensor.is_biotac]
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
-        self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
+        self._resting = RestingFingers(at_rest)
         self._solver: Worker[_Command] = Worker("hand-contact", 4, self._solve, lambda _, why: self._drop(why))
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind
@@ -156,7 +143,6 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _teardown(self) -> None:
         self._hand = self._newest = None
-        self._resting.clear()
 
     def _config_changed(self, config: HandConfig) -> None:
         self._faults.config = config.faults
@@ -297,7 +283,7 @@ class HandNode(ForetouchNode[HandConfig]):
         if self._current is None and self._ready is not None:
             self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
-        grasping, *idle = [fingers.read(elapsed_s) for fingers in self._resting]
+        grasping = self._resting.read(elapsed_s)
         current = self._current
         if current is not None:
             row = min(number - current.first, len(current.trajectory.counts) - 1)
@@ -305,11 +291,7 @@ class HandNode(ForetouchNode[HandConfig]):
         if self._pressed is not None and time.monotonic() < self._pressed[1]:
             grasping = grasping.copy()
             grasping[:, : self._pressed[0].shape[1]] += self._pressed[0]
-        # A finger that does not grasp reads as a middle finger at rest.
-        return {
-            **dict(zip(_GRASPING, grasping, strict=True)),
-            **{name: pair[1] for name, pair in zip(self._idle_fingers, idle, strict=True)},
-        }
+        return dict(zip(_GRASPING, grasping, strict=True))
 
     def _finish(self, running: _RunningGrasp, first_ns: int, period_ns: int) -> None:
         """Report the grasp and become idle."""

@@ -36,7 +36,6 @@ from foretouch.ros.recorder.subscriptions import (
     viewer_topics,
 )
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import RecorderStatus
@@ -86,7 +85,6 @@ class RecorderConfig(NodeConfig, TactileInput):
     queue_mb: int = setting(500, "Memory for messages that wait for the disk", bounds=(10, 100_000), read_only=True)
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
-    contact: ContactConfig = field(default_factory=ContactConfig)
     writing: RecordingConfig = field(default_factory=RecordingConfig)
 
 
@@ -251,7 +249,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             writer.add_topic(name, one.topic.type_name)
         assembling = AssemblerConfig(
             pairing=config.pairing,
-            contact=config.contact,
             object=label,
             note=note,
             unlabelled_s=config.unlabelled_s if config.unlabelled else None,

@@ -255,7 +255,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _scale(self, model: TouchModel) -> tuple[Touch | None, Ranges]:
         """The reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
         rest = None if model.calibration is None else Touch(model.calibration.rest, model.sensor.channels)
-        return rest, self.config.ranges.ranges if model.sensor.is_biotac else model.ranges
+        return rest, model.ranges
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))

@@ -65,10 +65,8 @@ class OnlineAdapter:
         self._warn = warn
         # Of what callbacks store; taken after that of the history, and never while the model works.
         self._input_lock = threading.Lock()
-        self._assembler = SampleAssembler(
-            AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
-        )
-        self._tare = LiveTare(settings.contact, reader.channels)
+        self._assembler = SampleAssembler(AssemblerConfig(pairing=settings.pairing, successes_only=True), reader)
+        self._tare = LiveTare(reader.channels)
         self._channels = reader.others
         self._others: Float32 | None = None  # of the newest reading, by channel
         self._received = self._unreadable = 0
