@@ -90,7 +90,7 @@ def _examine() -> Iterator[_Finding]:
 
 def _requirements() -> Iterator[_Finding]:
     """Compare the requirements of setup.cfg with what is installed."""
-    other_ros = {"kilted": {"jazzy"}, "jazzy": {"ros"}}.get(_wheels_of_ros(), {"ros", "jazzy"})
+    other_ros = {"kilted": {"ros"}, "jazzy": {"kilted"}}.get(_wheels_of_ros(), {"ros", "kilted"})
     for line in metadata.requires("foretouch") or []:
         extra = match[1] if (match := _EXTRA.search(line)) else None
         if extra not in {"test", "dev", "docs", *other_ros}:
@@ -98,13 +98,11 @@ def _requirements() -> Iterator[_Finding]:
 
 
 def _wheels_of_ros() -> str:
-    """The distribution of ROS 2 whose wheels run, "kilted" where none is installed; "" beside a ROS 2 of its own."""
+    """The distribution of ROS 2 whose wheels run, "jazzy" where none is installed; "" beside a ROS 2 of its own."""
     if os.environ.get("ROS_DISTRO"):
         return ""
-    try:
-        return "jazzy" if metadata.version("ros-rclpy").startswith("7.") else "kilted"
-    except metadata.PackageNotFoundError:
-        return "kilted"
+    installed = {one.name for one in metadata.distributions()}
+    return "kilted" if "ros-rclpy" in installed and "ros-jazzy-rclpy" not in installed else "jazzy"
 
 
 def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
@@ -113,7 +111,7 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
     try:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
-        return _Finding(name, "missing" if extra in {None, "ros", "jazzy"} else "optional", "absent", fix)
+        return _Finding(name, "missing" if extra in {None, "ros", "kilted"} else "optional", "absent", fix)
     fits = wanted.contains(found, prereleases=True)
     return _Finding(name, "ok", found) if fits else _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
 

@@ -117,7 +117,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._sensor = sensor = self._hand.sensor
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
         self._resting = RestingFingers(at_rest)
-        self._solver: Worker[_Command] = Worker("hand-contact", 1, self._solve, lambda _, why: self._drop(why))
+        self._solver: Worker[_Command] = Worker("hand-contact", 4, self._solve, lambda _, why: self._drop(why))
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
