@@ -16,10 +16,10 @@ from benchmarks.other_recordings import (
 )
 from benchmarks.other_recordings.results import _pairs, auc, calibration_error, tabulate
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
-from foretouch.experiments import find_experiment
-from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import GraspSample
+from foretouch_lab.experiments import find_experiment
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 RNG = np.random.default_rng(0)
 

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from foretouch.grasp.messages import decode_grasp, has_orientation
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
@@ -33,7 +34,6 @@ from foretouch.cli.live import live_panel
 from foretouch.cli.output import print_json
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings
-from foretouch.dataset.messages import decode_grasp, has_orientation
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError

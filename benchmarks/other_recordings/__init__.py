@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from foretouch_lab.learning.evaluation.prequential import other_objects_mean
 
 from benchmarks.other_recordings.results import draw_hold, summarise, tabulate
 from benchmarks.where_on_object import predicted, recorded
@@ -23,12 +24,11 @@ from foretouch.dataset.record import HOLD, SampleRecord
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import content_sha256
 from foretouch.errors import ConfigError
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.evaluation.prequential import other_objects_mean
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.tracker import fit_tracker
 from foretouch.types import Bool, Float64
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch_lab.learning.training.tracker import fit_tracker
 
 _RIDGE: Final = 1e-3  # of the squared deviation of a predictor
 _LAGS: Final = 3

@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.tables import grouped, select
-from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.types import Bool, Float64
+from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.shared.tables import grouped, select
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 BINS: Final = 15
 _BASELINE: Final = {"next": "last", "level": "mean of all"}

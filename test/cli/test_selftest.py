@@ -13,7 +13,7 @@ import pytest
 from every_case import every_case
 
 import foretouch
-from foretouch import selftest
+from foretouch.cli import selftest
 from foretouch.errors import ModelError
 from foretouch.models import available_models, load_model
 from foretouch.types import Cloud

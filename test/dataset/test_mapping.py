@@ -22,11 +22,11 @@ from foretouch.dataset.mapping import MapConfig
 from foretouch.dataset.record import HOLD, REST, SampleRecord
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.sensor_check import compare_sensor
-from foretouch.dataset.store_writer import build_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.tactile.description import load_sensor
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.types import NO_CLOUD
+from foretouch_lab.dataset.store_writer import build_store
 
 MAPS = Path(__file__).parents[2] / "examples" / "maps"
 SENSOR: dict[str, Any] = {

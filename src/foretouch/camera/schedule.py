@@ -11,8 +11,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.types import Float64
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
 
 _MS_NS = 1_000_000
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.camera.config import FILTERS, RealSenseConfig
 from foretouch.camera.deproject import Deprojector
 from foretouch.camera.device import realsense

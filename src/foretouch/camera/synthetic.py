@@ -21,7 +21,7 @@ _PIXEL_BYTES = 2
 
 
 class SyntheticFrame(Protocol):
-    """A frame to feed, such as a `foretouch.simulation.DepthImage`."""
+    """A frame to feed, such as a `foretouch_lab.simulation.DepthImage`."""
 
     @property
     def depth_mm(self) -> npt.NDArray[np.uint16]:

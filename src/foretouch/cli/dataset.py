@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
@@ -30,11 +29,12 @@ from foretouch.dataset.samples import (
     sensor_of_samples,
 )
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.store_writer import build_store
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.learning.data.splits import SPLITS_FILE, make_splits
+from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch_lab.dataset.store_writer import build_store
+from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
 
 _SHEET_SAMPLES = 12
 

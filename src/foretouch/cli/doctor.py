@@ -72,9 +72,11 @@ def run(arguments: argparse.Namespace) -> int:
 def _self_test(skipped: Collection[str]) -> Iterator[_Finding]:
     """Run the models and, unless it cannot be loaded, ROS, each in a process of its own."""
     reinstall = "pip install --force-reinstall foretouch"
-    yield _tried("models answer as expected", "from foretouch.selftest import check_models; check_models()", reinstall)
+    yield _tried(
+        "models answer as expected", "from foretouch.cli.selftest import check_models; check_models()", reinstall
+    )
     if not any(" loads" in name for name in skipped):
-        code = "from foretouch.selftest import check_ros; check_ros()"
+        code = "from foretouch.cli.selftest import check_ros; check_ros()"
         yield _tried("a node answers over DDS", code, "see the checks of rclpy, foretouch_msgs and shared memory")
 
 
@@ -118,7 +120,7 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
 
 def _imports() -> Iterator[_Finding]:
     """Import the libraries that may fail to load although they are installed, each in a separate process."""
-    preload = "from foretouch.libusb import ensure_libusb; ensure_libusb()"
+    preload = "from foretouch.camera.libusb import ensure_libusb; ensure_libusb()"
     for name, code, fix in (
         ("torch loads", "import torch", "pip install --force-reinstall torch"),
         ("open3d loads", f"{preload}; import open3d", "apt install libgl1 libgomp1 libusb-1.0-0"),

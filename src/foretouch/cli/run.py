@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 from rich.panel import Panel
 
-from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
 from foretouch.ros.runtime.parameter_files import nodes_of_file
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.nodes.bridge import BridgeNode
-    from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.tactile.messages.table import TactileConfig
+    from foretouch_lab.ros.hand import HandNode
     from foretouch_msgs.msg import TouchPredictionArray
 
 
@@ -197,7 +197,9 @@ def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileC
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
-    from foretouch.simulation.schedule import ScheduleConfig, centre_of_objects
+    from foretouch_lab.simulation.scheduled import centre_of_objects
+
+    from foretouch.camera.schedule import ScheduleConfig
 
     show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `foretouch doctor --self-test` checks besides the installation: the shipped models and ROS on this machine.
 
-`python -m foretouch.selftest` stores the answers of the shipped models again, after a model was released.
+`python -m foretouch.cli.selftest` stores the answers of the shipped models again, after a model was released.
 """
 
 import json
@@ -47,7 +47,7 @@ def exact_grasps() -> list[Grasp]:
 
 def check_models() -> None:
     """Compare the shipped models and their answers with those stored with this version; a `ModelError` names the first that differs."""
-    from foretouch.checked_files import read_json
+    from foretouch.files import read_json
     from foretouch.models import available_models
 
     expected = read_json(_EXPECTED)
@@ -147,7 +147,7 @@ def _round_trip(probe: Any, wait: Callable[[Callable[[], Any], str], None]) -> N
     """Publish a cloud until it arrives, and compare it."""
     from sensor_msgs.msg import PointCloud2
 
-    from foretouch.dataset.messages import decode_cloud
+    from foretouch.cloud.messages import decode_cloud
     from foretouch.ros.messages.clouds import cloud_to_msg
 
     received: list[Any] = []

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import require_existing, require_writable
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
@@ -20,6 +19,7 @@ from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.samples import has_points, is_sample_set, open_samples, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
+from foretouch.files import require_existing, require_writable
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot

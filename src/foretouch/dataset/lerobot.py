@@ -25,12 +25,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from foretouch.checked_files import read_json, require_schema
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, has_points, open_samples
 from foretouch.dataset.taxels import channel_key, finger_key
 from foretouch.errors import ConfigError, FileError, shown
+from foretouch.files import read_json, require_schema
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
 

@@ -20,9 +20,9 @@ import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from foretouch.checked_files import open_regular, read_bytes
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError, MissingDependencyError, none_of, quoted, shown
+from foretouch.files import open_regular, read_bytes
 from foretouch.types import AnyArray
 
 _BLOCK: Final = 1 << 20  # bytes of a CSV file

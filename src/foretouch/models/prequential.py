@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError, GraspError, ModelError
-from foretouch.learning.data.dataset import with_readings
-from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import tdc_of
 from foretouch.types import Bool, Float64, GraspSample, Index, Int64, Touch
+from foretouch_lab.learning.data.dataset import with_readings
+from foretouch_lab.learning.evaluation.metrics import score
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
     "none": (0, 0),

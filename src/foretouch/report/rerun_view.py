@@ -19,14 +19,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.checked_files import open_own
 from foretouch.errors import ForetouchError, MissingDependencyError
+from foretouch.files import open_own
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.taxel_view import TaxelView
-from foretouch.simulation.contact.pad import PadConfig
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch_lab.simulation.contact.pad import PadConfig
 
 _SKIN: Final = PadConfig()  # of the BioTac SP
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2

@@ -14,11 +14,11 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
 from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
-from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
@@ -30,7 +30,7 @@ NODES = {
     "grasp": "foretouch.ros.nodes.grasp:GraspNode",
     "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
     "replay": "foretouch.ros.nodes.replay:ReplayNode",
-    "hand": "foretouch.ros.nodes.hand:HandNode",
+    "hand": "foretouch_lab.ros.hand:HandNode",
     "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
     "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
 }

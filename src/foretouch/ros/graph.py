@@ -12,17 +12,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import begin, make_nodes
 from foretouch.ros.runtime.environment import start_rclpy
-from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
-    from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import MonitorNode
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+    from foretouch_lab.ros.hand import HandNode
 
 
 _SOURCES = ("replay", "camera")

@@ -25,9 +25,9 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
 from foretouch.tactile.channels import BIOTAC
 from foretouch.types import SECOND_NS, Float64, Int64
+from foretouch.types.channels import Channels
 
 TAXEL_LIMIT: Final = 3.0  # rms of the taxels' changes that counts as contact [deviations]
 SINGLE_LIMIT: Final = 12.0  # change of a finger's single value, such as PDC [deviations]

@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.layout import nearest_valid
 from foretouch.types import AnyArray, Bool, Float64
+from foretouch.types.channels import Channels
 
 FEWEST_READINGS: Final = 5
 """Of which a taxel may be found to be dead."""

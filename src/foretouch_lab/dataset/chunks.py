@@ -18,13 +18,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.checked_files import read_json, system_errors, write_text
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.ray_cluster import ray_results
+from foretouch.files import read_json, system_errors, write_text
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
+from foretouch_lab.dataset.store_writer import StoreWriter
+from foretouch_lab.ray_cluster import ray_results
 
 CHUNK_SAMPLES: Final = 512
 PLAN: Final = "plan.json"

@@ -18,23 +18,23 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from foretouch.grasp.messages import decode_grasp
+from foretouch_lab.simulation.tactile_faults import TactileFaultConfig, TactileFaults
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
+from foretouch.camera.schedule import ScheduleConfig
 from foretouch.config import setting
-from foretouch.dataset.messages import decode_grasp
+from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg, sensor_to_msg, tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
-from foretouch.simulation.message_faults import TactileFaultConfig, TactileFaults
-from foretouch.simulation.schedule import ScheduleConfig
-from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
+from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
@@ -73,7 +73,7 @@ def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> E
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandConfig(NodeConfig):
+class HandNodeConfig(NodeConfig):
     """Settings of the simulated hand."""
 
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
@@ -83,7 +83,7 @@ class HandConfig(NodeConfig):
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
 
 
-class HandNode(ForetouchNode[HandConfig]):
+class HandNode(ForetouchNode[HandNodeConfig]):
     """The hand as a lifecycle node."""
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
@@ -105,7 +105,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._hand: SimulatedHand | None = None
         self._resting: RestingFingers
         self._faults = TactileFaults(TactileFaultConfig())
-        super().__init__(name, HandConfig, **options)
+        super().__init__(name, HandNodeConfig, **options)
 
     def _setup(self) -> None:
         self._faults = TactileFaults(self.config.faults)
@@ -144,7 +144,7 @@ class HandNode(ForetouchNode[HandConfig]):
     def _teardown(self) -> None:
         self._hand = self._newest = None
 
-    def _config_changed(self, config: HandConfig) -> None:
+    def _config_changed(self, config: HandNodeConfig) -> None:
         self._faults.config = config.faults
 
     def warnings(self) -> tuple[str, ...]:

@@ -11,17 +11,17 @@ from collections.abc import Callable
 
 import numpy as np
 
+from foretouch.camera.message_faults import FaultConfig, MessageFaults
+from foretouch.camera.schedule import ScheduleConfig
 from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import SimulationError
-from foretouch.simulation.campaign import object_index
-from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene, to_millimetres
-from foretouch.simulation.effects import place, view
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.schedule import ScheduleConfig
-from foretouch.simulation.world import SampleKey
 from foretouch.types import Float64, Int32, UInt8
+from foretouch_lab.simulation.campaign import object_index
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene, to_millimetres
+from foretouch_lab.simulation.effects import place, view
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.world import SampleKey
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foretouch.grasp.messages import decode_grasp
 from pair_builders import SECOND, interval, level, stream
 
-from foretouch.dataset.messages import cloud_fields, decode_grasp
+from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig

@@ -5,17 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from foretouch_lab.simulation.scheduled import centre_of_objects
 from sim_builders import CAN, run, scene
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import realsense
+from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import RealSenseCamera
+from foretouch.camera.schedule import ScheduleConfig
 from foretouch.errors import ConfigError, FileError, MissingDependencyError
-from foretouch.simulation import random_scene
-from foretouch.simulation.depth_scene import FIRST_OBJECT
-from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera, swinging_frames
-from foretouch.simulation.schedule import ScheduleConfig, centre_of_objects
+from foretouch_lab.simulation import random_scene
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
+from foretouch_lab.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera, swinging_frames
 
 START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}

@@ -21,8 +21,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from foretouch import __version__
-from foretouch.checked_files import system_errors
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import system_errors
 
 LIBRARY: Final = f"foretouch {__version__}"
 

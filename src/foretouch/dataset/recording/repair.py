@@ -14,7 +14,6 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.checked_files import FileBytes, free_name, system_errors
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
@@ -44,6 +43,7 @@ from foretouch.dataset.recording.sample_codec import (
 )
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import DatasetError, FileError, VersionError
+from foretouch.files import FileBytes, free_name, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
 

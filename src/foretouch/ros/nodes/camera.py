@@ -14,16 +14,16 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
+from foretouch.camera.schedule import ScheduleConfig
 from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.simulation import random_scene
-from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene_camera import scene_camera, swinging_frames
-from foretouch.simulation.schedule import ScheduleConfig
+from foretouch_lab.simulation import random_scene
+from foretouch_lab.simulation.scene_camera import scene_camera, swinging_frames
 
 
 @dataclass(frozen=True, kw_only=True)

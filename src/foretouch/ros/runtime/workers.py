@@ -19,7 +19,7 @@ from typing import Any, Final, Generic, TypeVar
 
 from rclpy.node import Node
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.ros.messages.requests import RefusalError, status_code
 
 PATIENCE_S: Final = 10.0

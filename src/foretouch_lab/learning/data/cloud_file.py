@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import open_regular, system_errors
+from foretouch.files import open_regular, system_errors
 from foretouch.types import Float32
 
 

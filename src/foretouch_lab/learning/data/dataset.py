@@ -13,15 +13,15 @@ import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
-from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, GraspSample, Touch
+from foretouch_lab.dataset.store_writer import SampleFacts
+from foretouch_lab.learning.data.folds import Indices
+from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 
 _VISION2TACTILE: Final = {
     "source": "github.com/yayaneath/vision2tactile, recorded for P1",
@@ -158,7 +158,7 @@ class Dataset:
         return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
 
 
-class StoredSample(GraspSample):
+class LazySample(GraspSample):
     """A sample in memory but for its cloud, which is read from the store whenever it is used and is not kept.
 
     Clouds that are used in the order of the store cost one read of each batch. A pickle holds the path of the store.
@@ -218,7 +218,7 @@ def load_dataset(path: str | Path) -> Dataset:
     for read in (record.sample for record in opened.records()) if store is None else store:
         sample = only_finite(read)
         content.update(sample_digest(sample))
-        samples.append(sample if store is None else StoredSample.of(sample, store, len(samples)))
+        samples.append(sample if store is None else LazySample.of(sample, store, len(samples)))
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]

@@ -8,14 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.learning.data import channels_of, labels_of
-from foretouch.learning.data.folds import Fold, Indices
-from foretouch.learning.evaluation.prequential import Recording, predict_after
-from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
-from foretouch.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
@@ -23,8 +17,14 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
+from foretouch.models.prequential import Recording, predict_after
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types.channels import Channels
+from foretouch_lab.learning.data import channels_of, labels_of
+from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
+from foretouch_lab.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 
 FEWEST_SAMPLES: Final = 5
 MOST_SAMPLES: Final = 20_000
@@ -34,7 +34,7 @@ _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactConfig(Settings):
+class ContactTrainingConfig(Settings):
     """Settings of the fit of a contact model."""
 
     trees: int = setting(60, "Trees of each forest", bounds=(1, 10_000))
@@ -69,7 +69,7 @@ def _of(sample: GraspSample, describe: Callable[[GraspSample], Float64]) -> Floa
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> list[GraspSample] | None:
+def thinned_samples(samples: Sequence[GraspSample], config: ContactTrainingConfig) -> list[GraspSample] | None:
     """The same grasps on clouds with a random share of their points, by the seed; None if the share is 1."""
     if config.thinned == 1.0:
         return None
@@ -82,7 +82,7 @@ def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> li
     return copies
 
 
-def ranges_of(config: ContactConfig, channels: Channels) -> Ranges:
+def ranges_of(config: ContactTrainingConfig, channels: Channels) -> Ranges:
     """Ranges of the values of a sensor: of the BioTac SP those of the settings, of others those of its description."""
     return config.ranges.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
 
@@ -91,7 +91,7 @@ def fit_contact(
     rows: Float64,
     labels: Float64,
     objects: Sequence[str],
-    config: ContactConfig,
+    config: ContactTrainingConfig,
     thinned: Float64 | None = None,
     ranges: Ranges | None = None,
 ) -> ContactEstimator:
@@ -136,7 +136,7 @@ def fit_contact(
 
 
 def fit_forests(
-    rows: Float64, labels: Float64, channels: Channels, config: ContactConfig, thinned: Float64 | None = None
+    rows: Float64, labels: Float64, channels: Channels, config: ContactTrainingConfig, thinned: Float64 | None = None
 ) -> dict[str, Forest]:
     """The forests of `fit_contact` alone, by name, for labels of some channels; other arguments as there."""
     first = len(CONDITIONS)
@@ -155,7 +155,7 @@ def _deviation(labels: Float64, channels: Channels) -> Float64:
     return np.where(deviation > 0.0, deviation, channels.resolution)
 
 
-def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
+def _forest(rows: Float64, scaled: Float64, config: ContactTrainingConfig) -> Forest:
     from sklearn.ensemble import ExtraTreesRegressor
 
     fitted = ExtraTreesRegressor(
@@ -187,7 +187,7 @@ class ContactPredictor:
         rows: (S, F) features of the training samples.
     """
 
-    def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
+    def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactTrainingConfig) -> None:
         self._channels = channels_of(train)
         self.rest, self.rest_recorded = rest_level(train)
         self.rows = describe_samples(train)

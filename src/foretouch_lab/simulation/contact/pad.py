@@ -15,8 +15,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.problem import Layer
 from foretouch.types import Float64
+from foretouch_lab.simulation.contact.problem import ElasticLayer
 
 # The core's semi-axes fit the electrode positions in common use (1 to 20 within 0.03 mm; 21 to 24 sit on a flat up to 0.4 mm inside).
 CORE_HALF_LENGTH_M: Final = 0.01237  # along the finger
@@ -49,9 +49,9 @@ class PadConfig(Settings):
         return self.replace(window_m=SOFT_WINDOW_M)
 
     @property
-    def layer(self) -> Layer:
+    def layer(self) -> ElasticLayer:
         """Skin and liquid as one elastic layer."""
-        return Layer(modulus_pa=self.modulus_pa, poisson=POISSON, thickness_m=self.layer_m)
+        return ElasticLayer(modulus_pa=self.modulus_pa, poisson=POISSON, thickness_m=self.layer_m)
 
     @property
     def skin_axes(self) -> Float64:

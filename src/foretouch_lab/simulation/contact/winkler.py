@@ -11,20 +11,20 @@ import math
 import numpy as np
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.problem import (
+from foretouch.types import Float64
+from foretouch_lab.simulation.contact.problem import (
     Command,
     ContactProblem,
     ContactSolution,
-    Layer,
+    ElasticLayer,
     no_contact,
     refuse_overload,
 )
-from foretouch.types import Float64
 
 _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 
 
-def bed_stiffness(layer: Layer) -> float:
+def bed_stiffness(layer: ElasticLayer) -> float:
     """Pressure per indentation of one layer [Pa/m].
 
     ν is capped at 0.45: an incompressible layer does not answer locally, and its bed would be rigid.

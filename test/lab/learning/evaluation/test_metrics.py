@@ -10,17 +10,17 @@ from numpy.testing import assert_allclose
 from sklearn.metrics import r2_score, root_mean_squared_error
 
 from foretouch.errors import DatasetError
-from foretouch.learning.evaluation.metrics import (
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
+from foretouch_lab.learning.evaluation.metrics import (
     MEAN,
     BootstrapConfig,
-    Estimate,
     ObjectErrors,
+    ScoreEstimate,
     compare,
     mean_skill,
     score,
     skills,
 )
-from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 
 
 def errors(own, reference=None, counts=None) -> ObjectErrors:
@@ -94,7 +94,7 @@ def test_same_seed_same_interval_units_do_not_matter_and_few_objects_have_none()
     assert skills(one, BootstrapConfig(seed=1))["E_MF"].low != skills(one)["E_MF"].low
 
     few = errors([0.5] * 5)  # promise nothing
-    assert skills(few)["PDC_TH"] == Estimate(0.5, None, None)
+    assert skills(few)["PDC_TH"] == ScoreEstimate(0.5, None, None)
     assert compare(few, errors([0.9] * 5))["PDC_TH"].verdict == "too few objects"
 
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated_models import REST, make_calibration
+from foretouch_lab.learning.evaluation.prequential import baselines, other_objects_mean
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import DatasetError
-from foretouch.learning.evaluation.prequential import Recording, baselines, other_objects_mean, replay
+from foretouch.models.prequential import Recording, replay
 from foretouch.models.tracker import SensorTracker
 
 S = 10**9

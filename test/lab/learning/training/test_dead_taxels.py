@@ -7,24 +7,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 from recording_builders import IDENTITY, QUICK
 from run_builders import quiet, run_config, write_store
 
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
-from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError
-from foretouch.learning.data import Dataset, load_dataset, make_folds
-from foretouch.learning.evaluation.baselines import training_mean
-from foretouch.learning.evaluation.evaluate import cross_validate, evaluate_model
-from foretouch.learning.evaluation.prequential import evaluate_prequential
-from foretouch.learning.training.run import make_learner, train_run
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.registry import load_model
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.types import GraspSample, Touch
+from foretouch_lab.dataset.store_writer import build_store
+from foretouch_lab.learning.data import Dataset, load_dataset, make_folds
+from foretouch_lab.learning.evaluation.baselines import training_mean
+from foretouch_lab.learning.evaluation.evaluate import cross_validate, evaluate_model
+from foretouch_lab.learning.training.run import make_learner, train_run
 
 CONTACT = {"method": "contact", "contact": {"trees": 4}}
 FIFTH, ELEVENTH = BIOTAC_SP.taxel_columns[0, [5, 11], 0]
