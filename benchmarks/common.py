@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.timing import MachineLoad
+from foretouch.models.timing import MachineLoad
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
 
 ROOT: Final = Path(__file__).parents[1]
 BEGIN: Final = "<!-- written by the benchmark -->\n"

@@ -32,7 +32,7 @@ POINTS = 1800  # drawn at most
 
 def scene() -> tuple[Cloud, PipelineResult]:
     """A cloud with the table in view, and what the pipeline makes of it."""
-    from foretouch.simulation.depth_scene import random_scene
+    from foretouch_lab.simulation.depth_scene import random_scene
 
     cloud = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=3).render().cloud()
     return cloud, Pipeline().run(cloud)
@@ -133,9 +133,9 @@ def triad(ax: Axes3D, origin: np.ndarray, rotation: np.ndarray, length: float, n
 
 def draw_recorded() -> None:
     """Predicted beside read, on recorded grasps that the model was not fitted to."""
-    from foretouch.learning.data import labels_of, load_dataset, make_folds
-    from foretouch.learning.training.contact import ContactConfig, ContactPredictor
     from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
+    from foretouch_lab.learning.data import labels_of, load_dataset, make_folds
+    from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor
 
     samples = load_dataset(Path(os.environ["FORETOUCH_DATA"]) / "vision2tactile").samples
     fold = make_folds(samples, "time", 0)[-1]

@@ -12,9 +12,9 @@ from PIL import Image
 
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch.simulation.scene import load_scene
-from foretouch.simulation.scene_camera import FrameMaker
-from foretouch.simulation.simulate import Simulation
+from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.scene_camera import FrameMaker
+from foretouch_lab.simulation.simulate import Simulation
 
 ROOT = Path(__file__).parents[1]
 OBJECTS = 2

@@ -15,9 +15,9 @@ import numpy as np
 
 from foretouch.cloud import TargetConfig, segment, select_targets, write_cloud
 from foretouch.errors import ForetouchError
-from foretouch.simulation.scene import load_scene
-from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.types import Cloud
+from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.scene_camera import FrameMaker
 
 
 def clouds(path: str | Path) -> tuple[Cloud, str, Cloud]:

@@ -20,8 +20,8 @@ import numpy as np
 from foretouch.config import Settings, parse_overrides, setting
 from foretouch.dataset.bag_writer import write_bag
 from foretouch.errors import ForetouchError
-from foretouch.simulation import random_scene
 from foretouch.types import Cloud
+from foretouch_lab.simulation import random_scene
 
 
 @dataclass(frozen=True, kw_only=True)

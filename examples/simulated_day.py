@@ -31,6 +31,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import reading
+from foretouch.camera.schedule import ScheduleConfig
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
@@ -39,12 +40,11 @@ from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
-from foretouch.simulation.campaign import object_index
-from foretouch.simulation.execution import SimulatedHand
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig, stamp_ns
+from foretouch_lab.simulation.campaign import object_index
+from foretouch_lab.simulation.execution import SimulatedHand
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
 
 SCENE: Final = Path(__file__).parents[1] / "config" / "scenes" / "campaign_day.yaml"
 HAND: Final = "day"

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
-from foretouch.channels import Channels
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.contact.features import CONDITIONS, FEATURES
@@ -16,6 +15,7 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.tactile import BIOTAC, P2_RANGES
+from foretouch.types.channels import Channels
 
 FACTS = {
     "level": 0.9,

@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from foretouch.simulation.contact.grip import solve_contact
-from foretouch.simulation.contact.pad import gap_field, pad_direction, pad_window
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.grip import solve_contact
+from foretouch_lab.simulation.contact.pad import gap_field, pad_direction, pad_window
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
 
 RADIUS = 0.01
 

@@ -12,11 +12,11 @@ from experiment_samples import make_samples
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from foretouch.learning.data import labels_of
-from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Float64, Grasp, GraspSample
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.training.contact import ContactConfig, describe_samples, fit_contact
 
 FEW_TREES = ContactConfig(trees=4, thinned=1.0)
 HAND = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.experiments import Row, find_experiment
-from foretouch.learning.data import Dataset
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch_lab.experiments import Row, find_experiment
+from foretouch_lab.learning.data import Dataset
 
 OBJECTS = ("campbells", "cheezit", "coffee", "pringles", "rugby", "spam", "train", "wood")
 

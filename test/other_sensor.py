@@ -10,13 +10,13 @@ import numpy as np
 import yaml
 from experiment_samples import make_samples
 
-from foretouch.channels import Channels
-from foretouch.dataset.store_writer import StoreWriter
-from foretouch.learning.data import load_dataset
-from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_config import RunConfig
 from foretouch.tactile.description import Sensor, load_sensor, packaged_sensor, sensor_files
 from foretouch.types import GraspSample, Touch
+from foretouch.types.channels import Channels
+from foretouch_lab.dataset.store_writer import StoreWriter
+from foretouch_lab.learning.data import load_dataset
+from foretouch_lab.learning.training.run import train_run
+from foretouch_lab.learning.training.run_config import RunConfig
 
 USKIN = packaged_sensor("xela_uskin_4x4")
 

@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.dataset.store_writer import SampleFacts, StoreWriter
-from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-from foretouch.learning.training.run_config import GROUPS, RunConfig
 from foretouch.types import GraspSample
+from foretouch_lab.dataset.store_writer import SampleFacts, StoreWriter
+from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
+from foretouch_lab.learning.training.run_config import GROUPS, RunConfig
 
 MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
 BASE: dict[str, Any] = {

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from foretouch.dataset.bag_writer import write_bag
-from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud, Float32
+from foretouch_lab.simulation.depth_scene import random_scene
 
 
 def scene_cloud(number: int, *, objects: int = 3, width: int = 212, stamp_ns: int = 0) -> Cloud:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.simulation.effect import SampleState
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation
-from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
+from foretouch_lab.simulation.effect import SampleState
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation
+from foretouch_lab.simulation.world import SampleKey
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
 SPONGE = {"name": "sponge", "shape": "sponge", "size_m": [0.07, 0.11, 0.05], "young_pa": 2e5, "thickness_m": 0.02}

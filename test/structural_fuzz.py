@@ -34,7 +34,6 @@ from benchmarks.fuzz import files
 from benchmarks.fuzz.driver import Case, Kind, main
 from foretouch import __version__
 from foretouch.cli.answers import prediction_from_record, read_answers
-from foretouch.dataset import chunks
 from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
 from foretouch.dataset.importing import import_samples
@@ -45,18 +44,19 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import export_samples
 from foretouch.dataset.store import SEAL
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ForetouchError
-from foretouch.experiments.framework.manifest import open_folder, read_results
-from foretouch.learning.data.dataset import load_dataset
-from foretouch.learning.data.splits import read_splits
-from foretouch.learning.training.run_folder import RunFolder, read_state, write_state
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
-from foretouch.ray_cluster import _call
-from foretouch.simulation.objects.mesh import read_mesh_file
 from foretouch.tactile.description import load_sensor, packaged_sensor, sensor_files
 from foretouch.tactile.messages.described import SensorReader
+from foretouch_lab.dataset import chunks
+from foretouch_lab.dataset.store_writer import StoreWriter
+from foretouch_lab.experiments.framework.manifest import open_folder, read_results
+from foretouch_lab.learning.data.dataset import load_dataset
+from foretouch_lab.learning.data.splits import read_splits
+from foretouch_lab.learning.training.run_folder import RunFolder, read_state, write_state
+from foretouch_lab.ray_cluster import _call
+from foretouch_lab.simulation.objects.mesh import read_mesh_file
 
 VALUES = (
     None, True, 0, -1, 2**63, 10**400, 0.5, 1e308, float("inf"), float("nan"), "", "x", "../..", "a\x1b[2J\n", "é" * 500,

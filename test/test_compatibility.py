@@ -19,9 +19,9 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, Store
-from foretouch.dataset.store_writer import build_store
 from foretouch.errors import FileError
-from foretouch.learning.data.splits import SPLITS_FILE, make_splits, read_splits
+from foretouch_lab.dataset.store_writer import build_store
+from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits, read_splits
 
 RELEASES = sorted((Path(__file__).parent / "data").glob("from_*"))
 

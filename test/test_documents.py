@@ -17,8 +17,8 @@ from every_case import every_case
 
 from foretouch.cli.main import COMMANDS
 from foretouch.config import setting_infos
-from foretouch.simulation.objects import SHAPES
-from foretouch.simulation.scene.objects import MESH
+from foretouch_lab.simulation.objects import SHAPES
+from foretouch_lab.simulation.scene.objects import MESH
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -244,7 +244,7 @@ def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> 
     from recording_builders import write_dataset
 
     from foretouch.pipeline import Pipeline
-    from foretouch.simulation import random_scene
+    from foretouch_lab.simulation import random_scene
 
     scene = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render().cloud()
     write_dataset(tmp_path / "session", 4, points=100)

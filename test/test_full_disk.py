@@ -21,11 +21,11 @@ from run_builders import quiet, run_config, stop_after, write_store
 from foretouch.cli.main import main
 from foretouch.dataset.formats import FORMATS
 from foretouch.errors import FileError
-from foretouch.learning.data import load_dataset
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.run import train_run
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
+from foretouch_lab.learning.data import load_dataset
+from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.training.run import train_run
 
 SIZE = 1 << 20
 CARD = {"name": "small", "sha256": "0" * 64}

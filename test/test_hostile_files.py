@@ -19,13 +19,13 @@ from calibrated_models import save_calibrated_contact
 from every_case import every_case
 from recording_builders import readable
 
-from foretouch.checked_files import file_sha256
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.files import file_sha256
 from foretouch.models.card import read_card
 from foretouch.models.files import read_tensors
 from foretouch.models.registry import load_model

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from benchmarks.recording_plan import EXPERIMENT, Design, thinned
-from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.framework import sweep
-from foretouch.experiments.framework.executors import run_cell
-from foretouch.experiments.shared.tables import select
-from foretouch.simulation.campaign import object_index
-from foretouch.simulation.scene import load_scene
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch_lab.experiments import find_experiment, run_sweep
+from foretouch_lab.experiments.framework import sweep
+from foretouch_lab.experiments.framework.executors import run_cell
+from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.simulation.campaign import object_index
+from foretouch_lab.simulation.scene import load_scene
 
 PROTOCOL = Path(__file__).parents[1] / "config" / "scenes" / "campaign_protocol.yaml"
 READING = biotac_touch(np.full(50, 2000.0))

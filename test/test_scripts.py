@@ -12,7 +12,7 @@ import numpy as np
 from every_case import every_case
 
 from foretouch.cloud import read_cloud
-from foretouch.simulation.scene import load_scene
+from foretouch_lab.simulation.scene import load_scene
 
 ROOT = Path(__file__).parents[1]
 OPTIONAL = {"pyrealsense2", "rclpy", "sensor_msgs", "foretouch_msgs", "std_msgs", "geometry_msgs"}  # extras

@@ -10,12 +10,12 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, in_order, predicted, recorded, variant
-from foretouch.experiments import find_experiment
-from foretouch.experiments.shared.tables import select
-from foretouch.learning.evaluation.metrics import MEAN
 from foretouch.models.contact.features import CONDITIONS, FEATURES
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import MODALITIES, biotac_touch
+from foretouch_lab.experiments import find_experiment
+from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.evaluation.metrics import MEAN
 
 SAMPLES = make_samples(3, 8)
 RECORDING, FEATURES_OF = recorded(SAMPLES), features_of(SAMPLES)

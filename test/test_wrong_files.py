@@ -12,20 +12,20 @@ import pytest
 from every_case import every_case, every_refusal
 from recording_builders import write_dataset
 
-from foretouch.checked_files import FileBytes, read_bytes, replace_files, require_schema
 from foretouch.cli.output import print_table, warn
 from foretouch.cloud.io.files import read_cloud
 from foretouch.config import dump_yaml, load_yaml, parse_overrides
 from foretouch.dataset.editing import drop
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments.framework.manifest import open_folder, read_results, write_manifest
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import RunFolder
+from foretouch.files import FileBytes, read_bytes, replace_files, require_schema
 from foretouch.models.hand_history import HistoryFile
 from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view
 from foretouch.ros.runtime.shared_memory import stale_bytes
+from foretouch_lab.experiments.framework.manifest import open_folder, read_results, write_manifest
+from foretouch_lab.learning.training.run_config import RunConfig
+from foretouch_lab.learning.training.run_folder import RunFolder
 
 
 def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_path: Path) -> None:

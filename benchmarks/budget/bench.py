@@ -38,11 +38,11 @@ from sensor_msgs.msg import PointCloud2
 
 from benchmarks.common import OthersLoad, markdown, read_csv, replace_marked, write_csv
 from foretouch.models.budget import Answer, profile_scene
+from foretouch.models.timing import cpu_name
 from foretouch.pipeline import FoundObject
 from foretouch.ros.executables import make_nodes, spin
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
-from foretouch.timing import cpu_name
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.msg import GraspArray
 

@@ -11,9 +11,9 @@ import json
 from pathlib import Path
 
 from benchmarks.common import ROOT
-from foretouch.experiments.framework.manifest import read_results
 from foretouch.models import load_model
 from foretouch.tactile import MODALITIES
+from foretouch_lab.experiments.framework.manifest import read_results
 
 KEPT = ("10 trees", "no surroundings", "touchnet-v1")
 TARGET = ROOT / "src/foretouch/models/levels.json"

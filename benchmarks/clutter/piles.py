@@ -18,13 +18,13 @@ from scipy.spatial.transform import Rotation
 from benchmarks.clutter.models import Model, catalogue, write_mesh
 from benchmarks.clutter.physics import Pile, Placed, settle
 from benchmarks.common import add_data, scene
-from foretouch.simulation.depth_scene import FIRST_OBJECT
-from foretouch.simulation.effect import Effect
-from foretouch.simulation.effects.view import FRAME_EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.solids import LYING, Body, about_z
-from foretouch.simulation.world import SampleKey
 from foretouch.types import Bool, Float32, Float64, Int32
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
+from foretouch_lab.simulation.effect import Effect
+from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.solids import LYING, Body, about_z
+from foretouch_lab.simulation.world import SampleKey
 
 _ATTEMPTS: Final = 200  # at one pile
 _REACH_M: Final = 0.30  # of a pile around the middle of the table

@@ -11,17 +11,17 @@ from PIL import Image
 
 from benchmarks.common import ROOT, print_rows, scene, write_csv
 from foretouch.config import load_yaml
-from foretouch.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
-from foretouch.learning.evaluation.prequential import ModelReplay, replay_model
 from foretouch.models import TouchModel, load_model
 from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.prequential import ModelReplay, replay_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene_camera import FrameMaker
-from foretouch.simulation.simulate import Simulation
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Float64, GraspSample, TouchPrediction
+from foretouch_lab.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene_camera import FrameMaker
+from foretouch_lab.simulation.simulate import Simulation
 
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
 TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted

@@ -22,13 +22,13 @@ from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, sample_digest
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.models.card import read_card
 from foretouch.models.contact.cheaper import fewer_trees
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
 from foretouch.types import Cloud, Grasp
+from foretouch_lab.dataset.store_writer import StoreWriter
 
 _NUMBERS = (
     b"0",
@@ -203,7 +203,7 @@ def _ascii_ply(content: bytes) -> bytes:
 
 def _compressed_pcd(folder: Path) -> Path:
     """By Open3D; the coordinates are rounded and repeated, so that the data refer back to themselves."""
-    from foretouch.libusb import ensure_libusb
+    from foretouch.camera.libusb import ensure_libusb
 
     ensure_libusb()
     import open3d

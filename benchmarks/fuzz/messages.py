@@ -33,11 +33,11 @@ from foretouch.cli.live import live_panel
 from foretouch.cli.output import print_json
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings
-from foretouch.dataset.messages import decode_grasp, has_orientation
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
+from foretouch.grasp.messages import decode_grasp, has_orientation
 from foretouch.models import load_model
 from foretouch.models.hand_history import ObjectSignature
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig

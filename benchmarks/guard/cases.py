@@ -23,11 +23,11 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.simulation.depth_scene import random_scene
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.world import SampleKey
 from foretouch.types import Cloud, Float64, Grasp
+from foretouch_lab.simulation.depth_scene import random_scene
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.world import SampleKey
 
 _LONGEST_S = 400.0  # of one run of the graph, on a machine with other work
 COUNTED = (20, 100)  # clouds of the two runs of the graph; their difference holds no start
@@ -98,7 +98,7 @@ def segmentation(width: int, height: int) -> Job:
 
 def segmentation_against_open3d() -> tuple[Job, Job]:
     """Both count the objects; Open3D on voxels of 5 mm."""
-    from foretouch.libusb import ensure_libusb
+    from foretouch.camera.libusb import ensure_libusb
 
     ensure_libusb()
     import open3d

@@ -22,12 +22,12 @@ from foretouch.models import DEFAULT_MODEL, load_model
 from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
-from foretouch.simulation.depth_scene import random_scene
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.world import SampleKey
 from foretouch.tactile import biotac_touch
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, TouchPrediction
+from foretouch_lab.simulation.depth_scene import random_scene
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.world import SampleKey
 
 MODELS = (DEFAULT_MODEL, "touchnet-v1")
 HERE = Path(__file__).parent
@@ -391,7 +391,7 @@ def live(found: Found) -> None:
         print("no ROS 2: offline and live are not compared")
         return
     from foretouch.cloud.geometry.limits import ObjectLimits
-    from foretouch.dataset.messages import decode_grasp
+    from foretouch.grasp.messages import decode_grasp
     from foretouch.pipeline import Pipeline, PipelineConfig
 
     def add(step: str, difference: float) -> None:

@@ -23,19 +23,20 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.prequential.results import REGIMES
-from foretouch.experiments.shared.tables import findings, grouped, listed, select, short, with_notes
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.metrics import BootstrapConfig, Estimate, ObjectErrors, compare, skills
-from foretouch.learning.evaluation.prequential import Recording, Replayed, other_objects_mean, replay
-from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
-from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.models.prequential import Recording, Replayed, replay
 from foretouch.models.tracker import SensorTracker
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.prequential.results import REGIMES
+from foretouch_lab.experiments.shared.tables import findings, grouped, listed, select, short, with_notes
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
+from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation
 
 _NOTHING, _CONTACT, _OBJECT, _REPEAT = "nothing", "contact", "object", "a repeat"
 _WANTED: Final = 0.05  # half width

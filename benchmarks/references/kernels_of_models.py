@@ -26,8 +26,6 @@ from benchmarks.references.reference import (
     sqrt,
 )
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
-from foretouch.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
-from foretouch.learning.training.losses import SrganLossConfig, matching_loss
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import KernelRegression
 from foretouch.models.network.batch_norm import batch_affine
@@ -36,6 +34,8 @@ from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Grasp
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
+from foretouch_lab.learning.training.losses import SrganLossConfig, matching_loss
 
 _COLUMN = {name: k for k, name in enumerate(FEATURES)}
 

@@ -5,17 +5,17 @@ import mpmath
 import numpy as np
 
 from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel, norm, relative_gap, span
-from foretouch.simulation.contact.grip import weigh
-from foretouch.simulation.contact.pad import PadConfig, contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.contact.problem import Layer
-from foretouch.simulation.fingertip import (
+from foretouch.tactile import BIOTAC_SP
+from foretouch_lab.simulation.contact.grip import weigh
+from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, pad_depth, pad_direction, pad_window
+from foretouch_lab.simulation.contact.problem import Layer
+from foretouch_lab.simulation.fingertip import (
     BOTTOMING_M,
     BULGE_AREA_M2,
     _displaced_volume,
     _electrode_weights,
     _skin_approach,
 )
-from foretouch.tactile import BIOTAC_SP
 
 GEL = Layer(modulus_pa=1e6, poisson=0.3)
 

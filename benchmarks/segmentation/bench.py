@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import print_rows
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.cloud.segmentation.segment import segment
-from foretouch.experiments.tradeoff_perception import overlaps
-from foretouch.libusb import ensure_libusb
-from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
 from foretouch.types import Cloud
+from foretouch_lab.experiments.tradeoff_perception import overlaps
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, random_scene
 
 Labels = npt.NDArray[np.int32]
 N_OBJECTS = 3

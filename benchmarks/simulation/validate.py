@@ -17,12 +17,12 @@ import numpy.typing as npt
 from benchmarks.common import markdown, scene
 from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.errors import SimulationError
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation
-from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation
+from foretouch_lab.simulation.world import SampleKey
 
 Array = npt.NDArray[np.float64]
 Row = tuple[str, float, float, float]  # what, found, least, most

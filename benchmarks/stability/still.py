@@ -11,8 +11,8 @@ from benchmarks.common import print_rows, scene, write_csv
 from foretouch.grasp import GraspHold, GraspPlan, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.nodes.grasp import GraspNodeConfig
-from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.types import Float64
+from foretouch_lab.simulation.scene_camera import FrameMaker
 
 # Of each scene, the sample with this number.
 SCENES = (("rigid", 0), ("rigid", 3), ("deformables", 2), ("deformables", 3), ("unseen_objects", 0))

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import print_rows, scene, write_csv
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.errors import SimulationError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
-from foretouch.libusb import ensure_libusb
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.solids import Body
-from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.solids import Body
+from foretouch_lab.simulation.world import SampleKey, World
 
 SCENES = ("rigid", "deformables", "unseen_objects", "clutter")
 METHODS = ("original", "completed")

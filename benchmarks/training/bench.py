@@ -12,12 +12,12 @@ import numpy as np
 import torch
 
 from benchmarks.training.plain import plain_composition
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
-from foretouch.learning.training.trainer import Trainer
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import TOUCH_SIZE
+from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
+from foretouch_lab.learning.training.trainer import Trainer
 
 FULL = ModelConfig(channels="xyz+normals", outputs=("PDC_TH",))
 """P2's network: 750 points of six channels, T-Net, 1024 features."""

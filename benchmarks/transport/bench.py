@@ -24,8 +24,8 @@ from benchmarks.transport.round_trip import compare
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud
+from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import TouchPredictionArray
 
 DOMAIN = 87

@@ -26,21 +26,22 @@ import numpy as np
 from benchmarks.where_on_object.results import draw_where, summarise_where, where_rows
 from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.noise_ceiling import CAUSES, Repeater
-from foretouch.experiments.shared.scores import labelled
-from foretouch.experiments.shared.simulated_data import SimulatedSettings, load_simulated
-from foretouch.learning.data import labels_of, load_dataset
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.evaluation.prequential import Recording, other_objects_mean, replay
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
-from foretouch.learning.training.contact import describe_samples
-from foretouch.learning.training.tracker import fit_places, fit_tracker
 from foretouch.models.contact.features import CONDITIONS, FEATURES, OBJECT_FEATURES
+from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.simulation.scene import SceneConfig
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.experiments.noise_ceiling import CAUSES, Repeater
+from foretouch_lab.experiments.shared.scores import labelled
+from foretouch_lab.experiments.shared.simulated_data import SimulatedSettings, load_simulated
+from foretouch_lab.learning.data import labels_of, load_dataset
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
+from foretouch_lab.learning.training.contact import describe_samples
+from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
+from foretouch_lab.simulation.scene import SceneConfig
 
 LEVEL: Final = "level"
 _MINUTE_NS: Final = 60 * 10**9

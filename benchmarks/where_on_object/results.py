@@ -7,14 +7,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch.experiments.shared.scores import interval_columns
-from foretouch.experiments.shared.tables import ALL_OBJECTS, SIGNS, findings, grouped, listed, select, short, with_notes
-from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
 from foretouch.models.tracker import MISS_RATE
 from foretouch.report.panels import Rows
 from foretouch.types import Bool, Float64
+from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
+from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.experiments.shared.tables import (
+    ALL_OBJECTS,
+    SIGNS,
+    findings,
+    grouped,
+    listed,
+    select,
+    short,
+    with_notes,
+)
+from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
 
 _LEVEL: Final = "level"
 CEILING: Final = "ceiling"

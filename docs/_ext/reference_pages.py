@@ -219,8 +219,8 @@ def pipeline() -> str:
 
 def scenes() -> str:
     """Settings of a scene."""
-    from foretouch.simulation.scene import SceneConfig
-    from foretouch.simulation.scene.objects import FamilyConfig
+    from foretouch_lab.simulation.scene import SceneConfig
+    from foretouch_lab.simulation.scene.objects import FamilyConfig
 
     families = [dataclasses.replace(info, name=f"families[].{info.name}") for info in all_infos(FamilyConfig)]
     return sections([_grouped(SceneConfig), "### `families[]`", settings_table(families)])
@@ -235,7 +235,7 @@ def sensors() -> str:
 
 def shapes() -> str:
     """The shapes of simulated objects, each with what it looks like."""
-    from foretouch.simulation.objects import shapes as module
+    from foretouch_lab.simulation.objects import shapes as module
 
     rows = [(f"`{name}`", cell(inspect.getdoc(builder) or "")) for name, builder in module._BUILDERS.items()]
     rows.append(
@@ -250,7 +250,7 @@ def shapes() -> str:
 
 def recipes() -> str:
     """Settings of a training: those of every method, then each group with the methods that it is for."""
-    from foretouch.learning.training.run_config import GROUPS, RunConfig
+    from foretouch_lab.learning.training.run_config import GROUPS, RunConfig
 
     infos = all_infos(RunConfig)
     parts = ["### Every method", settings_table(one for one in infos if one.name.partition(".")[0] not in GROUPS)]
@@ -262,7 +262,7 @@ def recipes() -> str:
 
 def experiments() -> str:
     """Each experiment: its question, presets and settings."""
-    from foretouch.experiments import list_experiments
+    from foretouch_lab.experiments import list_experiments
 
     parts = []
     for one in list_experiments():
@@ -373,7 +373,7 @@ def graph() -> dict[str, Ends]:
     rclpy.init(context=context)
     with tempfile.TemporaryDirectory() as folder:
         np.savez(f"{folder}/cloud.npz", xyz=np.ones((4, 4, 3), np.float32))
-        scene = str(ROOT / "src/foretouch/simulation/scenes/clean.yaml")
+        scene = str(ROOT / "src/foretouch_lab/simulation/scenes/clean.yaml")
         needed: dict[str, dict[str, Any]] = {
             "camera": {"source": "synthetic"},
             "hand": {"scene.path": scene},

@@ -21,6 +21,6 @@ def reading(message: Any) -> dict[str, Any]:
     Raises:
         TactileError: If the number of values is not that of the names.
     """
-    from foretouch.channels import read_prediction  # loads NumPy, which `foretouch --help` does without
+    from foretouch.types.channels import read_prediction  # loads NumPy, which `foretouch --help` does without
 
     return read_prediction(message)

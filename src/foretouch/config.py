@@ -23,8 +23,8 @@ from typing import Any, ClassVar, Final, Self
 
 import yaml
 
-from foretouch.checked_files import read_bytes
 from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, shown
+from foretouch.files import read_bytes
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
 _YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least

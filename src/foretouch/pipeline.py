@@ -16,6 +16,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_ta
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.grasp import (
     GeoGraspConfig,
@@ -30,7 +31,6 @@ from foretouch.grasp import (
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History
-from foretouch.timing import timed
 from foretouch.types import Cloud, Float64, Grasp, Int64, Plane, Touch, TouchPrediction
 
 

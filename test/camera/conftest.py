@@ -10,7 +10,7 @@ import pytest
 from foretouch.camera import realsense
 from foretouch.camera.config import RealSenseConfig, TimeoutConfig
 from foretouch.camera.synthetic import SyntheticCamera
-from foretouch.simulation import DepthImage, random_scene
+from foretouch_lab.simulation import DepthImage, random_scene
 
 WIDTH, HEIGHT = 424, 240
 

@@ -31,5 +31,5 @@ def test_rclpy_is_imported_before_pyrealsense2_and_the_process_ends_cleanly() ->
 
 def test_the_package_imports_neither_ros_nor_the_library() -> None:
     names = "('rclpy', 'pyrealsense2', 'scipy', 'open3d')"
-    script = f"import sys, foretouch.camera, foretouch.simulation; print([m for m in {names} if m in sys.modules])"
+    script = f"import sys, foretouch.camera, foretouch_lab.simulation; print([m for m in {names} if m in sys.modules])"
     assert _printed(script) == "[]"

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from foretouch.simulation.message_faults import FaultConfig, MessageFaults
+from foretouch.camera.message_faults import FaultConfig, MessageFaults
 
 TRUE = 1_763_000_000_000_000_000 + 10_000_000 * np.arange(20_000)
 

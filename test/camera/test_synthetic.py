@@ -10,7 +10,7 @@ import pytest
 from foretouch.camera.realsense import RealSenseCamera
 from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import CameraError
-from foretouch.simulation import DepthImage, random_scene
+from foretouch_lab.simulation import DepthImage, random_scene
 
 
 def test_it_feeds_at_its_rate_its_thread_ends_and_opening_under_full_feed_is_safe(images, config) -> None:

@@ -11,7 +11,7 @@ from process_domain import process_environment
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
-from foretouch.simulation.depth_scene import random_scene
+from foretouch_lab.simulation.depth_scene import random_scene
 
 
 @pytest.fixture

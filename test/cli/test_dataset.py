@@ -10,7 +10,7 @@ from sensor_builders import XELA_TYPES, xela_stream
 from topic_builders import write_topics
 
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.learning.data.splits import read_splits
+from foretouch_lab.learning.data.splits import read_splits
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet, export_samples, is_sample_set, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import build_store
 from foretouch.errors import FileError
+from foretouch_lab.dataset.store_writer import build_store
 
 
 def _open(path, unfinished) -> SampleSet:

@@ -18,9 +18,9 @@ from foretouch.cli.adaptation import _read_tare
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
-from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.prequential import replay_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor

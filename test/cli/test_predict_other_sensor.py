@@ -11,8 +11,8 @@ from other_sensor import USKIN
 from run_builders import write_store
 
 from foretouch.cli.answers import prediction_from_record
-from foretouch.learning.data import load_dataset
 from foretouch.models import load_model
+from foretouch_lab.learning.data import load_dataset
 
 MODALITIES = USKIN.channels.modalities
 

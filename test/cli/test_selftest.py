@@ -14,7 +14,7 @@ import pytest
 from every_case import every_case
 
 import foretouch
-from foretouch import selftest
+from foretouch.cli import selftest
 from foretouch.cli.main import main
 from foretouch.models import available_models, load_model
 from foretouch.types import Cloud

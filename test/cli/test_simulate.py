@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from every_case import every_case
 
-from foretouch.cli.simulate import SHEET
 from foretouch.dataset.store import Store
+from foretouch_lab.cli.simulate import SHEET
 
 SCENE = "objects: [{name: can, shape: can, size_m: [0.07, 0.07, 0.1], pose: {rest: side}}]\n"
 SLIPPERY = SCENE.replace("rest: side}", "rest: side}, friction: 0.01")

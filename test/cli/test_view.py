@@ -23,11 +23,11 @@ from recording_builders import write_grasps
 from foretouch.cli.main import main
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.samples import open_samples
-from foretouch.dataset.store_writer import build_store
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import BIOTAC_SP
 from foretouch.types import Touch, TouchPrediction
+from foretouch_lab.dataset.store_writer import build_store
 
 LAYER_M = 0.0014
 

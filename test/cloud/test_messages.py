@@ -5,7 +5,7 @@ import pytest
 from every_case import every_case
 from rosbags.typesys import Stores, get_typestore
 
-from foretouch.dataset.messages import read_header, with_stamp
+from foretouch.cloud.messages import read_header, with_stamp
 from foretouch.errors import DatasetError
 
 STORE = get_typestore(Stores.ROS2_KILTED)

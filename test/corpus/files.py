@@ -15,8 +15,8 @@ from corpus.clouds import object_cases, scene_cases
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.bag_writer import write_bag
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch_lab.dataset.store_writer import StoreWriter
 
 
 def file_cases() -> Iterator[tuple[Any, ...]]:

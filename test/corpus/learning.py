@@ -18,14 +18,6 @@ from run_builders import run_config
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
-from foretouch.learning.data import Dataset
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.evaluation import metrics
-from foretouch.learning.training import losses
-from foretouch.learning.training.calibration import HeldOutPredictions, make_calibration
-from foretouch.learning.training.device import DeviceConfig, TrainingDevice
-from foretouch.learning.training.run import train_run
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.models import load_model
 from foretouch.models.calibration import Calibration
 from foretouch.models.network.checkpoint import save_network
@@ -34,6 +26,14 @@ from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud
 from foretouch.tactile import BIOTAC, P2_RANGES, TOUCH_SIZE, TactileRanges, biotac_touch
 from foretouch.types import Cloud, GraspSample
+from foretouch_lab.learning.data import Dataset
+from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.evaluation import metrics
+from foretouch_lab.learning.training import losses
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
+from foretouch_lab.learning.training.device import DeviceConfig, TrainingDevice
+from foretouch_lab.learning.training.run import train_run
+from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
 
 Cases = Iterator[tuple[Any, ...]]
 

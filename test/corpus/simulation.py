@@ -14,12 +14,12 @@ from corpus.outcome import nearly
 
 from foretouch.config import Settings, setting_infos
 from foretouch.errors import ForetouchError, TactileError
-from foretouch.simulation.contact.grip import solve_contact
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
-from foretouch.simulation.objects import TriangleMesh
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation
 from foretouch.tactile import touch_faults
+from foretouch_lab.simulation.contact.grip import solve_contact
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.objects import TriangleMesh
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation
 
 Cases = Iterator[tuple[Any, ...]]
 

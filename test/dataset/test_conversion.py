@@ -26,8 +26,8 @@ from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import StoreWriter, build_store
 from foretouch.errors import DatasetError, FileError
+from foretouch_lab.dataset.store_writer import StoreWriter, build_store
 
 NS = 1_000_000_000
 

@@ -26,10 +26,10 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import SampleSet, export_samples, open_samples
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError, FileError, ForetouchError, TactileError
 from foretouch.tactile.description import load_sensor, packaged_sensor
 from foretouch.tactile.messages.table import TactileConfig
+from foretouch_lab.dataset.store_writer import build_store
 
 NAME = "xela_uskin_4x4"
 AT = 1_700_000_003_000_000_000  # when contact began [ns]

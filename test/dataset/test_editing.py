@@ -19,8 +19,8 @@ from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError, FileError
+from foretouch_lab.dataset.store_writer import build_store
 
 
 @pytest.fixture

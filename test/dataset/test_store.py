@@ -14,14 +14,14 @@ import pytest
 from every_case import every_case, every_refusal
 from recording_builders import assert_same_sample, record
 
-from foretouch import checked_files
+from foretouch import files as checked_files
 from foretouch.dataset import store as store_module
 from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
 from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
 from foretouch.types import Cloud, GraspSample
+from foretouch_lab.dataset.store_writer import StoreWriter
 
 
 def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = False) -> GraspSample:

@@ -9,8 +9,8 @@ from every_case import every_case
 from kernels.references import layer as reference
 from numpy.testing import assert_allclose
 
-from foretouch.simulation.contact import layer as layers
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact import layer as layers
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
 
 LIMITS = layers.TOLERANCE, layers.MAX_ITERATIONS
 

@@ -14,8 +14,8 @@ from foretouch.cloud.segmentation import clusters, objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
-from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud
+from foretouch_lab.simulation.depth_scene import random_scene
 
 
 def _with_references(cloud: Cloud, config: SegmentationConfig) -> Segmentation:

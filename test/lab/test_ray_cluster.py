@@ -2,7 +2,7 @@
 """Tasks on a cluster: a node of another version is named."""
 
 from foretouch import __version__
-from foretouch.ray_cluster import _call
+from foretouch_lab.ray_cluster import _call
 
 
 def test_a_node_with_another_version_makes_nothing_and_is_named() -> None:

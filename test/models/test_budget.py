@@ -11,12 +11,12 @@ from every_case import every_case
 from experiment_samples import make_samples
 
 from foretouch.cli.main import main
-from foretouch.learning.data import labels_of
-from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
 from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, load_profile, profile_scene
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
 
 def test_cheaper_contact_models() -> None:

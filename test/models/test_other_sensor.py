@@ -9,9 +9,7 @@ import pytest
 from contact_model_builders import edit_card, small_estimator
 from other_sensor import USKIN, changed_sensor
 
-from foretouch.channels import Channel, Channels
 from foretouch.errors import FileError, ModelError, TactileError
-from foretouch.learning.data import load_dataset
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
@@ -19,6 +17,8 @@ from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import with_sensor
 from foretouch.types import Touch
+from foretouch.types.channels import Channel, Channels
+from foretouch_lab.learning.data import load_dataset
 
 
 def test_a_tare_and_a_touch_of_another_sensor_are_refused_by_name(uskin, tmp_path) -> None:

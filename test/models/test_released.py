@@ -13,9 +13,9 @@ from benchmarks.common import ROOT, read_csv
 from benchmarks.demo.bench import demo_rows, demo_run
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
-from foretouch.simulation.scene import load_scene
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Grasp
+from foretouch_lab.simulation.scene import load_scene
 
 
 def test_the_default_is_first_all_load_and_cards_hold_what_they_must(can, make_grasps) -> None:

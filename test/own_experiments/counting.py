@@ -14,7 +14,7 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.experiments import Cell, Experiment, Row, Table
+from foretouch_lab.experiments import Cell, Experiment, Row, Table
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from foretouch import reading
-from foretouch.dataset.messages import decode_cloud, decode_grasp
+from foretouch.cloud.messages import decode_cloud
+from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns

@@ -11,8 +11,8 @@ from visualization_msgs.msg import MarkerArray
 
 from foretouch import reading
 from foretouch.cloud.segmentation.identity import ObjectIdentity
-from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import ConfigError
+from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg

@@ -12,13 +12,13 @@ pytest.importorskip("libusb_package", reason="the camera's libraries are not ins
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, SHORT, scene
 
-from foretouch.dataset.messages import decode_cloud
+from foretouch.camera.message_faults import FaultConfig
+from foretouch.camera.schedule import ScheduleConfig
+from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.camera import CameraNodeConfig
-from foretouch.simulation.message_faults import FaultConfig
-from foretouch.simulation.scene_camera import FrameMaker
-from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.tactile.messages.table import stamp_ns
+from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
 pytestmark = pytest.mark.ros

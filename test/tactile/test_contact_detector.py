@@ -9,7 +9,6 @@ import pytest
 from every_case import every_case
 from sim_builders import CAN, SPONGE, run, scene
 
-from foretouch.simulation.execution import GraspTimingConfig, SimulatedHand
 from foretouch.tactile.contact_detector import (
     ContactConfig,
     ContactDetector,
@@ -17,6 +16,7 @@ from foretouch.tactile.contact_detector import (
     contact_scores,
     find_contact,
 )
+from foretouch_lab.simulation.execution import GraspTimingConfig, SimulatedHand
 
 PERIOD = 10_000_000
 NOISE = np.r_[0.4, np.full(24, 4.4)]

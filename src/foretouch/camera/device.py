@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.errors import CameraError, FileError, MissingDependencyError
-from foretouch.libusb import ensure_libusb
 
 
 @functools.cache

@@ -15,7 +15,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.camera.config import FilterConfig, RealSenseConfig
 from foretouch.camera.deproject import Deprojector
 from foretouch.camera.device import realsense

@@ -20,7 +20,7 @@ _DEPTH_UNIT_M = 0.001
 
 
 class SyntheticFrame(Protocol):
-    """A frame to feed, such as a `foretouch.simulation.DepthImage`."""
+    """A frame to feed, such as a `foretouch_lab.simulation.DepthImage`."""
 
     @property
     def depth_mm(self) -> npt.NDArray[np.uint16]:
@@ -59,7 +59,7 @@ class SyntheticCamera(DeviceSource):
         self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
         first = self.frame(0)
-        self._shape = first.depth_mm.shape
+        self.shape = first.depth_mm.shape  # (H, W) of every frame
         self._device, self._sensors, self._profiles = _software_device(first, fps, serial)
         self.colour = True  # whether the colour sensor sends
         self._number = 0
@@ -84,8 +84,8 @@ class SyntheticCamera(DeviceSource):
         with self._lock:
             number = self._number
             frame = self.frame(number)
-            if frame.depth_mm.shape != self._shape:
-                raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
+            if frame.depth_mm.shape != self.shape:
+                raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self.shape}")
             stamp_ns = self._stamp_ns(number)
             if self.plugged and stamp_ns is not None:
                 images: list[npt.NDArray[Any]] = [frame.depth_mm, frame.rgb][: 1 + self.colour]

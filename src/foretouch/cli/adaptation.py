@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.checked_files import read_json, require_schema
 from foretouch.cli.output import warn
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
+from foretouch.files import read_json, require_schema
 from foretouch.tactile import make_tare, tdc_of
 from foretouch.tactile.description import require_same
 from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 if TYPE_CHECKING:
-    from foretouch.channels import Channels
     from foretouch.models.calibration import Calibration
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.tactile.description import Sensor
+    from foretouch.types.channels import Channels
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.channels import Channels
-from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.errors import ConfigError, FileError, ForetouchError, TactileError
+from foretouch.files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -2,19 +2,15 @@
 """`foretouch dataset`: inspect, verify, repair, edit and convert datasets."""
 
 import argparse
-import json
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
-from foretouch.cli.inputs import add_options, positive_number, seed_number
+from foretouch.cli.inputs import ADDRESS_HELP, add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
-from foretouch.dataset.chunks import ReadOnRay, chunks_folder, remove_chunks
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity
@@ -25,12 +21,11 @@ from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.store_writer import ReadSamples, build_store, read_samples
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.learning.data.splits import SPLITS_FILE, make_splits
-from foretouch.ray_cluster import ADDRESS_HELP
+from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.laboratory import laboratory
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.types import GraspSample
 
 _SHEET_SAMPLES = 12
@@ -247,7 +242,7 @@ def _show(arguments: argparse.Namespace) -> int:
     title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
     save_contact_sheet(arguments.out, selected, title, samples.sensor)
     record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
-    return _print_result("drawn", record, as_json=arguments.json)
+    return print_result("drawn", record, as_json=arguments.json)
 
 
 def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[GraspSample]:
@@ -308,48 +303,8 @@ def _edit(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _warn_of_other_hands(paths: Sequence[str]) -> None:
-    """Name the properties in which the hands of the datasets differ, as far as they are known."""
-    first, *others = (open_samples(path).identity.hand for path in paths)
-    for path, hand in zip(paths[1:], others, strict=True):
-        differing = [
-            f"{name} {hand[name]}, not {first[name]}"
-            for name in sorted(first.keys() & hand.keys())
-            if hand[name] != first[name]
-        ]
-        if differing:
-            warn(
-                f"{path}: is of another hand than {paths[0]}, whose readings have other levels: {'; '.join(differing)}"
-            )
-
-
 def _build(arguments: argparse.Namespace) -> int:
-    _warn_of_other_hands(arguments.sources)
-    read: ReadSamples = read_samples
-    if arguments.address is not None:
-        read = ReadOnRay(chunks_folder(arguments.out.absolute()), arguments.address, len(os.sched_getaffinity(0)))
-    with progress_bar("building", hidden=arguments.json, transient=True) as advance:
-        result = build_store(
-            arguments.sources,
-            arguments.out,
-            attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
-            progress=advance,
-            read=read,
-        )
-    remove_chunks(arguments.out)
-    splits = json.loads(make_splits(result.samples, arguments.seed))
-    record = {
-        "out": str(arguments.out),
-        "samples": len(result.samples),
-        "labelled": sum(sample.labelled for sample in result.samples),
-        "left_out": dict(result.left_out),
-        "renumbered": result.renumbered,
-        "sha256": result.sha256,
-        "seed": splits["seed"],
-        "splits": {kind: [part["name"] for part in parts] for kind, parts in splits["splits"].items()},
-        "omitted": splits["omitted"],
-    }
-    return _print_result("built", record, as_json=arguments.json)
+    return int(laboratory("cli.build", "dataset build").run(arguments))
 
 
 def _import(arguments: argparse.Namespace) -> int:
@@ -374,7 +329,7 @@ def _import(arguments: argparse.Namespace) -> int:
         "labelled": result.labelled,
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
-    return _print_result("imported", record, as_json=arguments.json)
+    return print_result("imported", record, as_json=arguments.json)
 
 
 def _name_and_value(text: str) -> tuple[str, str]:
@@ -394,10 +349,10 @@ def _export(arguments: argparse.Namespace) -> int:
         "left_out": dict(result.left_out),
         "lost": {name: count for name, count in result.lost.items() if count},
     }
-    return _print_result("exported", record, as_json=arguments.json)
+    return print_result("exported", record, as_json=arguments.json)
 
 
-def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:
+def print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:
     """Print a JSON object, or a table without empty values; exit status 0."""
     if as_json:
         print_json(record)

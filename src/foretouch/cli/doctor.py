@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _self_test(names: Sequence[str], *, as_json: bool) -> int:
-    from foretouch.selftest import ROWS, run_rows
+    from foretouch.cli.selftest import ROWS, run_rows
 
     began = time.monotonic()
     results = []
@@ -135,7 +135,7 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
 
 def _imports() -> Iterator[_Finding]:
     """Import the libraries that may fail to load although they are installed, each in a separate process."""
-    preload = "from foretouch.libusb import ensure_libusb; ensure_libusb()"
+    preload = "from foretouch.camera.libusb import ensure_libusb; ensure_libusb()"
     for name, code, fix in (
         ("torch loads", "import torch", "pip install --force-reinstall torch"),
         ("open3d loads", f"{preload}; import open3d", "apt install libgl1 libgomp1 libusb-1.0-0"),

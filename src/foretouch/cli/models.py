@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import file_sha256
 from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.errors import ModelError
+from foretouch.files import file_sha256
 from foretouch.models.registry import available_models, find_card, load_model
 
 _SPLITS = ("random", "time", "object")

@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
-from foretouch.learning.evaluation.prequential import replay_model
+from foretouch.models.prequential import replay_model
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.tactile import BIOTAC
 from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
+from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
     from foretouch.models.budget import LatencyBudget

@@ -23,10 +23,10 @@ from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import make_table, terminal, watch
+from foretouch.dataset.topics import TACTILE_TOPIC
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, stamp_ns
-from foretouch.topics import TACTILE_TOPIC
 
 if TYPE_CHECKING:
     from foretouch.cli.keys import RecordingKeys

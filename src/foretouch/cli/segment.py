@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import READ, add_options, pipeline_config, process_inputs
 from foretouch.cli.output import print_table
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError
+from foretouch.files import require_writable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rows of `foretouch doctor --self-test`: the shipped models and ROS on this machine.
 
-Each row runs in a process of its own, `python -m foretouch.selftest ROW`, so that a crash is one failed row.
-`python -m foretouch.selftest renew` stores the answers of the shipped models again, after a model was released.
+Each row runs in a process of its own, `python -m foretouch.cli.selftest ROW`, so that a crash is one failed row.
+`python -m foretouch.cli.selftest renew` stores the answers of the shipped models again, after a model was released.
 """
 
 import json
@@ -55,7 +55,7 @@ def _in_a_process(name: str) -> RowResult:
     try:
         with one_thread_each():
             done = subprocess.run(  # noqa: S603 - our own interpreter and module
-                [sys.executable, "-m", "foretouch.selftest", name],
+                [sys.executable, "-m", "foretouch.cli.selftest", name],
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -99,7 +99,7 @@ def exact_grasps() -> list[Grasp]:
 
 def _models() -> RowResult:
     """Hashes of the shipped models, and their answers against those that were stored with this version."""
-    from foretouch.checked_files import read_json
+    from foretouch.files import read_json
     from foretouch.models import available_models
 
     expected = read_json(_EXPECTED)
@@ -210,7 +210,7 @@ def _round_trip(probe: Any, wait: Callable[[Callable[[], Any], str], None]) -> N
     """Publish a cloud until it arrives, and compare it."""
     from sensor_msgs.msg import PointCloud2
 
-    from foretouch.dataset.messages import decode_cloud
+    from foretouch.cloud.messages import decode_cloud
     from foretouch.ros.messages.clouds import cloud_to_msg
 
     received: list[Any] = []

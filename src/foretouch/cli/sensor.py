@@ -5,11 +5,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import PICTURE_SUFFIXES, require_writable
 from foretouch.cli.inputs import error_line
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
+from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.tactile.description import load_sensor, sensor_files
 
 

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.checked_files import require_existing, require_writable
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
@@ -18,6 +17,7 @@ from foretouch.dataset.record import DISCARDED, SampleRecord
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
+from foretouch.files import require_existing, require_writable
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot

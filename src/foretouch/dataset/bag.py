@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.checked_files import open_regular, require_existing
-from foretouch.dataset.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud
+from foretouch.dataset.topics import TAXELS
 from foretouch.errors import CloudError, FileError
-from foretouch.topics import TAXELS
+from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud
 
 if TYPE_CHECKING:

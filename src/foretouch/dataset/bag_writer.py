@@ -16,13 +16,13 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from foretouch.checked_files import system_errors
+from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import system_errors
 from foretouch.types import Cloud
 
 _CLOUD_TOPIC: Final = "/foretouch/points"

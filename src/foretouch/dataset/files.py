@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes
 from foretouch.errors import FileError, VersionError, shown
+from foretouch.files import TEXT_LIMIT, json_in, read_bytes
 
 
 @contextmanager

@@ -24,12 +24,12 @@ from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
+from foretouch.files import require_existing
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample

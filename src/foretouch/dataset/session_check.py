@@ -16,10 +16,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, SensorHealth
 from foretouch.errors import FileError
+from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.contact_detector import ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReader, TactileReading

@@ -12,12 +12,12 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
-from foretouch.checked_files import require_existing
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
 from foretouch.dataset.formats import readable_formats
 from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError
+from foretouch.files import require_existing
 from foretouch.types import Cloud, GraspSample
 
 #: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.

@@ -25,22 +25,14 @@ from typing import Any, BinaryIO, Final, NamedTuple, Self
 import numpy as np
 import pyarrow as pa
 
-from foretouch.channels import Channels
-from foretouch.checked_files import (
-    FileBytes,
-    Version,
-    file_sha256,
-    open_regular,
-    parse_json,
-    require_schema,
-    version_of,
-)
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
+from foretouch.files import FileBytes, Version, file_sha256, open_regular, parse_json, require_schema, version_of
 from foretouch.tactile.description import sensor_in
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.types.channels import Channels
 
 FORMAT: Final = "foretouch-store"
 SCHEMA_VERSION: Final = 1

@@ -13,14 +13,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField
+from foretouch.cloud.messages import header_fields, with_stamp
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.messages import header_fields, with_stamp
 from foretouch.dataset.record import SampleRecord, TouchSeries, readings
 from foretouch.dataset.recording.sample_codec import sample_types
+from foretouch.dataset.topics import TAXELS
 from foretouch.grasp.pose import taxels_at
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
-from foretouch.topics import TAXELS
 from foretouch.types import AnyArray, Float32
 
 _FLOAT32: Final = 7  # of sensor_msgs/PointField

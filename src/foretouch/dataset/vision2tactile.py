@@ -19,11 +19,11 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError, shown
+from foretouch.files import read_bytes
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
 from foretouch.tactile.description import require_same

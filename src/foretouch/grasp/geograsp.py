@@ -18,6 +18,7 @@ import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
+from foretouch.cloud.timing import timed
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
@@ -34,7 +35,6 @@ from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
-from foretouch.timing import timed
 from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, Plane
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp"]

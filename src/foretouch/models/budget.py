@@ -26,13 +26,13 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
-from foretouch.checked_files import read_json, write_text
 from foretouch.errors import FileError, shown
+from foretouch.files import read_json, write_text
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.registry import load_model
+from foretouch.models.timing import MachineLoad, cpu_name, time_calls
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
 from foretouch.tactile import Ranges
-from foretouch.timing import MachineLoad, cpu_name, time_calls
 from foretouch.types import Cloud, Float64, Grasp
 
 _FORMAT: Final = {"format": "foretouch-profile", "format_version": 3}

@@ -15,12 +15,12 @@ from typing import Final, Self
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import AnyArray, Float64, Touch
+from foretouch.types.channels import Channels
 
 GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.channels import Channels
-from foretouch.checked_files import read_json, require_schema
 from foretouch.errors import ConfigError, FileError, ModelError, TactileError, quoted, shown
+from foretouch.files import read_json, require_schema
 from foretouch.tactile.description import Sensor, require_same, sensor_in
+from foretouch.types.channels import Channels
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 2

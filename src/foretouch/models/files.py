@@ -11,10 +11,10 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from foretouch.channels import Channels
-from foretouch.checked_files import read_bytes
 from foretouch.errors import FileError, ModelError, shown
+from foretouch.files import read_bytes
 from foretouch.types import AnyArray
+from foretouch.types.channels import Channels
 
 
 def file_beside(card_path: Path, name: Any, field: str) -> Path:

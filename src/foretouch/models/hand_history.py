@@ -22,16 +22,16 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
-from foretouch.channels import Channels
-from foretouch.checked_files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
+from foretouch.files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.models.files import packed, under
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, touch_faults
 from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Float64, Grasp, Touch, UInt8
+from foretouch.types.channels import Channels
 
 VERSION: Final = 2
 """Of the file's format."""

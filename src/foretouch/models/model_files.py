@@ -10,14 +10,14 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from foretouch.channels import Channels
-from foretouch.checked_files import replace_files
 from foretouch.errors import ModelError
+from foretouch.files import replace_files
 from foretouch.models.calibration import Calibration
 from foretouch.models.card import card_sensor, card_text, new_card
 from foretouch.models.files import file_beside, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.types import AnyArray
+from foretouch.types.channels import Channels
 
 CardCalibration: TypeAlias = tuple[Calibration, Mapping[str, Any]]
 """A calibration, and its facts for the card: `level`, `regimes` (objects and coverage by group) and `rest`."""

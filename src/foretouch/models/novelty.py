@@ -18,10 +18,10 @@ from typing import Final, Self
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import Bool, Float32, Float64
+from foretouch.types.channels import Channels
 
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""

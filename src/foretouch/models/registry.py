@@ -5,8 +5,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from foretouch.checked_files import read_json
 from foretouch.errors import FileError, ModelError, nearest, shown
+from foretouch.files import read_json
 from foretouch.models.card import CARD_FORMAT, read_card
 from foretouch.models.touch_model import TouchModel
 

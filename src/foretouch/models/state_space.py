@@ -21,10 +21,10 @@ from typing import Final, Self
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import AnyArray, Float64, Floating, Index
+from foretouch.types.channels import Channels
 
 NEW, KNOWN = 0, 1
 """Rows of the arrays that differ between objects out of the training distribution and in it."""

@@ -36,13 +36,13 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.similar_touches import MOST, SimilarTouches
 from foretouch.models.state_space import KNOWN, NEW, StateFilter, TrackerParameters
 from foretouch.tactile import is_tdc
 from foretouch.types import AnyArray, Bool, Evidence, Float64, UInt8
+from foretouch.types.channels import Channels
 
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""

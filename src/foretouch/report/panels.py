@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from foretouch.checked_files import replace_files
 from foretouch.errors import FileError
+from foretouch.files import replace_files
 
 if TYPE_CHECKING:
     import matplotlib.axes

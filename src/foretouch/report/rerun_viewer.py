@@ -15,8 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from foretouch.checked_files import system_errors
 from foretouch.errors import ForetouchError, MissingDependencyError
+from foretouch.files import system_errors
 
 _SCREENSHOT_S: Final = 120.0
 _POLL_S: Final = 0.1

@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from foretouch.channels import Channel
 from foretouch.tactile import Ranges
 from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Index, Touch, TouchPrediction
+from foretouch.types.channels import Channel
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import begin, make_nodes
 from foretouch.ros.runtime.environment import start_rclpy
-from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
-    from foretouch.ros.nodes.hand import HandNode
     from foretouch.ros.nodes.monitor import MonitorNode
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
@@ -117,7 +116,7 @@ class Graph:
 
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
-        hand, end = cast("HandNode | None", self.nodes.get("hand")), time.monotonic() + timeout_s
+        hand, end = cast("Any", self.nodes.get("hand")), time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
         while hand is not None and hand.busy:

@@ -13,11 +13,11 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Bool, Float64, Touch
+from foretouch.types.channels import Channels
 
 BIOTAC_SP: Final = packaged_sensor("biotac_sp")
 

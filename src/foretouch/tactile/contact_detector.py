@@ -26,10 +26,10 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.tactile.channels import BIOTAC
 from foretouch.types import SECOND_NS, Float64, Int64
+from foretouch.types.channels import Channels
 
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat

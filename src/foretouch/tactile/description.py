@@ -18,12 +18,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.channels import LARGEST, Channel, Channels
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, read_layout, require_length
 from foretouch.types import Bool, Index
+from foretouch.types.channels import LARGEST, Channel, Channels
 
 STAMP_UNITS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of a stamp that is a number."""

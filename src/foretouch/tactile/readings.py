@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channel, Channels
 from foretouch.errors import TactileError
 from foretouch.types import Bool, Float64, Touch
+from foretouch.types.channels import Channel, Channels
 
 FULL_SCALE: Final = 4095  # largest count of the 12-bit converter of the BioTac SP
 

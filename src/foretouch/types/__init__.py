@@ -13,8 +13,8 @@ from typing import Any, Literal, Self, overload
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
 from foretouch.errors import CloudError, GraspError, TactileError
+from foretouch.types.channels import Channels
 
 AnyArray = npt.NDArray[Any]
 Bool = npt.NDArray[np.bool_]

@@ -10,11 +10,11 @@ import numpy as np
 from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.evaluation.evaluate import evaluate_model, own_samples
-from foretouch.learning.evaluation.prequential import evaluate_prequential
 from foretouch.models.registry import load_model
 from foretouch.tactile.description import require_same
+from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.learning.evaluation.evaluate import evaluate_model, own_samples
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 
 _SCORED: Final = {
     "held_out": "held-out samples",

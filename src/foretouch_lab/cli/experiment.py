@@ -8,22 +8,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.inputs import positive_number
+from foretouch.cli.inputs import ADDRESS_HELP, positive_number
 from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments import Experiment, find_experiment, list_experiments, run_sweep
-from foretouch.experiments.framework.executors import CellResult
-from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.framework.manifest import (
+from foretouch_lab.experiments import Experiment, find_experiment, list_experiments, run_sweep
+from foretouch_lab.experiments.framework.executors import CellResult
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.framework.manifest import (
     SUMMARY_FILE,
     read_results,
     require_experiment,
     times_line,
     write_summary,
 )
-from foretouch.experiments.framework.sweep import SweepResult
-from foretouch.ray_cluster import ADDRESS_HELP
+from foretouch_lab.experiments.framework.sweep import SweepResult
 
 ENVIRONMENT = "FORETOUCH_DATA"
 

@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from foretouch import __version__
-from foretouch.cli.inputs import positive_number, seed_number
+from foretouch.cli.inputs import ADDRESS_HELP, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
-from foretouch.dataset.chunks import chunks_folder, remove_chunks
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, FileError, SimulationError
-from foretouch.ray_cluster import ADDRESS_HELP
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation, explain_scene, replay
-from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
+from foretouch_lab.dataset.chunks import chunks_folder, remove_chunks
+from foretouch_lab.dataset.store_writer import StoreWriter
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation, explain_scene, replay
+from foretouch_lab.simulation.world import SampleKey
 
 SHEET = "contact_sheet.png"
 _SHEET_SAMPLES = 12

@@ -4,10 +4,10 @@
 import argparse
 from functools import partial
 
-from foretouch.cli.experiment import add_sweep_arguments, print_list, run_experiment
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
-from foretouch.experiments.framework.tradeoff import find_area, list_areas, measure_times
 from foretouch.models.registry import load_model
+from foretouch_lab.cli.experiment import add_sweep_arguments, print_list, run_experiment
+from foretouch_lab.experiments.framework.tradeoff import find_area, list_areas, measure_times
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,14 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.evaluate import show_scores
 from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.errors import ConfigError
+from foretouch_lab.cli.evaluate import show_scores
 
 if TYPE_CHECKING:
-    from foretouch.learning.data import Dataset
-    from foretouch.learning.training.run_config import RunConfig
+    from foretouch_lab.learning.data import Dataset
+    from foretouch_lab.learning.training.run_config import RunConfig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,12 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 0 with a model on disk; an error stops the training, and the last good state stays."""
-    from foretouch.learning.training.run_config import load_run_config
+    from foretouch_lab.learning.training.run_config import load_run_config
 
     config = load_run_config(arguments.config, arguments.overrides)  # before the samples: errors appear at once
     if config.data is None:
         raise ConfigError(f"{arguments.config}: data: is empty; give data=PATH")
-    from foretouch.learning.data import load_dataset
+    from foretouch_lab.learning.data import load_dataset
 
     if arguments.compare:
         return _compare(arguments, config.replace(release=True), load_dataset(config.data))
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> int:
-    from foretouch.learning.training.run import train_run
+    from foretouch_lab.learning.training.run import train_run
 
     options = {"resume": arguments.resume, "workers": arguments.workers}
     if arguments.json:
@@ -81,7 +81,7 @@ def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> i
 
 
 def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> int:
-    from foretouch.learning.training.run import compare_splits, make_learner
+    from foretouch_lab.learning.training.run import compare_splits, make_learner
 
     records: list[Mapping[str, Any]] = []
     report = print_json if arguments.json else records.append

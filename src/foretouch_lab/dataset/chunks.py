@@ -21,15 +21,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import read_json, require_schema, write_text
 from foretouch.dataset.files import disk_errors
 from foretouch.dataset.samples import SampleSet, open_samples
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import StoreWriter, usable_sample
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.ray_cluster import ray_results
+from foretouch.files import read_json, require_schema, write_text
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
+from foretouch_lab.dataset.store_writer import StoreWriter, usable_sample
+from foretouch_lab.ray_cluster import ray_results
 
 CHUNK_SAMPLES: Final = 512
 PLAN: Final = "plan.json"

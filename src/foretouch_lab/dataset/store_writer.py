@@ -18,12 +18,12 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch import __version__
-from foretouch.checked_files import file_sha256
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.record import DISCARDED, SampleRecord, id_number, numbered_id
 from foretouch.dataset.samples import SampleSet, only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
+from foretouch.files import file_sha256
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, require_same, with_sensor
 from foretouch.types import GraspSample

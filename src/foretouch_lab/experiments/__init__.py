@@ -5,7 +5,14 @@
 A killed sweep is resumed where it was.
 """
 
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table, find_experiment, list_experiments
-from foretouch.experiments.framework.sweep import SweepResult, run_sweep
+from foretouch_lab.experiments.framework.experiment import (
+    Cell,
+    Experiment,
+    Row,
+    Table,
+    find_experiment,
+    list_experiments,
+)
+from foretouch_lab.experiments.framework.sweep import SweepResult, run_sweep
 
 __all__ = ["Cell", "Experiment", "Row", "SweepResult", "Table", "find_experiment", "list_experiments", "run_sweep"]

@@ -25,27 +25,27 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError, SimulationError
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
-from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
-from foretouch.experiments.shared.simulated_data import (
+from foretouch.report.panels import Axes, Rows
+from foretouch.types import Float64, GraspSample
+from foretouch.types.channels import Channels
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
+from foretouch_lab.experiments.shared.predictors import PREDICTORS, find_predictor
+from foretouch_lab.experiments.shared.simulated_data import (
     SimulatedGrasps,
     SimulatedSettings,
     load_simulated,
     prepare_simulated,
 )
-from foretouch.experiments.shared.tables import findings, grouped, listed, pivot, select, span, unique
-from foretouch.learning.data import labels_of
-from foretouch.report.panels import Axes, Rows
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.simulation.world import SampleKey
-from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.shared.tables import findings, grouped, listed, pivot, select, span, unique
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.world import SampleKey
 
 # Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads makes contact;
 # where the hand lands and how exactly it reaches its target; what the sensor adds over time.

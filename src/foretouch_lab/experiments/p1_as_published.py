@@ -25,16 +25,16 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch.experiments.shared.scores import labelled, load
-from foretouch.experiments.shared.tables import findings, grouped, pivot, select, span, unique
-from foretouch.learning.data import Dataset
-from foretouch.learning.data.folds import Fold, Indices
-from foretouch.learning.data.training_set import TrainingSet
 from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
+from foretouch_lab.experiments.shared.scores import labelled, load
+from foretouch_lab.experiments.shared.tables import findings, grouped, pivot, select, span, unique
+from foretouch_lab.learning.data import Dataset
+from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.data.training_set import TrainingSet
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -127,8 +127,8 @@ def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
 
 def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     """Train one network and test it in both modes, beside the mean of the training labels."""
-    from foretouch.learning.training.run_config import load_run_config
-    from foretouch.learning.training.supervised import train_network
+    from foretouch_lab.learning.training.run_config import load_run_config
+    from foretouch_lab.learning.training.supervised import train_network
 
     samples = labelled(data)
     (fold,) = (one for one in _tables(settings, samples)[cell.values["table"]] if one.name == cell.values["part"])

@@ -18,16 +18,28 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError
-from foretouch.experiments.framework.experiment import Cell, Row, Table
-from foretouch.experiments.framework.frontier import Panel, interval, time_column
-from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
-from foretouch.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
-from foretouch.learning.data import Dataset, labels_of, make_folds
-from foretouch.learning.data.folds import Fold, Indices
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.evaluation.prequential import Recording, replay
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
-from foretouch.learning.training.contact import (
+from foretouch.models.budget import PAUSE_S, levels_of
+from foretouch.models.card import read_card
+from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
+from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.features import CONDITIONS
+from foretouch.models.files import packed
+from foretouch.models.prequential import Recording, replay
+from foretouch.models.registry import find_card, load_model
+from foretouch.models.touch_model import Estimator, History, TouchModel
+from foretouch.models.tracker import SensorTracker
+from foretouch.processes import one_thread_each
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Row, Table
+from foretouch_lab.experiments.framework.frontier import Panel, interval, time_column
+from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
+from foretouch_lab.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
+from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
+from foretouch_lab.learning.training.contact import (
     ContactConfig,
     describe_objects,
     describe_samples,
@@ -35,19 +47,7 @@ from foretouch.learning.training.contact import (
     fit_forests,
     thinned_samples,
 )
-from foretouch.learning.training.tracker import fit_tracker
-from foretouch.models.budget import PAUSE_S, levels_of
-from foretouch.models.card import read_card
-from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
-from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import CONDITIONS
-from foretouch.models.files import packed
-from foretouch.models.registry import find_card, load_model
-from foretouch.models.touch_model import Estimator, History, TouchModel
-from foretouch.models.tracker import SensorTracker
-from foretouch.processes import one_thread_each
-from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample
+from foretouch_lab.learning.training.tracker import fit_tracker
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -258,10 +258,10 @@ def _network(values: Mapping[str, Any], net: TouchNet, fallback: Any) -> Estimat
 
 def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:
     """Train the recipe of touchnet-v1 on a fold, and predict its test side by each variant of this network."""
-    from foretouch.learning.data.training_set import TrainingSet
-    from foretouch.learning.training.run_config import load_run_config
-    from foretouch.learning.training.supervised import train_network
     from foretouch.models.novelty import Fallback
+    from foretouch_lab.learning.data.training_set import TrainingSet
+    from foretouch_lab.learning.training.run_config import load_run_config
+    from foretouch_lab.learning.training.supervised import train_network
 
     run: Any = load_run_config(NETWORK)
     train, tested = ([data.samples[k] for k in side] for side in (fold.train, fold.test))

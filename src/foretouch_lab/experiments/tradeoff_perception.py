@@ -22,18 +22,18 @@ import numpy as np
 from foretouch.cloud.io.files import read_cloud
 from foretouch.config import setting
 from foretouch.errors import ConfigError
-from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel
-from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
-from foretouch.experiments.shared.scores import interval_columns
-from foretouch.experiments.shared.tables import grouped
 from foretouch.grasp.original_score import OriginalScore, original_score
-from foretouch.learning.evaluation.metrics import Estimate
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
-from foretouch.simulation.solids import Primitive
-from foretouch.simulation.view import CameraView
 from foretouch.types import ASSUMED_TABLE, Bool, Cloud, Float64, Int32
+from foretouch_lab.experiments.framework.experiment import Cell, Row
+from foretouch_lab.experiments.framework.frontier import Panel
+from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.experiments.shared.tables import grouped
+from foretouch_lab.learning.evaluation.metrics import Estimate
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, random_scene
+from foretouch_lab.simulation.solids import Primitive
+from foretouch_lab.simulation.view import CameraView
 
 SEGMENTATION: Final = "segmentation"
 GRASP: Final = "GeoGrasp"

@@ -19,20 +19,20 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel
-from foretouch.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant, variant_cells
-from foretouch.experiments.shared.scores import interval_columns
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
-from foretouch.learning.training.contact import ContactConfig, ContactPredictor
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.simulate import SAMPLE_KEYS, Simulation
-from foretouch.simulation.world import SampleKey
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Row
+from foretouch_lab.experiments.framework.frontier import Panel
+from foretouch_lab.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
+from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
+from foretouch_lab.simulation.simulate import SAMPLE_KEYS, Simulation
+from foretouch_lab.simulation.world import SampleKey
 
 RIGID: Final = "rigid"
 SOFT: Final = "deformables"

@@ -10,19 +10,19 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import setting
-from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel
-from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
-from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
-from foretouch.experiments.shared.predictors import network
-from foretouch.experiments.shared.scores import error_rows, labelled, load, skill_columns
-from foretouch.experiments.shared.simulated_data import beside, simulate_store
-from foretouch.experiments.shared.tables import grouped, select
-from foretouch.experiments.tradeoff_model import describe
-from foretouch.learning.data import Dataset, labels_of, make_folds
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.training.contact import ContactConfig, fit_contact
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Row
+from foretouch_lab.experiments.framework.frontier import Panel
+from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
+from foretouch_lab.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
+from foretouch_lab.experiments.shared.predictors import network
+from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_columns
+from foretouch_lab.experiments.shared.simulated_data import beside, simulate_store
+from foretouch_lab.experiments.shared.tables import grouped, select
+from foretouch_lab.experiments.tradeoff_model import describe
+from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.training.contact import ContactConfig, fit_contact
 
 CONTACT: Final = "contact model as shipped"
 NETWORK: Final = "network as shipped"
@@ -189,9 +189,9 @@ def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
 
 
 def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
-    from foretouch.learning.data.training_set import TrainingSet
-    from foretouch.learning.training.run_config import load_run_config
-    from foretouch.learning.training.supervised import SupervisedTrainer
+    from foretouch_lab.learning.data.training_set import TrainingSet
+    from foretouch_lab.learning.training.run_config import load_run_config
+    from foretouch_lab.learning.training.supervised import SupervisedTrainer
 
     recipe: Any = load_run_config("touchnet-v1").updated(variant.values["changes"])
     endless = recipe.train.replace(epochs=_ENDLESS)

@@ -14,10 +14,12 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.disturbances import ou_noise
-from foretouch.simulation.fingertip import Finger, draw_finger
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.campaign import (
+from foretouch.tactile import ELECTRODES, FULL_SCALE
+from foretouch.types import Float64
+from foretouch_lab.simulation.disturbances import ou_noise
+from foretouch_lab.simulation.fingertip import Finger, draw_finger
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.campaign import (
     CHANGE_S,
     DAY_S,
     GRASP_S,
@@ -27,10 +29,8 @@ from foretouch.simulation.scene.campaign import (
     ExchangeConfig,
     ThermistorConfig,
 )
-from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.world import SampleKey
-from foretouch.tactile import ELECTRODES, FULL_SCALE
-from foretouch.types import Float64
+from foretouch_lab.simulation.scene.ranges import draw
+from foretouch_lab.simulation.world import SampleKey
 
 _FINGERS: Final = ("thumb", "middle")
 _CHANNELS: Final = 1 + ELECTRODES

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from foretouch.camera.deproject import Deprojector
 from foretouch.errors import ConfigError
-from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise
-from foretouch.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
-from foretouch.simulation.view import CameraView
 from foretouch.types import Cloud, Float32, Float64, Int32, UInt8
+from foretouch_lab.simulation.depth_effects import add_flying_pixels, add_stereo_noise
+from foretouch_lab.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
+from foretouch_lab.simulation.view import CameraView
 
 TABLE: Final = 1  # label of the table; 0 is everything else
 FIRST_OBJECT: Final = 2  # label of the first object

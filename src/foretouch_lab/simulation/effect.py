@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from foretouch.grasp import GraspPlan
-from foretouch.simulation.campaign import Campaign, CampaignTime
-from foretouch.simulation.contact.grip import HeldWeight
-from foretouch.simulation.contact.pad import ContactFrame, PadWindow
-from foretouch.simulation.contact.problem import ContactSolution
-from foretouch.simulation.fingertip import Finger
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.simulation.solids import Body, Hits
-from foretouch.simulation.view import Window
-from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Cloud, Float64, Grasp, Int32, Int64, Touch
+from foretouch_lab.simulation.campaign import Campaign, CampaignTime
+from foretouch_lab.simulation.contact.grip import HeldWeight
+from foretouch_lab.simulation.contact.pad import ContactFrame, PadWindow
+from foretouch_lab.simulation.contact.problem import ContactSolution
+from foretouch_lab.simulation.fingertip import Finger
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.solids import Body, Hits
+from foretouch_lab.simulation.view import Window
+from foretouch_lab.simulation.world import SampleKey, World
 
 
 class SampleState:

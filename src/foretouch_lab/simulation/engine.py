@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from foretouch.errors import ContactError, ConvergenceError, ForetouchError, GraspError, SimulationError
-from foretouch.simulation.campaign import Campaign, object_index
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.simulation.world import SampleKey, World
+from foretouch_lab.simulation.campaign import Campaign, object_index
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.world import SampleKey, World
 
 # Reasons of failed tries that are not named by the effect.
 _REASONS: Final[dict[type[ForetouchError], str]] = {

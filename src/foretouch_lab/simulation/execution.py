@@ -14,19 +14,19 @@ import numpy.typing as npt
 
 from foretouch.config import setting
 from foretouch.errors import SimulationError
-from foretouch.simulation.contact.pad import ContactFrame
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.effects.reading import drift_of
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.fingertip import quantise, read_press
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
-from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.world import SampleKey, World
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp
+from foretouch_lab.simulation.contact.pad import ContactFrame
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.effects.reading import drift_of
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.fingertip import quantise, read_press
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.fingers import DriftConfig, TimelineConfig
+from foretouch_lab.simulation.scene.ranges import draw
+from foretouch_lab.simulation.world import SampleKey, World
 
 _BLOCK = 200  # messages that are made at a time
 _STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated

@@ -33,10 +33,10 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
-from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
-from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.tactile import BIOTAC_SP, ELECTRODES, FULL_SCALE, to_kohm
 from foretouch.types import Float64, Int64
+from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch_lab.simulation.contact.problem import ContactSolution
 
 # The liquid.
 BOTTOMING_M: Final = 3e-4  # displacement b at which the skin meets the core

@@ -19,19 +19,19 @@ from typing import Any
 import numpy as np
 
 from foretouch import __version__
-from foretouch.dataset.chunks import made_in_chunks
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
-from foretouch.simulation.campaign import object_index
-from foretouch.simulation.effect import SampleState
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine
-from foretouch.simulation.fingertip import quantise
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.world import SampleKey
 from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import GraspSample
+from foretouch_lab.dataset.chunks import made_in_chunks
+from foretouch_lab.simulation.campaign import object_index
+from foretouch_lab.simulation.effect import SampleState
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine
+from foretouch_lab.simulation.fingertip import quantise
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.world import SampleKey
 
 #: The keys of the state that every sample is made of.
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")

@@ -15,8 +15,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from foretouch.simulation.objects import TriangleMesh, unit_mesh
 from foretouch.types import Float32, Float64
+from foretouch_lab.simulation.objects import TriangleMesh, unit_mesh
 
 _MISS = 1e30  # embree answers 1e37 where a ray meets nothing
 _UNIT_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])

@@ -27,11 +27,11 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
-from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
-from foretouch.simulation.fingertip import GAIN_SPREAD
 from foretouch.tactile.description import ChannelConfig, Sensor
 from foretouch.tactile.layout import nearest_valid
 from foretouch.types import Float64
+from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch_lab.simulation.fingertip import GAIN_SPREAD
 
 REST_SPREAD: Final = 0.02  # standard deviation of the rest level from taxel to taxel, of the range
 NOISE_N: Final = 0.001  # standard deviation of the noise of a channel whose description states none [N]: 0.1 gf

@@ -12,13 +12,13 @@ from typing import Self
 
 import numpy as np
 
-from foretouch.channels import Channels
-from foretouch.simulation.fingertip import Finger, draw_finger
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.taxels import TaxelArray, TaxelConfig
-from foretouch.simulation.view import CameraView
 from foretouch.tactile.channels import BIOTAC
 from foretouch.types import Float64, Plane
+from foretouch.types.channels import Channels
+from foretouch_lab.simulation.fingertip import Finger, draw_finger
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.taxels import TaxelArray, TaxelConfig
+from foretouch_lab.simulation.view import CameraView
 
 CAMERA_FRAME = "camera_depth_optical_frame"
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud, write_cloud
 from foretouch.errors import FileError
-from foretouch.libusb import ensure_libusb
 from foretouch.types import Cloud
 
 

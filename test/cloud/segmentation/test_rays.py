@@ -11,8 +11,8 @@ from every_case import every_case
 from foretouch.cloud.segmentation.plane import fit_plane
 from foretouch.cloud.segmentation.rays import RayConfig, RayFilter
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _coarse, segment
-from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud
+from foretouch_lab.simulation.depth_scene import random_scene
 
 Float32 = npt.NDArray[np.float32]
 

@@ -12,8 +12,8 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.clusters import ClusterConfig, CropConfig, in_range
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _count_depths, segment
 from foretouch.errors import ConfigError
-from foretouch.simulation.depth_scene import DepthImage, random_scene
 from foretouch.types import Cloud
+from foretouch_lab.simulation.depth_scene import DepthImage, random_scene
 
 
 def _overlaps(segmentation: Segmentation, truth: npt.NDArray[np.int_], first: int = 2) -> list[float]:

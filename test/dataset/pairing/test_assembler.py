@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from pair_builders import SECOND, interval, level, stream
 
-from foretouch.dataset.messages import cloud_fields, decode_grasp
+from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import GraspError, TactileError
+from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import Cloud
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
-from foretouch.dataset.messages import cloud_fields
+from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
 from foretouch.types import Cloud
 

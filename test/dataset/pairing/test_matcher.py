@@ -8,12 +8,12 @@ import pytest
 from every_case import every_case
 from pair_builders import SECOND, Named, interval, level, stream
 
-from foretouch.dataset.messages import cloud_fields
+from foretouch.camera.message_faults import FaultConfig
+from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import ExecutedGrasp, GraspTouchMatcher, Label, MatchedGrasp, RejectedGrasp
 from foretouch.dataset.pairing.sensors import ContactEpisodes
-from foretouch.simulation.message_faults import FaultConfig
 from foretouch.types import Cloud
 
 CONFIG = PairingConfig(wait_s=1.0)

@@ -19,7 +19,6 @@ import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, record, write_dataset
 
-from foretouch.checked_files import FileBytes
 from foretouch.dataset.editing import drop
 from foretouch.dataset.files import sealed
 from foretouch.dataset.info import describe
@@ -35,6 +34,7 @@ from foretouch.dataset.recording.sample_codec import StoredSample, decode_sample
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
+from foretouch.files import FileBytes
 
 COUNT = 4
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from foretouch.simulation.contact import layer as layers
+from foretouch_lab.simulation.contact import layer as layers
 
 
 def descend(problem, command, gap, start, tolerance, max_iterations):

@@ -15,11 +15,11 @@ from recording_builders import write_dataset
 from sim_builders import scene
 
 from foretouch.cli.main import main
-from foretouch.dataset import chunks
-from foretouch.dataset.chunks import made_in_chunks
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError, SimulationError
-from foretouch.simulation.simulate import Simulation
+from foretouch_lab.dataset import chunks
+from foretouch_lab.dataset.chunks import made_in_chunks
+from foretouch_lab.simulation.simulate import Simulation
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.framework import sweep
-from foretouch.experiments.framework.executors import run_cell
+from foretouch_lab.experiments import find_experiment, run_sweep
+from foretouch_lab.experiments.framework import sweep
+from foretouch_lab.experiments.framework.executors import run_cell
 
 
 @pytest.fixture

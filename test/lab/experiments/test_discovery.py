@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-import foretouch.experiments
+import foretouch_lab.experiments
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
-from foretouch.experiments import find_experiment, list_experiments
+from foretouch_lab.experiments import find_experiment, list_experiments
 
 SOURCE = """
 from dataclasses import dataclass
 from hashlib import sha256
 
 from foretouch.config import Settings, setting
-from foretouch.experiments import Cell, Experiment, Table
+from foretouch_lab.experiments import Cell, Experiment, Table
 from foretouch.report.panels import new_figure, save
 
 
@@ -64,7 +64,7 @@ def test_a_module_of_ones_own_or_in_the_package(tmp_path: Path, capsys, numbers:
     folder.mkdir()
     (folder / "__init__.py").touch()
     (folder / "stiffness.py").write_text(SOURCE)
-    for name in ("my_lab", "my_lab.stiffness", "foretouch.experiments.stiffness"):
+    for name in ("my_lab", "my_lab.stiffness", "foretouch_lab.experiments.stiffness"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["experiment", "my_lab.stiffness", "-o", str(out), "--data", str(numbers), "--json"]) == 0
@@ -76,9 +76,9 @@ def test_a_module_of_ones_own_or_in_the_package(tmp_path: Path, capsys, numbers:
     assert (out / "stiffness.png").stat().st_size > 5000
     with pytest.raises(ConfigError, match=r"is not one of my_lab\.stiffness:stiffness"):
         find_experiment("my_lab.stiffness:rubber")
-    monkeypatch.setattr(foretouch.experiments, "__path__", [*foretouch.experiments.__path__, str(folder)])
+    monkeypatch.setattr(foretouch_lab.experiments, "__path__", [*foretouch_lab.experiments.__path__, str(folder)])
     assert "stiffness" in [one.name for one in list_experiments()]  # also as a module of the package
-    assert find_experiment("stiffness").module == "foretouch.experiments.stiffness"
+    assert find_experiment("stiffness").module == "foretouch_lab.experiments.stiffness"
 
 
 def test_every_experiment_is_found_by_its_name_without_matplotlib() -> None:
@@ -88,5 +88,5 @@ def test_every_experiment_is_found_by_its_name_without_matplotlib() -> None:
     for name in ("framework", "shared"):
         with pytest.raises(ConfigError, match=f"{name!r} is not one of prequential, cross_validation, time_blocked"):
             find_experiment(name)
-    code = "import sys, foretouch.experiments as e; e.list_experiments(); sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, foretouch_lab.experiments as e; e.list_experiments(); sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

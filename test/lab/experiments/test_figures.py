@@ -4,9 +4,9 @@
 import pytest
 from matplotlib.figure import Figure
 
-from foretouch.experiments.shared import figures
-from foretouch.experiments.shared.figures import draw_intervals, draw_series
 from foretouch.tactile import MODALITIES
+from foretouch_lab.experiments.shared import figures
+from foretouch_lab.experiments.shared.figures import draw_intervals, draw_series
 
 
 @pytest.fixture

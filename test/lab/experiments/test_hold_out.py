@@ -11,18 +11,18 @@ from every_case import every_case, every_refusal
 from experiment_samples import cell_rows, make_collection, make_samples
 
 from foretouch.errors import DatasetError, ForetouchError
-from foretouch.experiments import find_experiment
-from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.framework.manifest import read_results
-from foretouch.experiments.hold_out.splits import NEW, OBJECT_KNOWN
-from foretouch.experiments.hold_out.transfer import TRANSFER_METHODS
-from foretouch.experiments.shared.folds import some_grasps, some_objects, split_objects, touch_draws
-from foretouch.experiments.shared.simulated_data import RealAndSimulated
-from foretouch.experiments.shared.tables import select
-from foretouch.learning.data import Dataset, labels_of, load_dataset, make_folds
-from foretouch.learning.evaluation.baselines import object_mean
-from foretouch.learning.evaluation.metrics import score
 from foretouch.tactile import MODALITIES, P2_RANGES
+from foretouch_lab.experiments import find_experiment
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.framework.manifest import read_results
+from foretouch_lab.experiments.hold_out.splits import NEW, OBJECT_KNOWN
+from foretouch_lab.experiments.hold_out.transfer import TRANSFER_METHODS
+from foretouch_lab.experiments.shared.folds import some_grasps, some_objects, split_objects, touch_draws
+from foretouch_lab.experiments.shared.simulated_data import RealAndSimulated
+from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.data import Dataset, labels_of, load_dataset, make_folds
+from foretouch_lab.learning.evaluation.baselines import object_mean
+from foretouch_lab.learning.evaluation.metrics import score
 
 RESULTS = Path(__file__).parents[2] / "docs/results"
 SAMPLES = make_samples(6, 10)

@@ -12,10 +12,12 @@ import torch
 from every_case import every_case
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
-from foretouch.experiments.label_ratio import LabelRatioSettings
-from foretouch.experiments.label_ratio.training import (
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.networks import GeneratorConfig
+from foretouch_lab.experiments import find_experiment, run_sweep
+from foretouch_lab.experiments.framework.manifest import RESULTS_FILE, read_results
+from foretouch_lab.experiments.label_ratio import LabelRatioSettings
+from foretouch_lab.experiments.label_ratio.training import (
     MODELS,
     READINGS,
     TRIALS,
@@ -25,13 +27,11 @@ from foretouch.experiments.label_ratio.training import (
     load_scene,
     split_at,
 )
-from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
-from foretouch.experiments.shared.tables import select
-from foretouch.learning.data.splits import RATIOS
-from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.networks import GeneratorConfig
-from foretouch.simulation.scene import load_scene as read_scene
+from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
+from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.data.splits import RATIOS
+from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch_lab.simulation.scene import load_scene as read_scene
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "config" / "scenes" / "deformables_wide.yaml"

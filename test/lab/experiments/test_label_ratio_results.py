@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from foretouch.errors import DatasetError
-from foretouch.experiments.label_ratio.results import (
+from foretouch.tactile import P2_RANGES
+from foretouch_lab.experiments.label_ratio.results import (
     P2_AVERAGES,
     P2_CHANGES,
     TREES,
@@ -16,8 +17,7 @@ from foretouch.experiments.label_ratio.results import (
     draw_models,
     summarise_models,
 )
-from foretouch.experiments.shared import figures
-from foretouch.tactile import P2_RANGES
+from foretouch_lab.experiments.shared import figures
 
 
 def row(model: str, seed: int, squared: dict[str, list[float]], **more: Any) -> dict[str, Any]:

@@ -10,13 +10,13 @@ from every_case import every_case
 from sim_builders import SPONGE, scene
 
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
-from foretouch.experiments.shared.simulated_data import SimulatedSettings, load_simulated, simulate_store
-from foretouch.simulation.effects import EFFECTS
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.world import SampleKey
 from foretouch.tactile.channels import BIOTAC
+from foretouch_lab.experiments import find_experiment, run_sweep
+from foretouch_lab.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
+from foretouch_lab.experiments.shared.simulated_data import SimulatedSettings, load_simulated, simulate_store
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.world import SampleKey
 
 GRASPS, SIGMA_M, SIGMA = 4000, 3.0, 4.0  # so 9 / 25 of the variance can be told
 TRUE_CEILING = SIGMA_M**2 / (SIGMA_M**2 + SIGMA**2)

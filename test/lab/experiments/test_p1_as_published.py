@@ -6,9 +6,9 @@ from pathlib import Path
 
 from experiment_samples import make_collection
 
-from foretouch.experiments import find_experiment
-from foretouch.experiments.shared.tables import select
-from foretouch.learning.training.run_config import load_run_config
+from foretouch_lab.experiments import find_experiment
+from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.training.run_config import load_run_config
 
 
 def test_splits_ways_of_testing_and_published_errors(tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments.shared.predictors import PREDICTORS, RECIPES, find_predictor, with_offset_correction
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.baselines import training_mean
-from foretouch.learning.training.run_config import load_run_config
-from foretouch.learning.training.supervised import TrainConfig
 from foretouch.models import ModelConfig
 from foretouch.tactile import MODALITIES
+from foretouch_lab.experiments.shared.predictors import PREDICTORS, RECIPES, find_predictor, with_offset_correction
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.evaluation.baselines import training_mean
+from foretouch_lab.learning.training.run_config import load_run_config
+from foretouch_lab.learning.training.supervised import TrainConfig
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,13 @@ import numpy as np
 from experiment_samples import cell_rows, make_collection
 from numpy.testing import assert_allclose, assert_array_equal
 
-from foretouch.experiments import find_experiment
-from foretouch.experiments.framework.manifest import read_results, write_results
-from foretouch.experiments.prequential import _recordings
-from foretouch.experiments.prequential.results import CONSTANT, EVERYTHING
-from foretouch.experiments.shared.tables import select, unique
-from foretouch.learning.data import labels_of
 from foretouch.tactile import biotac_touch
+from foretouch_lab.experiments import find_experiment
+from foretouch_lab.experiments.framework.manifest import read_results, write_results
+from foretouch_lab.experiments.prequential import _recordings
+from foretouch_lab.experiments.prequential.results import CONSTANT, EVERYTHING
+from foretouch_lab.experiments.shared.tables import select, unique
+from foretouch_lab.learning.data import labels_of
 
 
 def left_out(rows: list) -> list:

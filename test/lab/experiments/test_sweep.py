@@ -14,9 +14,9 @@ from every_case import every_case, every_refusal
 from own_experiments.counting import EXPERIMENT, CountingSettings
 
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments import Cell, run_sweep
-from foretouch.experiments.framework.executors import Job, run_cell
-from foretouch.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
+from foretouch_lab.experiments import Cell, run_sweep
+from foretouch_lab.experiments.framework.executors import Job, run_cell
+from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
 
 TESTS = Path(__file__).parents[1]
 PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where workers find `own_experiments`

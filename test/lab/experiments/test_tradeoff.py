@@ -13,13 +13,13 @@ from every_case import every_case
 
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
-from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.framework.frontier import Panel, frontier, spread, tables
-from foretouch.experiments.framework.manifest import read_results
-from foretouch.experiments.framework.tradeoff import find_area, list_areas
-from foretouch.experiments.shared.scores import equal_columns
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.timing import MachineLoad
+from foretouch.models.timing import MachineLoad
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.framework.frontier import Panel, frontier, spread, tables
+from foretouch_lab.experiments.framework.manifest import read_results
+from foretouch_lab.experiments.framework.tradeoff import find_area, list_areas
+from foretouch_lab.experiments.shared.scores import equal_columns
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 SOURCE = """
 import math
@@ -29,9 +29,9 @@ from hashlib import sha256
 import numpy as np
 
 from foretouch.errors import MissingDependencyError
-from foretouch.experiments import Cell
-from foretouch.experiments.framework.frontier import Panel
-from foretouch.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant
+from foretouch_lab.experiments import Cell
+from foretouch_lab.experiments.framework.frontier import Panel
+from foretouch_lab.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant
 
 TERMS = {"shipped": 8, "short": 2, "long": 12, "slow and bad": 1}
 

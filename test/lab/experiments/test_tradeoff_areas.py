@@ -11,12 +11,12 @@ from every_case import every_case
 from experiment_samples import make_collection
 
 from foretouch.errors import ConfigError
-from foretouch.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
-from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.tradeoff import Area
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.pipeline import Pipeline
+from foretouch_lab.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
+from foretouch_lab.experiments.framework.experiment import Cell, Row
+from foretouch_lab.experiments.framework.tradeoff import Area
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 GRASPS = make_collection()
 QUICK = BootstrapConfig(draws=100)

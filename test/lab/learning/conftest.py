@@ -8,10 +8,10 @@ import pytest
 import torch
 from run_builders import write_store
 
-from foretouch.learning.data import Dataset, load_dataset
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch_lab.learning.data import Dataset, load_dataset
 
 torch.set_num_threads(1)  # networks this small only lose time to more
 

@@ -10,20 +10,20 @@ import pytest
 from sim_builders import CAN, SPONGE, made, run, scene
 
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.prequential import Recording, replay
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.tracker import fit_tracker
+from foretouch.models.prequential import Recording, replay
 from foretouch.models.tracker import SensorTracker
-from foretouch.simulation.campaign import Campaign, object_index
-from foretouch.simulation.disturbances import TDC_REST, TemperatureConfig, temperature_drift
-from foretouch.simulation.execution import SimulatedHand
-from foretouch.simulation.scene import load_scene
-from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S, CampaignConfig, ThermistorConfig
-from foretouch.simulation.simulate import Simulation, explain_scene
-from foretouch.simulation.simulate import replay as made_again
-from foretouch.simulation.world import SampleKey, World
 from foretouch.tactile import BIOTAC, tdc_of
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch_lab.learning.training.tracker import fit_tracker
+from foretouch_lab.simulation.campaign import Campaign, object_index
+from foretouch_lab.simulation.disturbances import TDC_REST, TemperatureConfig, temperature_drift
+from foretouch_lab.simulation.execution import SimulatedHand
+from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S, CampaignConfig, ThermistorConfig
+from foretouch_lab.simulation.simulate import Simulation, explain_scene
+from foretouch_lab.simulation.simulate import replay as made_again
+from foretouch_lab.simulation.world import SampleKey, World
 
 SCENES = Path(__file__).parents[2] / "config" / "scenes"
 HELD = {"grasps": {"insertion_m": 0.01}}

@@ -6,9 +6,9 @@ import pytest
 from every_case import every_case
 
 from foretouch.errors import ConfigError
-from foretouch.simulation import Box, CameraView, Cylinder, DepthScene, Sphere, depth_scene, random_scene
-from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE
-from foretouch.simulation.solids import footprint_m
+from foretouch_lab.simulation import Box, CameraView, Cylinder, DepthScene, Sphere, depth_scene, random_scene
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE
+from foretouch_lab.simulation.solids import footprint_m
 
 
 def _top(*objects: Box | Cylinder | Sphere, distance_m: float = 1.0) -> DepthScene:

@@ -4,7 +4,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.simulation.steady_noise import steady_noise
-from foretouch.simulation.disturbances import (
+from foretouch_lab.simulation.disturbances import (
     WANDER_COUNTS,
     WANDER_S,
     NoiseConfig,

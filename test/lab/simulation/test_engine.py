@@ -12,12 +12,12 @@ import pytest
 from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, scene
 
 from foretouch.errors import CloudError, SimulationError
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.effects import EFFECTS, place, view
-from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.simulation.world import SampleKey
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.effects import EFFECTS, place, view
+from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
+from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.world import SampleKey
 
 SCENES = Path(__file__).parents[2] / "config" / "scenes"
 SCENE = scene()

@@ -8,10 +8,10 @@ import pytest
 from sim_builders import CAN, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
 from benchmarks.simulation.steady_noise import steady_noise
-from foretouch.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation
 from foretouch.types import Grasp
+from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation
 
 TIMING = GraspTimingConfig(rest_s=0.4, approach_s=0.3, close_s=0.2, hold_s=0.5)
 

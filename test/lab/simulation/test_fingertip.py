@@ -7,13 +7,13 @@ from contact_builders import press, rounded_edge
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
-from foretouch.simulation import fingertip
-from foretouch.simulation.contact.pad import PadConfig, contact_frame, pad_direction, pad_window
-from foretouch.simulation.disturbances import NoiseConfig
-from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.world import World
 from foretouch.tactile import BIOTAC_SP, P2_RANGES, biotac_touch, to_kohm, touch_faults
+from foretouch_lab.simulation import fingertip
+from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, pad_direction, pad_window
+from foretouch_lab.simulation.disturbances import NoiseConfig
+from foretouch_lab.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.world import World
 
 PAD = PadConfig()
 THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))

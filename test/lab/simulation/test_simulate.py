@@ -10,11 +10,11 @@ from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, m
 
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import SimulationError
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import Simulation, replay
-from foretouch.simulation.world import SampleKey
 from foretouch.tactile import touch_faults
 from foretouch.types import GraspSample
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.simulate import Simulation, replay
+from foretouch_lab.simulation.world import SampleKey
 
 FULL = {
     "camera": EVERY_CAMERA_FAULT,

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.libusb import ensure_libusb
-from foretouch.simulation.solids import Body, Box, Cylinder, Sphere
+from foretouch.camera.libusb import ensure_libusb
+from foretouch_lab.simulation.solids import Body, Box, Cylinder, Sphere
 
 POSITION = np.array([0.1, -0.2, 0.3])
 EYE = np.array([0.2, 0.1, 1.5])

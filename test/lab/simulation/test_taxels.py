@@ -11,13 +11,13 @@ from sim_builders import CAN, SPONGE, run, scene
 
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
-from foretouch.simulation.contact.pad import PadConfig
-from foretouch.simulation.effect import SampleState
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.taxels import CrosstalkConfig, TaxelArray, TaxelConfig
-from foretouch.simulation.world import World
 from foretouch.tactile.description import load_sensor, packaged_sensor, sensor_of
 from foretouch.types import Float64
+from foretouch_lab.simulation.contact.pad import PadConfig
+from foretouch_lab.simulation.effect import SampleState
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelArray, TaxelConfig
+from foretouch_lab.simulation.world import World
 
 USKIN: Any = {"sensor": "xela_uskin_4x4", "pad": {"layer_m": 0.003, "modulus_pa": 3e5}}
 FIELD = USKIN | {"sensor": "tacsl_20x25"}

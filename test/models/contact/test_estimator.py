@@ -13,12 +13,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import CloudError, ModelError
-from foretouch.learning.data import labels_of
-from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 from foretouch.types import Cloud
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 
 SAMPLES = make_samples(5, 10)
 

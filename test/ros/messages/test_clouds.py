@@ -4,7 +4,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
-from foretouch.dataset.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_from_msg, objects_to_msg

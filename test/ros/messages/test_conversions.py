@@ -16,8 +16,8 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import String
 
 from foretouch.cli.answers import answer_record
-from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
 from foretouch.errors import CloudError, GraspError, MissingDependencyError, ModelError
+from foretouch.grasp.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
 from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.conversions import (

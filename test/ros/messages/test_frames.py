@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from shape_msgs.msg import Plane as PlaneMsg
 
-from foretouch.dataset.messages import decode_grasp, rotation_from_quaternion
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
+from foretouch.grasp.messages import decode_grasp, rotation_from_quaternion
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.frames import FrameTransform

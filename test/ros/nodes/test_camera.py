@@ -15,10 +15,10 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
 from foretouch.camera.synthetic import SyntheticCamera
-from foretouch.dataset.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
-from foretouch.simulation import random_scene
 from foretouch.tactile.messages.table import stamp_ns
+from foretouch_lab.simulation import random_scene
 
 pytestmark = [
     pytest.mark.ros,

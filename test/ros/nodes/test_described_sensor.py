@@ -29,14 +29,14 @@ from foretouch.dataset.info import describe
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import Store
-from foretouch.dataset.store_writer import build_store
+from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Touch, TouchPrediction
+from foretouch_lab.dataset.store_writer import build_store
+from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import Grasp, GraspArray, TouchPredictionArray
 
 pytestmark = [

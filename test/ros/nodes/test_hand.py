@@ -13,12 +13,12 @@ from std_srvs.srv import Trigger
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch.ros.nodes import hand
-from foretouch.ros.nodes.hand import HandConfig
-from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
+from foretouch_lab.ros import hand
+from foretouch_lab.ros.hand import HandConfig
+from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 pytestmark = pytest.mark.ros

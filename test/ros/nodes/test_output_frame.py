@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch import reading
-from foretouch.dataset.messages import decode_grasp, rotation_from_quaternion
+from foretouch.grasp.messages import decode_grasp, rotation_from_quaternion
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION

@@ -14,9 +14,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from foretouch.cloud.io.files import write_cloud
+from foretouch.cloud.messages import decode_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
-from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import playable
 from foretouch.tactile.messages.table import stamp_ns

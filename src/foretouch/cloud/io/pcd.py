@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import open_regular, read_bytes
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.io.records import (
     HEADER_LIMIT,
@@ -24,6 +23,7 @@ from foretouch.cloud.io.records import (
     whole_number,
 )
 from foretouch.errors import FileError
+from foretouch.files import open_regular, read_bytes
 from foretouch.types import Cloud, UInt8
 
 _SIZES = {"F": "48", "I": "1248", "U": "1248"}

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.records import (
     HEADER_LIMIT,
     SIZE_LIMIT,
@@ -19,6 +18,7 @@ from foretouch.cloud.io.records import (
     whole_number,
 )
 from foretouch.errors import FileError
+from foretouch.files import read_bytes
 from foretouch.types import AnyArray, Cloud
 
 _TYPES = {

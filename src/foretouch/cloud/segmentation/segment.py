@@ -25,9 +25,9 @@ from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
+from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
-from foretouch.timing import timed
 from foretouch.types import Cloud, Float32, Index, Int32, Plane
 
 SegmentationStatus = Literal[

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from foretouch.dataset.messages import decode_grasp, decode_objects, read_header
+from foretouch.cloud.messages import decode_objects, read_header
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
@@ -26,6 +26,7 @@ from foretouch.dataset.pairing.matcher import (
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
+from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
 from foretouch.types import Cloud, Float32, Grasp, GraspSample

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.channels import Channels
-from foretouch.dataset.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile import BIOTAC
 from foretouch.types import SECOND_NS, Float32, Int64
+from foretouch.types.channels import Channels
 
 _MB = 1_000_000
 _LEAP_NS = SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter

@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.dataset.pairing.cut import Interval, may_freeze
 from foretouch.tactile import BIOTAC, touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
+from foretouch.types.channels import Channels
 
 ALIVE = "alive"
 NO_DATA = "no data"

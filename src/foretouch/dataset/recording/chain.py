@@ -19,7 +19,6 @@ from typing import BinaryIO
 
 from mcap.records import Metadata
 
-from foretouch.checked_files import FileBytes
 from foretouch.dataset.files import disk_errors, new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.folder import opened_to_write, read_listed, session_files, write_listed
@@ -36,6 +35,7 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import ABOUT
 from foretouch.errors import FileError
+from foretouch.files import FileBytes
 from foretouch.tactile.description import Sensor
 
 SESSIONS = "sessions"

@@ -20,11 +20,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
-from foretouch.checked_files import TEXT_LIMIT, free_name, open_own, parse_json, read_bytes, require_schema
 from foretouch.dataset.files import disk_errors, require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import TEXT_LIMIT, free_name, open_own, parse_json, read_bytes, require_schema
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import open_own, open_regular, replace_files, require_schema
 from foretouch.dataset.files import disk_errors, read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
+from foretouch.files import open_own, open_regular, replace_files, require_schema
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in, with_sensor
 

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeVar
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from foretouch.checked_files import FileBytes, open_regular
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.chain import require_chain
 from foretouch.dataset.recording.edits import EditLog, read_edits
@@ -35,6 +34,7 @@ from foretouch.dataset.recording.repair import readable, salvaged
 from foretouch.dataset.recording.sample_codec import ABOUT, HEAD_SIZE, SAMPLE_TYPES, StoredSample, decode_sample, id_in
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import FileBytes, open_regular
 from foretouch.tactile.channels import BIOTAC_SP
 
 _T = TypeVar("_T")

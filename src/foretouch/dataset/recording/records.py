@@ -24,9 +24,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from foretouch.checked_files import FileBytes, parse_json
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPES
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import FileBytes, parse_json
 
 MAGIC: Final[bytes] = MCAP0_MAGIC
 

@@ -16,7 +16,6 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.checked_files import FileBytes, free_name
 from foretouch.dataset.files import disk_errors, sync_folder
 from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
@@ -47,6 +46,7 @@ from foretouch.dataset.recording.sample_codec import (
 )
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import DatasetError, FileError, VersionError
+from foretouch.files import FileBytes, free_name
 
 _CHUNK_BYTES: Final = 4_000_000
 _HEAD: Final = 31  # bytes of a message record before its CDR

@@ -30,11 +30,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 import numpy as np
 
 from foretouch import __version__
-from foretouch.checked_files import parse_json
+from foretouch.cloud.messages import cloud_fields, decode_cloud, header_fields
 from foretouch.dataset.files import require_version
-from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
+from foretouch.files import parse_json
+from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.tactile.messages.table import stamp_ns

@@ -14,7 +14,6 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Header, Statistics
 
-from foretouch.checked_files import FileBytes
 from foretouch.dataset.recording.chain import chain_faults
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files, recorded_sensor
@@ -34,6 +33,7 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
 from foretouch.errors import DatasetError
+from foretouch.files import FileBytes
 from foretouch.tactile.description import Sensor
 
 

@@ -17,8 +17,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from foretouch.cloud.io.pointcloud2 import encode
+from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.dataset.messages import decode_objects
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.tactile.messages.table import stamp_ns

@@ -10,13 +10,13 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
-from foretouch.channels import read_prediction
-from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import Obstacles, quaternion_xyzw
+from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
+from foretouch.types.channels import read_prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg

@@ -15,9 +15,9 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.io.pointcloud2 import DATATYPES
-from foretouch.dataset.messages import has_orientation, rotation_from_quaternion
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
+from foretouch.grasp.messages import has_orientation, rotation_from_quaternion
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.requests import GraspArrays, read_cloud
 from foretouch.types import Float64

@@ -13,8 +13,8 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
+from foretouch.cloud.messages import decode_cloud
 from foretouch.cloud.segmentation.rays import not_optical
-from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, LimitError
 from foretouch.grasp import GraspHold, HeldGrasp, Obstacles
 from foretouch.pipeline import FoundObject, Pipeline

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
+from foretouch.dataset.topics import TACTILE_TOPIC
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg, stamp_to_msg
 from foretouch.tactile import ELECTRODES
@@ -23,7 +24,6 @@ from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, OTHERS
 from foretouch.tactile.messages.table import TactileConfig
-from foretouch.topics import TACTILE_TOPIC
 from foretouch.types import Float64
 from foretouch_msgs.msg import Biotac, BiotacAll
 

@@ -10,12 +10,12 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
+from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.grasp import GeoGraspConfig, GraspHold, HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets, read_obstacles, read_table, read_targets
 from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
-from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 

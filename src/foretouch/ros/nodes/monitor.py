@@ -17,10 +17,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_from_msg
@@ -30,7 +31,6 @@ from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 

@@ -22,6 +22,7 @@ from foretouch.dataset.pairing.cut import Interval, PairingConfig
 from foretouch.dataset.pairing.matcher import Label
 from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import Action, Operator
@@ -38,7 +39,6 @@ from foretouch.ros.recorder.subscriptions import (
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 

@@ -25,18 +25,18 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.cloud.messages import read_header, with_stamp
 from foretouch.config import setting
 from foretouch.dataset.bag import Topic
-from foretouch.dataset.messages import read_header, with_stamp
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
 from foretouch.dataset.source import Source, open_source
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.diagnostics import made_status
 from foretouch.ros.runtime.discovery import Matching, matched_ends
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 

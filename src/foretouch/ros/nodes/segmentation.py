@@ -13,13 +13,13 @@ from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
+from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
 from foretouch.ros.messages.clouds import TargetCloud, object_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
-from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Float64
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 

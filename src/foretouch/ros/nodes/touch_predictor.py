@@ -33,6 +33,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import TactileError, quoted
 from foretouch.grasp import GeoGraspConfig
 from foretouch.models.touch_model import TouchModel
@@ -73,7 +74,6 @@ from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Float64, Touch
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (

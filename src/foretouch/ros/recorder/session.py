@@ -17,8 +17,8 @@ from typing import Any, Final, Literal
 
 from rclpy.serialization import serialize_message
 
+from foretouch.cloud.messages import read_header
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.messages import read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
@@ -28,13 +28,13 @@ from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.taxels import taxel_clouds
+from foretouch.dataset.topics import TAXELS
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
-from foretouch.topics import TAXELS
 from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg

@@ -25,12 +25,12 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.bounded_queue import BoundedQueue
-from foretouch.dataset.messages import read_header
+from foretouch.camera.bounded_queue import BoundedQueue
+from foretouch.cloud.messages import read_header
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
 _RECENT = 100  # messages that the offset of a clock is determined from

@@ -27,6 +27,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
+from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status, gone_status
 from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, DirectPublisher, direct_topics
@@ -35,7 +36,6 @@ from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.heartbeat import FINALIZED, Heartbeat
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
-from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
 REQUESTS = QoSProfile(depth=1000)

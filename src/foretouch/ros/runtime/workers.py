@@ -18,7 +18,7 @@ from typing import Any, Final, Generic, TypeVar
 
 from rclpy.node import Node
 
-from foretouch.bounded_queue import BoundedQueue
+from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.ros.messages.requests import RefusalError, status_code
 
 _PATIENCE_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some

@@ -10,11 +10,11 @@ from collections import deque
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.tactile import BIOTAC, touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.tactile.readings import rest_of
 from foretouch.types import SECOND_NS, Float32, Touch
+from foretouch.types.channels import Channels
 
 
 class LiveTare:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation, require_rotation, surely_sound
 from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
+from foretouch.grasp.messages import decode_grasp, decode_grasps, has_orientation, require_rotation, surely_sound
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.requests import GraspArrays, RefusalError

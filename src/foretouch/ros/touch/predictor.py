@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
 from foretouch.grasp import GeoGraspConfig, check_closing, surely_closing
+from foretouch.grasp.messages import has_orientation
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.answers import Refusal, TouchAnswer

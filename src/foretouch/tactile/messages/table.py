@@ -12,12 +12,12 @@ from functools import cached_property
 from importlib import import_module
 from typing import Any, Final
 
-from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.types import SECOND_NS, Float32
+from foretouch.types.channels import Channels
 
 #: Message type to the module that decodes it.
 TACTILE_TYPES: dict[str, str] = {

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from foretouch.errors import DatasetError, ForetouchError, described
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
 from foretouch.processes import one_thread_each, process_pool
-from foretouch.ray_cluster import DIED, ray_results
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
+from foretouch_lab.ray_cluster import DIED, ray_results
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, none_of
 
-_PACKAGE: Final = "foretouch.experiments"
+_PACKAGE: Final = "foretouch_lab.experiments"
 
 Row = dict[str, Any]  # plain JSON data by column
 

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.report.panels import Axes, new_figure, save_small
+from foretouch_lab.experiments.framework.experiment import Row, Table
 
 _LINE: Final = 0.05  # height of a label, as a share of the axes
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range

@@ -27,13 +27,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, read_bytes, read_json, require_schema, write_text
 from foretouch.config import Settings, flattened
 from foretouch.dataset.files import disk_errors
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments.framework.executors import CellResult
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.timing import cpu_name
+from foretouch.files import TEXT_LIMIT, read_bytes, read_json, require_schema, write_text
+from foretouch.models.timing import cpu_name
+from foretouch_lab.experiments.framework.executors import CellResult
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"

@@ -8,9 +8,9 @@ from typing import Any
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments.framework import manifest as manifests
-from foretouch.experiments.framework.executors import CellResult, Job, in_processes, on_ray
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.experiments.framework import manifest as manifests
+from foretouch_lab.experiments.framework.executors import CellResult, Job, in_processes, on_ray
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 
 Progress = Callable[[CellResult, int, int], None]
 

@@ -4,7 +4,7 @@
 Cells measure skills, each in its own process. Once they have run, all variants are timed in one process and in one
 random order, and the answers of each are compared with those of the shipped one. The table, `tradeoff.csv`, has a row
 for each variant, size of request and state of the machine, idle or loaded; a variant that cannot run here has one row
-with the reason. To add an area, add a module `tradeoff_<area>` to `foretouch.experiments` that holds an `EXPERIMENT`.
+with the reason. To add an area, add a module `tradeoff_<area>` to `foretouch_lab.experiments` that holds an `EXPERIMENT`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,8 +16,10 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError, none_of
-from foretouch.experiments.framework import frontier
-from foretouch.experiments.framework.experiment import (
+from foretouch.models.timing import MachineLoad, cpu_name, time_calls
+from foretouch.types import Float64, Floating
+from foretouch_lab.experiments.framework import frontier
+from foretouch_lab.experiments.framework.experiment import (
     Cell,
     D,
     Experiment,
@@ -27,9 +29,7 @@ from foretouch.experiments.framework.experiment import (
     find_experiment,
     list_experiments,
 )
-from foretouch.experiments.framework.manifest import read_results, require_experiment, write_results
-from foretouch.timing import MachineLoad, cpu_name, time_calls
-from foretouch.types import Float64, Floating
+from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results
 
 _PREFIX: Final = "tradeoff_"
 _COMPARED: Final = 10  # size of the requests whose answers are compared, or the next smaller one

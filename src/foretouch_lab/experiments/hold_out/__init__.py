@@ -20,18 +20,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.hold_out import results, splits
-from foretouch.experiments.hold_out.splits import HoldOutSettings, Splitter, TouchSettings
-from foretouch.experiments.hold_out.transfer import TRANSFER_METHODS, fit_transfer
-from foretouch.experiments.shared.figures import draw_skill_figure
-from foretouch.experiments.shared.folds import touch_draws
-from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS, Fitted, find_predictor
-from foretouch.experiments.shared.scores import error_rows, load, score_table
-from foretouch.experiments.shared.simulated_data import load_both, load_simulated, prepare_both, prepare_simulated
-from foretouch.experiments.shared.tables import skill_tables
-from foretouch.learning.data import labels_of
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.experiments.hold_out import results, splits
+from foretouch_lab.experiments.hold_out.splits import HoldOutSettings, Splitter, TouchSettings
+from foretouch_lab.experiments.hold_out.transfer import TRANSFER_METHODS, fit_transfer
+from foretouch_lab.experiments.shared.figures import draw_skill_figure
+from foretouch_lab.experiments.shared.folds import touch_draws
+from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, Fitted, find_predictor
+from foretouch_lab.experiments.shared.scores import error_rows, load, score_table
+from foretouch_lab.experiments.shared.simulated_data import load_both, load_simulated, prepare_both, prepare_simulated
+from foretouch_lab.experiments.shared.tables import skill_tables
+from foretouch_lab.learning.data import labels_of
 
 # Settings that no cell depends on; its predictor and seed are among its values.
 RESUMABLE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")

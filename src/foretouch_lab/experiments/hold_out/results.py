@@ -6,13 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.hold_out.splits import KNOWN, OBJECT_KNOWN, UNITS, CrossTypeSettings, LookalikesSettings
-from foretouch.experiments.p1_as_published import ACROSS, P1, PUBLISHED, draw_errors
-from foretouch.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch.experiments.shared.predictors import SHRINKAGE
-from foretouch.experiments.shared.scores import score_table
-from foretouch.experiments.shared.tables import (
+from foretouch.report.panels import Axes, Rows
+from foretouch.tactile import MODALITIES, P1_RANGES
+from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.hold_out.splits import KNOWN, OBJECT_KNOWN, UNITS, CrossTypeSettings, LookalikesSettings
+from foretouch_lab.experiments.p1_as_published import ACROSS, P1, PUBLISHED, draw_errors
+from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
+from foretouch_lab.experiments.shared.predictors import SHRINKAGE
+from foretouch_lab.experiments.shared.scores import score_table
+from foretouch_lab.experiments.shared.tables import (
     ALL_OBJECTS,
     MODEL,
     findings,
@@ -24,9 +26,7 @@ from foretouch.experiments.shared.tables import (
     span,
     unique,
 )
-from foretouch.learning.evaluation.metrics import MEAN
-from foretouch.report.panels import Axes, Rows
-from foretouch.tactile import MODALITIES, P1_RANGES
+from foretouch_lab.learning.evaluation.metrics import MEAN
 
 _CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
 _by_predictor = partial(draw_series, series="predictor", spread=0.12)

@@ -9,22 +9,22 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.hold_out.transfer import TRANSFER_METHODS
-from foretouch.experiments.p1_as_published import ObjectTypes
-from foretouch.experiments.shared.folds import by_object, some_grasps, some_objects, split_objects
-from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
-from foretouch.experiments.shared.scores import labelled
-from foretouch.experiments.shared.simulated_data import (
+from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.hold_out.transfer import TRANSFER_METHODS
+from foretouch_lab.experiments.p1_as_published import ObjectTypes
+from foretouch_lab.experiments.shared.folds import by_object, some_grasps, some_objects, split_objects
+from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS
+from foretouch_lab.experiments.shared.scores import labelled
+from foretouch_lab.experiments.shared.simulated_data import (
     BothSettings,
     RealAndSimulated,
     SimulatedGrasps,
     SimulatedSettings,
 )
-from foretouch.learning.data import Dataset, labels_of, make_folds
-from foretouch.learning.data.folds import Fold, random_folds
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.types import Float64, GraspSample
+from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold, random_folds
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 KNOWN: Final = "known objects"
 NEW: Final = "new objects"

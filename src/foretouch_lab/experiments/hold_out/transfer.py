@@ -19,12 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.experiments.shared.predictors import Fit, Fitted, with_offset_correction
-from foretouch.experiments.shared.scores import labelled
-from foretouch.experiments.shared.simulated_data import RealAndSimulated
-from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
 from foretouch.tactile import BIOTAC, MODALITIES, offsets
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.shared.predictors import Fit, Fitted, with_offset_correction
+from foretouch_lab.experiments.shared.scores import labelled
+from foretouch_lab.experiments.shared.simulated_data import RealAndSimulated
+from foretouch_lab.learning.evaluation.baselines import TREES, Baseline, geometry_trees
 
 Changes = Mapping[str, Float64]  # f by the id of the sample
 

@@ -18,9 +18,11 @@ from typing import Any, Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.label_ratio import results
-from foretouch.experiments.label_ratio.training import (
+from foretouch.models.network.config import ModelConfig
+from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.experiments.label_ratio import results
+from foretouch_lab.experiments.label_ratio.training import (
     MODELS,
     READINGS,
     SRGAN,
@@ -34,13 +36,11 @@ from foretouch.experiments.label_ratio.training import (
     split_at,
     train_and_predict,
 )
-from foretouch.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, prepare_simulated
-from foretouch.learning.data import labels_of
-from foretouch.learning.data.splits import RATIOS
-from foretouch.learning.evaluation.baselines import geometry_trees
-from foretouch.learning.training.srgan import SrganConfig
-from foretouch.models.network.config import ModelConfig
-from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, prepare_simulated
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.data.splits import RATIOS
+from foretouch_lab.learning.evaluation.baselines import geometry_trees
+from foretouch_lab.learning.training.srgan import SrganConfig
 
 __all__ = ["EXPERIMENTS"]
 

@@ -25,13 +25,13 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
-from foretouch.experiments.shared.figures import Line, save_panels
-from foretouch.experiments.shared.tables import SIGNS, findings, grouped, pivot, select, unique
 from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, Ranges
 from foretouch.types import Float64
+from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.label_ratio.training import MODELS, TRIALS, kind_of
+from foretouch_lab.experiments.shared.figures import Line, save_panels
+from foretouch_lab.experiments.shared.tables import SIGNS, findings, grouped, pivot, select, unique
 
 # Value of the column `model` for the baseline that is trained on the labelled samples alone.
 TREES: Final = "geometry_trees"

@@ -32,18 +32,18 @@ import torch
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import CloudError, ConfigError, DatasetError
-from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch.learning.data import Dataset, labels_of
-from foretouch.learning.data.dataset import DataSplit
-from foretouch.learning.data.training_set import TrainingSet, predict_set
-from foretouch.learning.training.losses import labeled_loss
-from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
+from foretouch_lab.learning.data import Dataset, labels_of
+from foretouch_lab.learning.data.dataset import DataSplit
+from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
+from foretouch_lab.learning.training.losses import labeled_loss
+from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch_lab.learning.training.trainer import shuffled_batches
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"

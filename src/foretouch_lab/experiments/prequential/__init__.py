@@ -22,21 +22,21 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.prequential.results import (
+from foretouch.models.prequential import Recording
+from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.experiments.prequential.results import (
     CONSTANT,
     draw_prequential,
     prequential_rows,
     summarise_prequential,
 )
-from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
-from foretouch.experiments.shared.scores import labelled, load
-from foretouch.experiments.shared.tables import grouped
-from foretouch.learning.data import Dataset, labels_of
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.evaluation.prequential import Recording
-from foretouch.learning.training.calibration import rest_level
-from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.shared.predictors import PREDICTORS, find_predictor
+from foretouch_lab.experiments.shared.scores import labelled, load
+from foretouch_lab.experiments.shared.tables import grouped
+from foretouch_lab.learning.data import Dataset, labels_of
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.training.calibration import rest_level
 
 _SEED: Final = 0
 _FEWEST_OBJECTS: Final = 2  # that vision is fitted to

@@ -9,10 +9,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
-from foretouch.experiments.shared.scores import interval_columns
-from foretouch.experiments.shared.tables import (
+from foretouch.models.calibration import Calibration
+from foretouch.models.prequential import Recording, replay
+from foretouch.models.state_space import TrackerParameters
+from foretouch.models.tracker import MISS_RATE, SensorTracker
+from foretouch.report.panels import Rows
+from foretouch.tactile import BIOTAC, FULL_SCALE, MODALITIES, TOUCH_SIZE
+from foretouch.types import Bool, Float64
+from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
+from foretouch_lab.experiments.shared.scores import interval_columns
+from foretouch_lab.experiments.shared.tables import (
     ALL_OBJECTS,
     SIGNS,
     findings,
@@ -25,16 +32,10 @@ from foretouch.experiments.shared.tables import (
     unique,
     with_notes,
 )
-from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
-from foretouch.learning.evaluation.prequential import CLOCK_S, Recording, other_objects_mean, replay
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.tracker import fit_tracker
-from foretouch.models.calibration import Calibration
-from foretouch.models.state_space import TrackerParameters
-from foretouch.models.tracker import MISS_RATE, SensorTracker
-from foretouch.report.panels import Rows
-from foretouch.tactile import BIOTAC, FULL_SCALE, MODALITIES, TOUCH_SIZE
-from foretouch.types import Bool, Float64
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.prequential import CLOCK_S, other_objects_mean
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch_lab.learning.training.tracker import fit_tracker
 
 CONSTANT: Final = "training_mean"
 """The predictor without vision."""

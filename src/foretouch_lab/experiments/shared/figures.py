@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
 from foretouch.report.panels import Axes, Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES
+from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
 
 _LOWEST_SKILL: Final = -1.5  # lower values are drawn as an arrow with their number at this edge of the figure
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data.folds import Fold, Indices
 from foretouch.types import GraspSample
+from foretouch_lab.learning.data.folds import Fold, Indices
 
 
 def split_by_fold(

@@ -17,13 +17,13 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data import labels_of
-from foretouch.learning.data.training_set import TrainingSet, predict_set
-from foretouch.learning.evaluation import baselines
-from foretouch.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
+from foretouch_lab.learning.evaluation import baselines
+from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
 
 # The networks by name, with the recipe of `foretouch train` that each is trained by.
 RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}
@@ -44,8 +44,8 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         raise ConfigError(f"recipe: {name!r} is not one of {', '.join(RECIPES)}")
 
     def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
-        from foretouch.learning.training.run_config import load_run_config
-        from foretouch.learning.training.supervised import train_network
+        from foretouch_lab.learning.training.run_config import load_run_config
+        from foretouch_lab.learning.training.supervised import train_network
 
         recipe: Any = load_run_config(RECIPES[name]).updated(changes or {})  # of a supervised network
         model, how = recipe.model, recipe.train
@@ -123,7 +123,7 @@ def _trees(baseline: Callable[..., Float64], training_fraction: float) -> Fit:
 
 def _contact(training_fraction: float) -> Fit:
     """The default model, which has its own adaptation to touches."""
-    from foretouch.learning.training.run_config import load_run_config
+    from foretouch_lab.learning.training.run_config import load_run_config
 
     run: Any = load_run_config("contact-v2")
     config: ContactConfig = run.contact

@@ -10,12 +10,12 @@ import numpy as np
 
 from foretouch.config import Settings
 from foretouch.errors import DatasetError
-from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped
-from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
+from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 
 
 def load(_settings: Settings, path: Path) -> Dataset:

@@ -13,11 +13,11 @@ from typing import Any, Final
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, load_dataset
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.simulate import Simulation
+from foretouch_lab.dataset.store_writer import StoreWriter
+from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
+from foretouch_lab.simulation.simulate import Simulation
 
 _REAL: Final = "real"
 
@@ -124,7 +124,7 @@ def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path
     if source is None:
         raise ConfigError("experiment: no real grasps; give --data PATH or set FORETOUCH_DATA")
     folder, scene = beside(out), Path(settings.scene)
-    shipped = Path(str(resources.files("foretouch.simulation"))) / "scenes" / scene.name
+    shipped = Path(str(resources.files("foretouch_lab.simulation"))) / "scenes" / scene.name
     simulate_store(shipped if shipped.is_file() and not scene.exists() else scene, settings.samples, folder)
     link = folder / _REAL
     if link.is_symlink():

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
-from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.learning.evaluation.metrics import MEAN
 from foretouch.tactile import MODALITIES
+from foretouch_lab.experiments.framework.experiment import Row, Table
+from foretouch_lab.learning.evaluation.metrics import MEAN
 
 ALL_OBJECTS: Final = "all"  # value of the column `object` for all objects together
 

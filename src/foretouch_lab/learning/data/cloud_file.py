@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.checked_files import open_regular
 from foretouch.dataset.files import disk_errors
+from foretouch.files import open_regular
 from foretouch.types import Float32
 
 

@@ -11,14 +11,14 @@ import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
-from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
+from foretouch_lab.dataset.store_writer import SampleFacts
+from foretouch_lab.learning.data.folds import Indices
+from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 
 _VISION2TACTILE: Final = {
     "source": "github.com/yayaneath/vision2tactile, recorded for P1",

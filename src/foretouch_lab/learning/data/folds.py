@@ -18,10 +18,10 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
 from foretouch.types import Float64, GraspSample, Index
+from foretouch_lab.dataset.store_writer import SampleFacts
 
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""

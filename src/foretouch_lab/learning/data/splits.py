@@ -18,10 +18,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.checked_files import TEXT_LIMIT, json_in, read_bytes, require_schema
-from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError, shown
-from foretouch.learning.data.folds import FOLDS, Indices, group_folds, make_folds
+from foretouch.files import TEXT_LIMIT, json_in, read_bytes, require_schema
+from foretouch_lab.dataset.store_writer import SampleFacts
+from foretouch_lab.learning.data.folds import FOLDS, Indices, group_folds, make_folds
 
 SPLITS_FILE: Final = "splits.json"
 RATIOS: Final = (10, 30, 50, 70, 90)

@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
-from foretouch.learning.data.cloud_file import CloudFile
-from foretouch.learning.data.folds import Indices
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import (
@@ -26,6 +23,9 @@ from foretouch.models.network.preparation import (
 from foretouch.tactile import TOUCH_SIZE, touch_faults
 from foretouch.tactile.description import require_same
 from foretouch.types import Float32, Float64, GraspSample, Integer
+from foretouch.types.channels import Channels
+from foretouch_lab.learning.data.cloud_file import CloudFile
+from foretouch_lab.learning.data.folds import Indices
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet

@@ -15,17 +15,17 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning.data.dataset import Dataset
-from foretouch.learning.data.folds import Fold, HoldOut, Indices, fold_workers, predict_folds
-from foretouch.learning.data.splits import SplitPart
-from foretouch.learning.data.training_set import TrainingSet, labels_of, predict_set
-from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
-from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import card_sensor, read_card
 from foretouch.models.registry import find_card, load_model
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
+from foretouch_lab.learning.data.dataset import Dataset
+from foretouch_lab.learning.data.folds import Fold, HoldOut, Indices, fold_workers, predict_folds
+from foretouch_lab.learning.data.splits import SplitPart
+from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
+from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch_lab.learning.evaluation.metrics import Score, score
 
 MODEL: Final = "model"
 """Key of the model itself, beside the names of the baselines."""

@@ -37,11 +37,11 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.tactile import Ranges
 from foretouch.types import Float64
+from foretouch.types.channels import Channels
 
 _MOST: Final = 1e12  # far beyond any reading
 

@@ -19,14 +19,14 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
 from foretouch.errors import DatasetError
-from foretouch.learning.data import channels_of
-from foretouch.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
-from foretouch.learning.evaluation.prequential import Recording
-from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
+from foretouch.models.prequential import Recording
 from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types.channels import Channels
+from foretouch_lab.learning.data import channels_of
+from foretouch_lab.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
+from foretouch_lab.learning.training.tracker import fit_tracker
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95

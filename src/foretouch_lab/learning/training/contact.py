@@ -8,14 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.channels import Channels
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
-from foretouch.learning.data import channels_of, labels_of
-from foretouch.learning.data.folds import Fold, Indices
-from foretouch.learning.evaluation.prequential import Recording, predict_after
-from foretouch.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
-from foretouch.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
@@ -23,8 +17,14 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
+from foretouch.models.prequential import Recording, predict_after
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types.channels import Channels
+from foretouch_lab.learning.data import channels_of, labels_of
+from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
+from foretouch_lab.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 
 FEWEST_SAMPLES: Final = 5
 MOST_SAMPLES: Final = 20_000

@@ -18,11 +18,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.channels import Channels
-from foretouch.learning.data.folds import object_folds
 from foretouch.models.contact.regressors import laplacian
 from foretouch.models.novelty import standardisation
 from foretouch.types import Float64
+from foretouch.types.channels import Channels
+from foretouch_lab.learning.data.folds import object_folds
 
 DECAY: Final = 2.0
 """Of the kernel, over the mean distance per standardised feature."""

@@ -15,17 +15,6 @@ import numpy as np
 from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, labels_of
-from foretouch.learning.data.dataset import DataSplit
-from foretouch.learning.data.folds import Fold, Indices
-from foretouch.learning.data.training_set import TrainingSet, predict_set
-from foretouch.learning.training.calibration import calibrate_on_folds
-from foretouch.learning.training.contact import ContactPredictor, describe_objects
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import RunFolder
-from foretouch.learning.training.srgan import SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer
-from foretouch.learning.training.trainer import Trainer
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.model_files import CardCalibration
@@ -35,6 +24,17 @@ from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
 from foretouch.tactile.description import with_sensor
 from foretouch.types import Float64
+from foretouch_lab.learning.data import Dataset, labels_of
+from foretouch_lab.learning.data.dataset import DataSplit
+from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
+from foretouch_lab.learning.training.calibration import calibrate_on_folds
+from foretouch_lab.learning.training.contact import ContactPredictor, describe_objects
+from foretouch_lab.learning.training.run_config import RunConfig
+from foretouch_lab.learning.training.run_folder import RunFolder
+from foretouch_lab.learning.training.srgan import SrganTrainer
+from foretouch_lab.learning.training.supervised import SupervisedTrainer
+from foretouch_lab.learning.training.trainer import Trainer
 
 
 class Learner(ABC):

@@ -12,20 +12,20 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
-from foretouch.checked_files import write_text
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, make_folds
-from foretouch.learning.data.folds import SPLITS, Fold
-from foretouch.learning.data.training_set import duplicate_labels
-from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
-from foretouch.learning.evaluation.metrics import mean_skill
-from foretouch.learning.training.calibration import GUESSED, calibration_folds, guarantee
-from foretouch.learning.training.contact import FEWEST_SAMPLES
-from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import STATE_FILE, RunFolder
+from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.types import Float64
+from foretouch_lab.learning.data import Dataset, make_folds
+from foretouch_lab.learning.data.folds import SPLITS, Fold
+from foretouch_lab.learning.data.training_set import duplicate_labels
+from foretouch_lab.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
+from foretouch_lab.learning.evaluation.metrics import mean_skill
+from foretouch_lab.learning.training.calibration import GUESSED, calibration_folds, guarantee
+from foretouch_lab.learning.training.contact import FEWEST_SAMPLES
+from foretouch_lab.learning.training.learners import ContactLearner, Learner, NetworkLearner
+from foretouch_lab.learning.training.run_config import RunConfig
+from foretouch_lab.learning.training.run_folder import STATE_FILE, RunFolder
 
 Report = Callable[[Mapping[str, Any]], None]
 Scores = dict[str, dict[str, Any]]

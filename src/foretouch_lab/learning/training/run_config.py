@@ -8,14 +8,14 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.channels import Channels
 from foretouch.config import EMPTY, Settings, load_yaml, parse_overrides, setting
 from foretouch.errors import ConfigError, nearest, quoted, shown
-from foretouch.learning.training.contact import ContactConfig, ranges_of
-from foretouch.learning.training.srgan import SrganConfig
-from foretouch.learning.training.supervised import TrainConfig
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import Ranges
+from foretouch.types.channels import Channels
+from foretouch_lab.learning.training.contact import ContactConfig, ranges_of
+from foretouch_lab.learning.training.srgan import SrganConfig
+from foretouch_lab.learning.training.supervised import TrainConfig
 
 METHODS: Final = ("supervised", "srgan", "contact")
 
@@ -142,7 +142,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
         ConfigError: If a file cannot be read, or a setting is unknown or out of bounds; names file, field and rule.
     """
     path = Path(config)
-    folder = Path(str(resources.files("foretouch.learning"))) / _RECIPES
+    folder = Path(str(resources.files("foretouch_lab.learning"))) / _RECIPES
     recipes = {one.stem: one for one in sorted(folder.glob("*.yaml"))}
     if path.is_file() or path.suffix or len(path.parts) > 1 or str(config) in recipes:
         file = path if path.is_file() else recipes.get(str(config), path)

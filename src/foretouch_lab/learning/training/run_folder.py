@@ -22,10 +22,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from foretouch.checked_files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, write_text
 from foretouch.config import dump_yaml, flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
-from foretouch.learning.training.trainer import Trainer
+from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, write_text
+from foretouch_lab.learning.training.trainer import Trainer
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"

@@ -21,8 +21,8 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.models.calibration import CalibrationGroup
+from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
 from foretouch.types import Float64

@@ -24,10 +24,10 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError
-from foretouch.simulation.contact.layer import solve_layer
-from foretouch.simulation.contact.problem import Command, ContactProblem, ContactSolution, Layer
-from foretouch.simulation.contact.winkler import solve_winkler
 from foretouch.types import Float64
+from foretouch_lab.simulation.contact.layer import solve_layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ContactSolution, Layer
+from foretouch_lab.simulation.contact.winkler import solve_winkler
 
 _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]] = {
     "winkler": solve_winkler,

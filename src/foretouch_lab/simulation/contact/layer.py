@@ -38,7 +38,8 @@ import numpy.typing as npt
 
 from foretouch.errors import ContactError, ConvergenceError
 from foretouch.kernels import Kernel
-from foretouch.simulation.contact.problem import (
+from foretouch.types import Float64
+from foretouch_lab.simulation.contact.problem import (
     Command,
     ContactProblem,
     ContactSolution,
@@ -46,8 +47,7 @@ from foretouch.simulation.contact.problem import (
     no_contact,
     refuse_overload,
 )
-from foretouch.simulation.contact.winkler import bed_stiffness
-from foretouch.types import Float64
+from foretouch_lab.simulation.contact.winkler import bed_stiffness
 
 Complex128 = npt.NDArray[np.complex128]
 

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.types import Float64
+from foretouch_lab.simulation.contact.problem import ContactSolution
 
 STEEPEST: Final = 1.0  # slope beyond which an edge counts as one of 45 degrees
 

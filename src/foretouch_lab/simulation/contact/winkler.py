@@ -11,7 +11,8 @@ import math
 import numpy as np
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.problem import (
+from foretouch.types import Float64
+from foretouch_lab.simulation.contact.problem import (
     Command,
     ContactProblem,
     ContactSolution,
@@ -19,7 +20,6 @@ from foretouch.simulation.contact.problem import (
     no_contact,
     refuse_overload,
 )
-from foretouch.types import Float64
 
 _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 

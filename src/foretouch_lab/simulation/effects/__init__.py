@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The effects of a scene, in the order in which they run."""
 
-from foretouch.simulation.effects import approach, contact, grasp, place, reading, view
+from foretouch_lab.simulation.effects import approach, contact, grasp, place, reading, view
 
 __all__ = ["EFFECTS"]
 

@@ -6,8 +6,9 @@ import math
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
-from foretouch.simulation.campaign import object_index
-from foretouch.simulation.contact.pad import (
+from foretouch.types import Float64
+from foretouch_lab.simulation.campaign import object_index
+from foretouch_lab.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
     PadWindow,
@@ -16,11 +17,10 @@ from foretouch.simulation.contact.pad import (
     pad_direction,
     pad_window,
 )
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene.objects import SurfaceConfig
-from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.solids import Body
-from foretouch.types import Float64
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.scene.objects import SurfaceConfig
+from foretouch_lab.simulation.scene.ranges import draw
+from foretouch_lab.simulation.solids import Body
 
 _BACK_M = 0.03  # how far outside the contact, planned or found, the rays start
 _SEARCH_M = 0.02  # side of the square that is searched for first touch: most of the pad

@@ -3,8 +3,9 @@
 
 import numpy as np
 
-from foretouch.simulation.campaign import Campaign
-from foretouch.simulation.disturbances import (
+from foretouch.tactile import ELECTRODES
+from foretouch_lab.simulation.campaign import Campaign
+from foretouch_lab.simulation.disturbances import (
     TAC_PER_KELVIN_S,
     TAC_REST,
     TDC_PER_KELVIN,
@@ -14,17 +15,16 @@ from foretouch.simulation.disturbances import (
     temperature_drift,
     warming,
 )
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.campaign import (
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.campaign import (
     CampaignConfig,
     DriftTermConfig,
     ExchangeConfig,
     FluidLossConfig,
     ThermistorConfig,
 )
-from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.tactile import ELECTRODES
+from foretouch_lab.simulation.scene.objects import ObjectConfig
 
 _CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
 

@@ -6,14 +6,14 @@ from functools import partial
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.contact.grip import LEVELS, choose_level, solve_grip, weigh
-from foretouch.simulation.contact.pad import PadWindow, gap_field
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.effects.approach import pad_of
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import POISSON, ObjectConfig
 from foretouch.types import Float64
+from foretouch_lab.simulation.contact.grip import LEVELS, choose_level, solve_grip, weigh
+from foretouch_lab.simulation.contact.pad import PadWindow, gap_field
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.effects.approach import pad_of
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.objects import POISSON, ObjectConfig
 
 _GRAVITY_M_S2 = 9.81
 

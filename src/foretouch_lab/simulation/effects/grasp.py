@@ -7,11 +7,11 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
-from foretouch.simulation.contact.pad import ContactFrame
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
-from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
+from foretouch_lab.simulation.contact.pad import ContactFrame
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
+from foretouch_lab.simulation.scene.ranges import draw
 
 _UP = np.array([0.0, 0.0, 1.0])
 

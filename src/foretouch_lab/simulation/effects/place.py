@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene.objects import ClutterConfig, ObjectConfig
-from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.solids import LYING, Body, about_z, footprint_m
 from foretouch.types import Float64
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.scene.objects import ClutterConfig, ObjectConfig
+from foretouch_lab.simulation.scene.ranges import draw
+from foretouch_lab.simulation.solids import LYING, Body, about_z, footprint_m
 
 _PLACES = 100  # tried for one piece of clutter
 _GAP_M = 0.01  # free table between two bodies

@@ -5,12 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from foretouch.channels import Channels
-from foretouch.simulation.contact.grip import solve_contact
-from foretouch.simulation.contact.pad import ContactFrame
-from foretouch.simulation.contact.problem import Command, ContactSolution
-from foretouch.simulation.contact.shear import skin_slopes, tractions
-from foretouch.simulation.disturbances import (
+from foretouch.tactile import ELECTRODES
+from foretouch.tactile.messages.biotac_all import OTHERS
+from foretouch.types import Float64, Int64, Touch
+from foretouch.types.channels import Channels
+from foretouch_lab.simulation.contact.grip import solve_contact
+from foretouch_lab.simulation.contact.pad import ContactFrame
+from foretouch_lab.simulation.contact.problem import Command, ContactSolution
+from foretouch_lab.simulation.contact.shear import skin_slopes, tractions
+from foretouch_lab.simulation.disturbances import (
     PAC_REST,
     VIBRATION_S,
     WANDER_COUNTS,
@@ -25,19 +28,16 @@ from foretouch.simulation.disturbances import (
     temperature_drift,
     warming,
 )
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.effects import campaign
-from foretouch.simulation.effects.approach import pad_of, surface_behind
-from foretouch.simulation.effects.contact import command_of, contact_problem
-from foretouch.simulation.fingertip import quantise, read_contact
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
-from foretouch.simulation.scene.objects import ObjectConfig
-from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.world import SampleKey, World
-from foretouch.tactile import ELECTRODES
-from foretouch.tactile.messages.biotac_all import OTHERS
-from foretouch.types import Float64, Int64, Touch
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.effects import campaign
+from foretouch_lab.simulation.effects.approach import pad_of, surface_behind
+from foretouch_lab.simulation.effects.contact import command_of, contact_problem
+from foretouch_lab.simulation.fingertip import quantise, read_contact
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
+from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.scene.ranges import draw
+from foretouch_lab.simulation.world import SampleKey, World
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import SimulationError
-from foretouch.simulation.depth_effects import (
+from foretouch.types import Cloud, Float64
+from foretouch_lab.simulation.depth_effects import (
     D415_BASELINE_M,
     FLYING_SHARE,
     GRAZING_DEG,
@@ -16,13 +17,12 @@ from foretouch.simulation.depth_effects import (
     add_stereo_noise,
     stereo_shadow,
 )
-from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, table_depth
-from foretouch.simulation.effect import Effect, Job, SampleState
-from foretouch.simulation.scene.camera import DepthNoiseConfig
-from foretouch.simulation.solids import Hits
-from foretouch.simulation.view import CameraView, Window
-from foretouch.simulation.world import CAMERA_FRAME
-from foretouch.types import Cloud, Float64
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, table_depth
+from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.scene.camera import DepthNoiseConfig
+from foretouch_lab.simulation.solids import Hits
+from foretouch_lab.simulation.view import CameraView, Window
+from foretouch_lab.simulation.world import CAMERA_FRAME
 
 _MARGIN_PX = 16  # around the object: room for flying pixels, the shadow of a neighbour and the matching window
 _SPOT_PX = 3  # side of a hole

@@ -10,11 +10,11 @@ from typing import Final, Self
 
 import numpy as np
 
-from foretouch.checked_files import read_bytes
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.errors import FileError, MissingDependencyError, SimulationError, shown
-from foretouch.libusb import ensure_libusb
-from foretouch.simulation.objects import mesh_reader
+from foretouch.files import read_bytes
 from foretouch.types import Float64, Int64
+from foretouch_lab.simulation.objects import mesh_reader
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes

@@ -17,8 +17,8 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.errors import SimulationError
-from foretouch.libusb import ensure_libusb
 from foretouch.types import Float64, Int64
 
 _MEMORY: Final = 2_000_000_000  # bytes beyond what the imports take

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.objects.mesh import TriangleMesh, read_mesh_file
 from foretouch.types import Float64, Int64
+from foretouch_lab.simulation.objects.mesh import TriangleMesh, read_mesh_file
 
 _HARMONICS = 6  # waves of a blob
 _LEVEL = 5  # halvings of the icosahedron's edges: 10,242 directions

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.simulation.scene.ranges import Switch
-from foretouch.simulation.view import CameraView
+from foretouch_lab.simulation.scene.ranges import Switch
+from foretouch_lab.simulation.view import CameraView
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.simulation.disturbances import TemperatureConfig
-from foretouch.simulation.scene.ranges import RangedSettings
+from foretouch_lab.simulation.disturbances import TemperatureConfig
+from foretouch_lab.simulation.scene.ranges import RangedSettings
 
 DAY_S: Final = 86400.0
 POWER_ON_S: Final = 120.0  # from power-on to the first grasp

@@ -8,12 +8,12 @@ from typing import Any, Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import SceneGeoGraspConfig
-from foretouch.simulation.contact.pad import PadConfig
-from foretouch.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
-from foretouch.simulation.fingertip import FingerConfig, ThumbConfig
-from foretouch.simulation.scene.ranges import RangedSettings, Switch
-from foretouch.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
 from foretouch.tactile.description import Sensor, load_sensor
+from foretouch_lab.simulation.contact.pad import PadConfig
+from foretouch_lab.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
+from foretouch_lab.simulation.fingertip import FingerConfig, ThumbConfig
+from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch
+from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
 
 
 @dataclass(frozen=True, kw_only=True)

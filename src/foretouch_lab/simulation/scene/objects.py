@@ -13,8 +13,8 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError
-from foretouch.simulation.objects import SHAPES, read_mesh_file
-from foretouch.simulation.scene.ranges import RangedSettings, Switch, draw
+from foretouch_lab.simulation.objects import SHAPES, read_mesh_file
+from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch, draw
 
 RESTS = ("upright", "side", "any")
 POISSON = 0.3  # Poisson's ratio of soft objects

@@ -11,14 +11,14 @@ import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
-from foretouch.simulation.contact.grip import LEVELS
-from foretouch.simulation.depth_scene import TABLE_M
-from foretouch.simulation.scene.camera import CameraConfig
-from foretouch.simulation.scene.campaign import CampaignConfig
-from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
-from foretouch.simulation.scene.objects import ClutterConfig, ObjectConfig, draw_families
-from foretouch.simulation.scene.ranges import Switch
-from foretouch.simulation.scene.scene_hash import scene_hash
+from foretouch_lab.simulation.contact.grip import LEVELS
+from foretouch_lab.simulation.depth_scene import TABLE_M
+from foretouch_lab.simulation.scene.camera import CameraConfig
+from foretouch_lab.simulation.scene.campaign import CampaignConfig
+from foretouch_lab.simulation.scene.fingers import FingersConfig, GraspsConfig
+from foretouch_lab.simulation.scene.objects import ClutterConfig, ObjectConfig, draw_families
+from foretouch_lab.simulation.scene.ranges import Switch
+from foretouch_lab.simulation.scene.scene_hash import scene_hash
 
 
 @dataclass(frozen=True, kw_only=True)

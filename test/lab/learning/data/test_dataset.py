@@ -15,10 +15,10 @@ from run_builders import quiet, run_config, write_store
 
 from foretouch.dataset.store import content_sha256
 from foretouch.errors import FileError
-from foretouch.learning.data import load_dataset
-from foretouch.learning.data.dataset import StoredSample
-from foretouch.learning.training.run import train_run
 from foretouch.types import Cloud, GraspSample
+from foretouch_lab.learning.data import load_dataset
+from foretouch_lab.learning.data.dataset import StoredSample
+from foretouch_lab.learning.training.run import train_run
 
 
 def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:
@@ -80,8 +80,8 @@ _SAMPLES, _POINTS, _MOST_MB = 3072, 3600, 40
 _EPOCH = """
 import sys
 from run_builders import run_config
-from foretouch.learning.data import load_dataset
-from foretouch.learning.training.run import make_learner
+from foretouch_lab.learning.data import load_dataset
+from foretouch_lab.learning.training.run import make_learner
 
 def peak_mb():
     with open("/proc/self/status") as lines:

@@ -5,7 +5,7 @@ import numpy as np
 from every_case import every_refusal
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data.folds import Fold, group_folds, random_folds, time_folds
+from foretouch_lab.learning.data.folds import Fold, group_folds, random_folds, time_folds
 
 OBJECTS = ["a"] * 7 + ["b"] * 5 + ["c"] * 6
 

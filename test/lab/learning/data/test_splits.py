@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 
-from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError
-from foretouch.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, _label_ratios, make_splits, read_splits
+from foretouch_lab.dataset.store_writer import SampleFacts
+from foretouch_lab.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, _label_ratios, make_splits, read_splits
 
 
 def facts(objects: int = 6, each: int = 20, unlabelled: int = 7) -> list[SampleFacts]:

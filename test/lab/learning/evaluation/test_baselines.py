@@ -6,8 +6,9 @@ import dataclasses
 import numpy as np
 from numpy.testing import assert_allclose
 
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.baselines import (
+from foretouch.types import Cloud
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.evaluation.baselines import (
     clock,
     geometry_features,
     geometry_trees,
@@ -15,7 +16,6 @@ from foretouch.learning.evaluation.baselines import (
     object_time_trees,
     training_mean,
 )
-from foretouch.types import Cloud
 
 
 def test_means_of_training_and_of_known_and_new_objects(samples) -> None:

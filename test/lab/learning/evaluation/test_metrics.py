@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 from sklearn.metrics import r2_score, root_mean_squared_error
 
 from foretouch.errors import DatasetError
-from foretouch.learning.evaluation.metrics import (
+from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
+from foretouch_lab.learning.evaluation.metrics import (
     MEAN,
     BootstrapConfig,
     Estimate,
@@ -20,7 +21,6 @@ from foretouch.learning.evaluation.metrics import (
     score,
     skills,
 )
-from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 
 
 def errors(own, reference=None, counts=None) -> ObjectErrors:

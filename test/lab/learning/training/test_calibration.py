@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from foretouch.learning.evaluation.prequential import Recording, predict_after
-from foretouch.learning.training.calibration import (
+from foretouch.models.calibration import Calibration, CalibrationGroup
+from foretouch.models.prequential import Recording, predict_after
+from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch_lab.learning.training.calibration import (
     COVERAGE,
     HeldOutPredictions,
     conformal_level,
@@ -14,8 +16,6 @@ from foretouch.learning.training.calibration import (
     fit_group,
     make_calibration,
 )
-from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile import BIOTAC, MODALITIES
 
 SIZE = 50
 W = np.linspace(100.0, 900.0, SIZE)

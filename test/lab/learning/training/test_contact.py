@@ -13,14 +13,14 @@ from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data import labels_of
-from foretouch.learning.data.folds import object_folds
-from foretouch.learning.training import generalisation
-from foretouch.learning.training.calibration import rest_level, resting_labels
-from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.tactile import BIOTAC, MODALITIES, biotac_touch
 from foretouch.types import Cloud
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.data.folds import object_folds
+from foretouch_lab.learning.training import generalisation
+from foretouch_lab.learning.training.calibration import rest_level, resting_labels
+from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
 SAMPLES = make_samples(5, 10)
 OBJECTS = [sample.object for sample in SAMPLES]

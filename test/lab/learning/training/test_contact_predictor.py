@@ -12,15 +12,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from recording_builders import read_folder
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data import labels_of
-from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
-from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC
 from foretouch.types import GraspSample
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
+from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact
 
 BARE = make_samples(5, 10)
 TARED = with_tares(BARE, drift=60.0)

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import TrainingDevice
-from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
 from foretouch.models.network.networks import GeneratorConfig
+from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.training.device import TrainingDevice
+from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
 
 
 def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:

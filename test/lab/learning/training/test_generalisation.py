@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from foretouch.learning.training.generalisation import _RIDGES, choose_ridge, shrunken_slope, training_kernel
 from foretouch.tactile import BIOTAC
+from foretouch_lab.learning.training.generalisation import _RIDGES, choose_ridge, shrunken_slope, training_kernel
 
 
 def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tuple[np.ndarray, np.ndarray, list[str]]:

@@ -9,7 +9,7 @@ import torch
 from every_case import every_case
 
 from foretouch.errors import DatasetError
-from foretouch.learning.training.losses import (
+from foretouch_lab.learning.training.losses import (
     Features,
     SrganLossConfig,
     _safe_root,

@@ -11,15 +11,15 @@ from other_sensor import USKIN, changed_sensor, readings, train_on, write_readin
 from run_builders import quiet, run_config
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.learning.data import channels_of, load_dataset
-from foretouch.learning.evaluation.evaluate import evaluate_model
-from foretouch.learning.evaluation.prequential import evaluate_prequential
-from foretouch.learning.training.calibration import rest_level, resting_labels
-from foretouch.learning.training.run import train_run
 from foretouch.models import load_model
 from foretouch.models.calibration import tare_offset
 from foretouch.tactile import touch_faults
 from foretouch.types import Touch
+from foretouch_lab.learning.data import channels_of, load_dataset
+from foretouch_lab.learning.evaluation.evaluate import evaluate_model
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
+from foretouch_lab.learning.training.calibration import rest_level, resting_labels
+from foretouch_lab.learning.training.run import train_run
 
 
 def test_a_model_of_another_sensor_states_it_and_predicts_its_readings(uskin) -> None:

@@ -17,14 +17,14 @@ from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file, save_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
-from foretouch.learning.data import Dataset, labels_of
-from foretouch.learning.evaluation.baselines import training_mean
-from foretouch.learning.evaluation.evaluate import evaluate_model
-from foretouch.learning.evaluation.metrics import score
-from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_config import RunConfig, load_run_config
-from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, read_state, write_state
 from foretouch.tactile import P2_RANGES
+from foretouch_lab.learning.data import Dataset, labels_of
+from foretouch_lab.learning.evaluation.baselines import training_mean
+from foretouch_lab.learning.evaluation.evaluate import evaluate_model
+from foretouch_lab.learning.evaluation.metrics import score
+from foretouch_lab.learning.training.run import train_run
+from foretouch_lab.learning.training.run_config import RunConfig, load_run_config
+from foretouch_lab.learning.training.run_folder import LOG_FILE, STATE_FILE, read_state, write_state
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])

@@ -12,13 +12,13 @@ from run_builders import BASE, MODEL, quiet, run_config, stop_after, write_store
 from safetensors.torch import load_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError
-from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, read_state
-from foretouch.learning.training.supervised import SupervisedTrainer
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, GraspSample
+from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.learning.training.run import train_run
+from foretouch_lab.learning.training.run_config import RunConfig
+from foretouch_lab.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, read_state
+from foretouch_lab.learning.training.supervised import SupervisedTrainer
 
 CONTACT = {"method": "contact", "contact": {"trees": 2}}
 

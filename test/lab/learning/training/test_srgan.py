@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data.training_set import TrainingSet, predict_set
-from foretouch.learning.training.losses import SrganLossConfig
-from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.networks import GeneratorConfig
+from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
+from foretouch_lab.learning.training.losses import SrganLossConfig
+from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
 
 GENERATOR = GeneratorConfig(noise_length=3, stride=2)  # 24 points
 SRGAN = SrganLossConfig(loss_variant="srgan")

@@ -10,19 +10,6 @@ from numpy.testing import assert_allclose
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import DatasetError
-from foretouch.learning.data import Dataset, labels_of, make_folds
-from foretouch.learning.data.training_set import TrainingSet, duplicate_labels, predict_set
-from foretouch.learning.evaluation.baselines import object_mean, training_mean
-from foretouch.learning.evaluation.evaluate import cross_validate
-from foretouch.learning.training.run import make_learner
-from foretouch.learning.training.run_config import RunConfig, load_run_config
-from foretouch.learning.training.supervised import (
-    SupervisedTrainer,
-    TrainConfig,
-    train_network,
-    turn,
-    viewing_axis_rotations,
-)
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
@@ -30,6 +17,19 @@ from foretouch.models.network.preparation import prepare_grasps
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Grasp
+from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.training_set import TrainingSet, duplicate_labels, predict_set
+from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
+from foretouch_lab.learning.evaluation.evaluate import cross_validate
+from foretouch_lab.learning.training.run import make_learner
+from foretouch_lab.learning.training.run_config import RunConfig, load_run_config
+from foretouch_lab.learning.training.supervised import (
+    SupervisedTrainer,
+    TrainConfig,
+    train_network,
+    turn,
+    viewing_axis_rotations,
+)
 
 QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
 

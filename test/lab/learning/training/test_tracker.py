@@ -9,15 +9,15 @@ from contact_model_builders import FEW_TREES
 from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
-from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.prequential import Recording, replay
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.contact import ContactPredictor
-from foretouch.learning.training.tracker import fit_places, fit_tracker
 from foretouch.models.calibration import Calibration
+from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch_lab.learning.training.contact import ContactPredictor
+from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
 
 DAY = 86400.0
 

@@ -8,8 +8,8 @@ from every_case import every_case, every_refusal
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.grip import LEVELS, solve_grip, weigh
-from foretouch.simulation.contact.problem import Command, Layer
+from foretouch_lab.simulation.contact.grip import LEVELS, solve_grip, weigh
+from foretouch_lab.simulation.contact.problem import Command, Layer
 
 FOAM = Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)
 SHARP = paraboloid(24, 0.012, skin(), radius=0.004)

@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import layer as module
-from foretouch.simulation.contact.layer import solve_layer
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
-from foretouch.simulation.contact.winkler import bed_stiffness
+from foretouch_lab.simulation.contact import layer as module
+from foretouch_lab.simulation.contact.layer import solve_layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.winkler import bed_stiffness
 
 TIGHT = {"tolerance": 1e-9}
 

@@ -7,10 +7,10 @@ from contact_builders import press, rounded_edge
 from every_case import every_case
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.grip import choose_level, solve_contact
-from foretouch.simulation.contact.pad import PadConfig
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
-from foretouch.simulation.fingertip import ThumbConfig, draw_finger, read_contact
+from foretouch_lab.simulation.contact.grip import choose_level, solve_contact
+from foretouch_lab.simulation.contact.pad import PadConfig
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.fingertip import ThumbConfig, draw_finger, read_contact
 
 FINGER = draw_finger(ThumbConfig(), np.random.default_rng(0))
 FOAM = Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.pad import PadConfig, contact_frame, gap_field, pad_direction, pad_window
 from foretouch.tactile import BIOTAC_SP
+from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, gap_field, pad_direction, pad_window
 
 PAD = PadConfig()
 

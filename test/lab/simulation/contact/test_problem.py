@@ -6,7 +6,7 @@ import pytest
 from every_case import every_refusal
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
 
 SOFT = Layer(modulus_pa=1e5, poisson=0.3)
 

@@ -4,7 +4,7 @@ import pytest
 from sim_builders import CAN, run, scene, unit
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.effects.grasp import _finger_frames
+from foretouch_lab.simulation.effects.grasp import _finger_frames
 
 BALL = {"name": "ball", "shape": "ball", "size_m": [0.08, 0.08, 0.08]}
 MET = ("fingers", "touches", "pads", "postures", "bodies", "relief", "grasp")

@@ -4,8 +4,8 @@ import pytest
 from sim_builders import CAN, SPONGE, run, scene
 
 from foretouch.errors import ConvergenceError, SimulationError
-from foretouch.simulation.contact import grip
-from foretouch.simulation.simulate import Simulation, explain_scene
+from foretouch_lab.simulation.contact import grip
+from foretouch_lab.simulation.simulate import Simulation, explain_scene
 
 
 def level(*objects: dict[str, object], **groups: object) -> set[str]:

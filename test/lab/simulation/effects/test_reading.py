@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from sim_builders import CAN, run, scene
 
-from foretouch.simulation.disturbances import temperature_drift
+from foretouch_lab.simulation.disturbances import temperature_drift
 
 HELD = {"grasps": {"insertion_m": 0.01}}
 SERIES = ("series", "load", "times", "hold_row", "readings", "touch", "tare")

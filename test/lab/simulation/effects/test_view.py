@@ -6,11 +6,11 @@ from scipy.spatial import cKDTree
 from sim_builders import CAN, run, scene
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.depth_effects import GRAZING_DEG, HOLE_SHARE
-from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
-from foretouch.simulation.effects.place import _free_path
-from foretouch.simulation.solids import Body, Box
-from foretouch.simulation.world import World
+from foretouch_lab.simulation.depth_effects import GRAZING_DEG, HOLE_SHARE
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
+from foretouch_lab.simulation.effects.place import _free_path
+from foretouch_lab.simulation.solids import Body, Box
+from foretouch_lab.simulation.world import World
 
 STILL = {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]}
 FLAT = {"name": "box", "shape": "box", "size_m": [0.12, 0.16, 0.05], "pose": STILL}

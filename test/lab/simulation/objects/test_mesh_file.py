@@ -13,12 +13,12 @@ import pytest
 from every_case import every_case, every_refusal
 from sim_builders import run
 
+from foretouch.camera.libusb import ensure_libusb
 from foretouch.errors import ConfigError, FileError, SimulationError
-from foretouch.libusb import ensure_libusb
-from foretouch.simulation.objects import TriangleMesh, read_mesh_file, unit_mesh
-from foretouch.simulation.objects.shapes import _rounded_box
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.objects import TriangleMesh, read_mesh_file, unit_mesh
+from foretouch_lab.simulation.objects.shapes import _rounded_box
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.objects import ObjectConfig
 
 ensure_libusb()
 open3d = pytest.importorskip("open3d", reason="Open3D is not installed: pip install foretouch[open3d]")
@@ -113,7 +113,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
 
 
 def test_a_mesh_is_read_without_a_warning(tmp_path: Path, block: TriangleMesh) -> None:
-    code = f"from foretouch.simulation.objects import read_mesh_file as r; print(len(r({write(tmp_path / 'a.stl', block)!r})))"
+    code = f"from foretouch_lab.simulation.objects import read_mesh_file as r; print(len(r({write(tmp_path / 'a.stl', block)!r})))"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("2\n", "")
 

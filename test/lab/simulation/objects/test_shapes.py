@@ -4,7 +4,7 @@ import pytest
 from every_case import every_case
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.objects import SHAPES, shapes, unit_mesh
+from foretouch_lab.simulation.objects import SHAPES, shapes, unit_mesh
 
 MEMBERS = [(shape, 0) for shape in SHAPES] + [("random", k) for k in range(1, 12)]
 

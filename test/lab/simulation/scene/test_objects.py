@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from sim_builders import CAN
 
-from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.objects import ObjectConfig, draw_families
+from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scene.objects import ObjectConfig, draw_families
 
 MIXED = {"shapes": ["random", "can", "ball"], "rests": ["upright", "side"], "young_pa": [1e4, 1e6], "count": 40}
 

@@ -7,8 +7,8 @@ from every_case import every_case
 from sim_builders import CAN, SPONGE, scene
 
 from foretouch.errors import ConfigError
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.simulate import explain_scene
+from foretouch_lab.simulation.scene import SceneConfig, load_scene
+from foretouch_lab.simulation.simulate import explain_scene
 
 SCENES = {path.stem: path for path in sorted((Path(__file__).parents[3] / "config" / "scenes").glob("*.yaml"))}
 
