@@ -25,7 +25,7 @@ test test-ros test-portable check coverage: export MALLOC_PERTURB_ ?= 170
 
 .PHONY: setup runtime demo simulated test test-portable test-ros check coverage bench docs reference format clean
 
-# What a robot needs, for the demo; and what the tests need besides.
+# What a robot needs, and the laboratory's simulator for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
 setup: $(VENV)/.installed
 
@@ -33,7 +33,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera]'
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,lab]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
 	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
