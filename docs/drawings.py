@@ -135,12 +135,12 @@ def draw_recorded() -> None:
     """Predicted beside read, on recorded grasps that the model was not fitted to."""
     from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
     from foretouch_lab.learning.data import labels_of, load_dataset, make_folds
-    from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor
+    from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 
     samples = load_dataset(Path(os.environ["FORETOUCH_DATA"]) / "vision2tactile").samples
     fold = make_folds(samples, "time", 0)[-1]
     train, test = ([samples[k] for k in index] for index in (fold.train, fold.test))
-    model = ContactPredictor(train, labels_of(train), ContactConfig())
+    model = ContactPredictor(train, labels_of(train), ContactTrainingConfig())
     values, half = model.intervals_after([], test)
     errors = np.abs(values - labels_of(test))[:, 2:].mean(axis=1)
     ranked = np.argsort(errors, kind="stable")

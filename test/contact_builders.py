@@ -5,7 +5,7 @@ import numpy as np
 
 from foretouch_lab.simulation.contact.grip import solve_contact
 from foretouch_lab.simulation.contact.pad import gap_field, pad_direction, pad_window
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 
 RADIUS = 0.01
 
@@ -24,11 +24,11 @@ def paraboloid(n, side, *layers, radius=RADIUS, ratio=1.0):
 
 
 def half_space(modulus_pa=1e6, poisson=0.3):
-    return Layer(modulus_pa=modulus_pa, poisson=poisson)
+    return ElasticLayer(modulus_pa=modulus_pa, poisson=poisson)
 
 
 def skin(thickness_m=0.0015):
-    return Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=thickness_m)
+    return ElasticLayer(modulus_pa=1.552e6, poisson=0.316, thickness_m=thickness_m)
 
 
 def rounded_edge(across):

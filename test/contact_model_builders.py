@@ -16,9 +16,9 @@ from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Float64, Grasp, GraspSample
 from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.training.contact import ContactConfig, describe_samples, fit_contact
+from foretouch_lab.learning.training.contact import ContactTrainingConfig, describe_samples, fit_contact
 
-FEW_TREES = ContactConfig(trees=4, thinned=1.0)
+FEW_TREES = ContactTrainingConfig(trees=4, thinned=1.0)
 HAND = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Rotation of a hand in front of the camera: X away from it, Y up, Z to its right."""
 

@@ -31,10 +31,10 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.prequential.results import REGIMES
 from foretouch_lab.experiments.shared.tables import findings, grouped, listed, select, short, with_notes
 from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, ScoreEstimate, compare, skills
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
 from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
-from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.simulate import Simulation
 
@@ -53,7 +53,7 @@ class RecordingPlanSettings(Settings):
     objects: tuple[int, ...] = setting((8, 16, 32, 64), "Numbers of objects", minimum=6, maximum=1000)
     visits: tuple[int, ...] = setting((1, 2, 3), "Numbers of visits to each object", minimum=1, maximum=10)
     grasps: int = setting(4, "Number of grasps of a visit, of which the last repeats the one before", minimum=4)
-    contact: ContactConfig = ContactConfig(trees=20)
+    contact: ContactTrainingConfig = ContactTrainingConfig(trees=20)
     bootstrap: BootstrapConfig = BootstrapConfig(draws=2000)
 
 
@@ -150,7 +150,7 @@ def _scores(recording: Recording, played: Mapping[str, Replayed], every: int, co
     """In each regime, what each source gains; and the skill that a repeated grasp leaves room for."""
     objects, readings, touches = recording.objects, recording.readings, recording.touches()
     reference, again = other_objects_mean(recording), np.flatnonzero(touches % every == every - 1)
-    found: dict[tuple[str, str], tuple[dict[str, Estimate], Any]] = {}
+    found: dict[tuple[str, str], tuple[dict[str, ScoreEstimate], Any]] = {}
     for regime in ("never touched", "first three"):
         at = touches <= REGIMES[regime][1]
         errors = {

@@ -8,7 +8,7 @@ from benchmarks.references.reference import EPS, Exact, exact, exp, gap, kernel,
 from foretouch.tactile import BIOTAC_SP
 from foretouch_lab.simulation.contact.grip import weigh
 from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, pad_depth, pad_direction, pad_window
-from foretouch_lab.simulation.contact.problem import Layer
+from foretouch_lab.simulation.contact.problem import ElasticLayer
 from foretouch_lab.simulation.fingertip import (
     BOTTOMING_M,
     BULGE_AREA_M2,
@@ -17,7 +17,7 @@ from foretouch_lab.simulation.fingertip import (
     _skin_approach,
 )
 
-GEL = Layer(modulus_pa=1e6, poisson=0.3)
+GEL = ElasticLayer(modulus_pa=1e6, poisson=0.3)
 
 
 @kernel("pad: depth of the skin")

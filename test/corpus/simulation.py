@@ -16,7 +16,7 @@ from foretouch.config import Settings, setting_infos
 from foretouch.errors import ForetouchError, TactileError
 from foretouch.tactile import touch_faults
 from foretouch_lab.simulation.contact.grip import solve_contact
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 from foretouch_lab.simulation.objects import TriangleMesh
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.simulate import Simulation
@@ -59,7 +59,7 @@ def contact_cases() -> Cases:
 
 def _pressed(level: Any, gap: Any, **command: float) -> float:
     """Force of a contact [N]; its pressure must be finite and at least 0."""
-    skin = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
+    skin = ElasticLayer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
     solution = solve_contact(ContactProblem(gap, 5e-4, (skin,)), Command(**command), level)
     assert np.isfinite(solution.pressure).all()
     assert solution.pressure.min() >= 0.0

@@ -10,14 +10,14 @@ from kernels.references import layer as reference
 from numpy.testing import assert_allclose
 
 from foretouch_lab.simulation.contact import layer as layers
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 
 LIMITS = layers.TOLERANCE, layers.MAX_ITERATIONS
 
 
 def test_they_take_the_same_steps(rng) -> None:
     """Every radix, odd and even sides, cells that join and cells that let go."""
-    soft = Layer(modulus_pa=3e5, poisson=0.3, thickness_m=0.01)
+    soft = ElasticLayer(modulus_pa=3e5, poisson=0.3, thickness_m=0.01)
 
     def check(n: int, command: Command) -> None:
         x = np.linspace(-0.006, 0.006, n)

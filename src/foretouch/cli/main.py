@@ -92,10 +92,11 @@ def _run(arguments: list[str]) -> int:
         parser.print_help()
         return 2
     with needs_laboratory(parsed.command):  # some libraries are imported when they are needed
-        return int(_module(parsed.command).run(parsed))
+        return int(command_module(parsed.command).run(parsed))
 
 
-def _module(command: str) -> ModuleType:
+def command_module(command: str) -> ModuleType:
+    """The module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
     if command in LABORATORY:
         return laboratory(f"cli.{command}", command)
     return importlib.import_module(f"foretouch.cli.{command}")
@@ -119,7 +120,7 @@ def _parser(chosen: str | None) -> argparse.ArgumentParser:
     for name, summary in COMMANDS.items():
         command = commands.add_parser(name, help=summary, description=f"{summary}.")
         if name == chosen:
-            _module(name).add_arguments(command)
+            command_module(name).add_arguments(command)
             if name not in {"dataset", "sensor", "view"}:  # whose actions have it, and which prints nothing
                 command.add_json()
     return parser

@@ -40,7 +40,7 @@ from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import (
-    ContactConfig,
+    ContactTrainingConfig,
     describe_objects,
     describe_samples,
     fit_contact,
@@ -154,7 +154,7 @@ class Described:
         if clouds not in self._rows:
             samples = self.samples
             if clouds == "thinned":
-                samples = thinned_samples(samples, ContactConfig()) or []
+                samples = thinned_samples(samples, ContactTrainingConfig()) or []
             elif isinstance(clouds, int):
                 samples = [replace(one, cloud=_thin(one.cloud, clouds)) for one in samples]
             self._rows[clouds] = describe_samples(samples)
@@ -182,12 +182,12 @@ class _OnePart(ContactEstimator):
 def _fitted(data: Described, train: Indices, seed: int) -> Callable[[Mapping[str, Any]], ContactEstimator]:
     """The shipped recipe fitted to some samples; from it, variants by their values."""
     rows, labels, thinned = data.rows()[train], data.labels[train], data.rows("thinned")[train]
-    shipped = fit_contact(rows, labels, [data.objects[k] for k in train], ContactConfig(seed=seed), thinned)
+    shipped = fit_contact(rows, labels, [data.objects[k] for k in train], ContactTrainingConfig(seed=seed), thinned)
 
     def variant(values: Mapping[str, Any]) -> ContactEstimator:
         if "refit" not in values:
             return _reduced(shipped, values)
-        config = ContactConfig(seed=seed, **values["refit"])
+        config = ContactTrainingConfig(seed=seed, **values["refit"])
         return replace(shipped, forests=fit_forests(rows, labels, BIOTAC, config, thinned))
 
     return variant

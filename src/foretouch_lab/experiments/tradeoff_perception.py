@@ -30,7 +30,7 @@ from foretouch_lab.experiments.framework.frontier import Panel
 from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import grouped
-from foretouch_lab.learning.evaluation.metrics import Estimate
+from foretouch_lab.learning.evaluation.metrics import ScoreEstimate
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, random_scene
 from foretouch_lab.simulation.solids import Primitive
 from foretouch_lab.simulation.view import CameraView
@@ -362,7 +362,7 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     counts = np.bincount(scene)
     drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
     low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))
-    return interval_columns(key, Estimate(float(sums.sum() / counts.sum()), float(low), float(high)))
+    return interval_columns(key, ScoreEstimate(float(sums.sum() / counts.sum()), float(low), float(high)))
 
 
 def _timed(variant: Variant, _settings: PerceptionSettings, data: PerceptionData) -> Timed:

@@ -27,7 +27,7 @@ from foretouch_lab.experiments.framework.tradeoff import Area, Timed, TradeoffSe
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
-from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
@@ -215,7 +215,7 @@ def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings)
     finest = _samples(best, 2 * settings.train)
     train = finest[: settings.train] if scene == best else _samples(scene, settings.train)
     test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
-    predictor = ContactPredictor(train, labels_of(train), ContactConfig(trees=settings.trees))
+    predictor = ContactPredictor(train, labels_of(train), ContactTrainingConfig(trees=settings.trees))
     return ObjectErrors.of_predictions(
         np.array([one.id for one in test]), predictor.predict(test), labels_of(test), mean, BIOTAC
     )

@@ -22,7 +22,7 @@ from foretouch_lab.experiments.shared.tables import grouped, select
 from foretouch_lab.experiments.tradeoff_model import describe
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
-from foretouch_lab.learning.training.contact import ContactConfig, fit_contact
+from foretouch_lab.learning.training.contact import ContactTrainingConfig, fit_contact
 
 CONTACT: Final = "contact model as shipped"
 NETWORK: Final = "network as shipped"
@@ -139,7 +139,7 @@ def _predict(
     if values["kind"] == "network":
         return network("touchnet_v1", 1.0, values["changes"])(train, labels_of(train), test, 0)
     described = describe(data)
-    config = ContactConfig(trees=settings.trees).updated(values.get("changes", {}))
+    config = ContactTrainingConfig(trees=settings.trees).updated(values.get("changes", {}))
     index = described.index(train)
     thinned = None if config.thinned == 1.0 else described.rows("thinned")[index]
     names = [one.object for one in train]

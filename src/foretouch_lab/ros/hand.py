@@ -22,7 +22,6 @@ from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
-from foretouch.camera.message_faults import TactileFaultConfig, TactileFaults
 from foretouch.camera.schedule import ScheduleConfig
 from foretouch.config import setting
 from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
@@ -36,6 +35,7 @@ from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch_lab.simulation.scheduled import scheduled_scene
+from foretouch_lab.simulation.tactile_faults import TactileFaultConfig, TactileFaults
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -75,7 +75,7 @@ def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> E
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandConfig(NodeConfig):
+class HandNodeConfig(NodeConfig):
     """Settings of the simulated hand."""
 
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
@@ -96,7 +96,7 @@ class HandConfig(NodeConfig):
             raise ConfigError(f"biotacs: {list(self.biotacs)} lacks TH or MF, which the hand grasps with")
 
 
-class HandNode(ForetouchNode[HandConfig]):
+class HandNode(ForetouchNode[HandNodeConfig]):
     """The hand as a lifecycle node."""
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
@@ -118,7 +118,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._hand: SimulatedHand | None = None
         self._resting: list[RestingFingers] = []
         self._faults = TactileFaults(TactileFaultConfig())
-        super().__init__(name, HandConfig, **options)
+        super().__init__(name, HandNodeConfig, **options)
 
     def _setup(self) -> None:
         self._faults = TactileFaults(self.config.faults)
@@ -159,7 +159,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._hand = self._newest = None
         self._resting.clear()
 
-    def _config_changed(self, config: HandConfig) -> None:
+    def _config_changed(self, config: HandNodeConfig) -> None:
         self._faults.config = config.faults
 
     def warnings(self) -> tuple[str, ...]:

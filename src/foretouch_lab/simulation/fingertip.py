@@ -57,7 +57,7 @@ _MAX_EXPONENT: Final = 50.0  # beyond, E rounds to 0 from any rest
 
 
 @dataclass(frozen=True, kw_only=True)
-class FingerConfig(Settings):
+class SimulatedFingerConfig(Settings):
     """Rest levels of a fingertip, which vary with inflation, wear and make.
 
     The defaults are those of a middle finger: PDC as real ones at rest; electrodes so that in grasps their 95th
@@ -72,7 +72,7 @@ class FingerConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThumbConfig(FingerConfig):
+class ThumbConfig(SimulatedFingerConfig):
     """Rest levels of a thumb, whose electrodes reach 3350: PDC is higher, electrodes are lower than of other fingers."""
 
     pdc_rest: float = setting(2779.0, "PDC without contact", unit="counts", bounds=(1.0, 4094.0))
@@ -96,7 +96,7 @@ class Finger:
         return np.append(self.pdc_rest, self.electrode_rest)
 
 
-def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
+def draw_finger(config: SimulatedFingerConfig, rng: np.random.Generator) -> Finger:
     """One fingertip of a kind."""
     rest = config.electrode_rest + REST_SPREAD * rng.standard_normal(ELECTRODES)
     gain = np.exp(GAIN_SPREAD * rng.standard_normal(ELECTRODES))

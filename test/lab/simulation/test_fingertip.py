@@ -11,7 +11,7 @@ from foretouch.tactile import BIOTAC_SP, P2_RANGES, biotac_touch, to_kohm, touch
 from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, pad_direction, pad_window
 from foretouch_lab.simulation.disturbances import NoiseConfig
-from foretouch_lab.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
+from foretouch_lab.simulation.fingertip import SimulatedFingerConfig, ThumbConfig, draw_finger, quantise, read_contact
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.world import World
 
@@ -37,7 +37,7 @@ def test_touch_raises_pdc_and_drops_the_electrodes_below_and_no_force_reads_rest
 
 
 def test_counts_are_whole_clipped_and_those_of_a_working_sensor():
-    middle = draw_finger(FingerConfig(), np.random.default_rng(1))
+    middle = draw_finger(SimulatedFingerConfig(), np.random.default_rng(1))
     thumb, other = quantise(np.array([read(3.0), read(3.0, finger=middle)])).astype(float)
     touch = biotac_touch(np.hstack([thumb[0], other[0], thumb[1:], other[1:]]))
     assert touch_faults(touch) == ()
@@ -64,7 +64,7 @@ def test_counts_spread_as_in_real_grasps():
     """The bounds are a factor of 1.5 about those of 400 real grasps."""
     noise = NoiseConfig()
     deviation = np.array([noise.pdc_counts, *[noise.electrode_counts] * 24])
-    for kind, median, percentile_99 in ((FingerConfig(), 72.0, 691.0), (ThumbConfig(), 117.0, 986.0)):
+    for kind, median, percentile_99 in ((SimulatedFingerConfig(), 72.0, 691.0), (ThumbConfig(), 117.0, 986.0)):
         contacts, rng = np.random.default_rng(7), np.random.default_rng([7, 1])
         finger = draw_finger(kind, rng)
         readings = np.array([read_contact(PAD, finger, *pressed_anywhere(contacts)) for _ in range(200)])

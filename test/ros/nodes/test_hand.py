@@ -17,7 +17,7 @@ from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
 from foretouch_lab.ros import hand
-from foretouch_lab.ros.hand import HandConfig
+from foretouch_lab.ros.hand import HandNodeConfig
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -205,4 +205,4 @@ def test_settings_that_cannot_be_used_are_named(graph, tmp_path):
     (node,) = graph.add("hand", scene__path=str(tmp_path / "none.yaml"))
     assert node.state_name == "unconfigured"
     with pytest.raises(ConfigError, match=r"biotacs: .* lacks TH or MF"):
-        HandConfig(biotacs=("FF", "TH"))
+        HandNodeConfig(biotacs=("FF", "TH"))

@@ -23,7 +23,7 @@ from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.evaluation import baselines
-from foretouch_lab.learning.training.contact import ContactConfig, ContactPredictor, describe_objects
+from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig, describe_objects
 
 # The networks by name, with the recipe of `foretouch train` that each is trained by.
 RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}
@@ -126,7 +126,7 @@ def _contact(training_fraction: float) -> Fit:
     from foretouch_lab.learning.training.run_config import load_run_config
 
     run: Any = load_run_config("contact-v2")
-    config: ContactConfig = run.contact
+    config: ContactTrainingConfig = run.contact
     config = config.replace(trees=max(1, round(training_fraction * config.trees)))
     return lambda train, labels, seed: ContactPredictor(train, labels, config.replace(seed=seed))
 

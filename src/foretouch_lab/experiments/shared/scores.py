@@ -15,7 +15,14 @@ from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
 from foretouch_lab.learning.data import Dataset, load_dataset
-from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.metrics import (
+    MEAN,
+    BootstrapConfig,
+    ObjectErrors,
+    ScoreEstimate,
+    compare,
+    skills,
+)
 
 
 def load(_settings: Settings, path: Path) -> Dataset:
@@ -106,7 +113,7 @@ def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
 
 
 def _rows(
-    head: Row, errors: ObjectErrors, config: BootstrapConfig, versus: dict[str, dict[str, Estimate] | None]
+    head: Row, errors: ObjectErrors, config: BootstrapConfig, versus: dict[str, dict[str, ScoreEstimate] | None]
 ) -> list[Row]:
     own, rmse = skills(errors, config), errors.rmse()
     head = {**head, "objects": len(errors.objects), "samples": round(float(errors.counts.sum()) / head["seeds"])}
@@ -120,7 +127,7 @@ def _rows(
     return result
 
 
-def interval_columns(name: str, estimate: Estimate | None) -> Row:
+def interval_columns(name: str, estimate: ScoreEstimate | None) -> Row:
     """Three columns of an estimate: its value and the ends of its interval."""
     values = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
     return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
@@ -161,7 +168,7 @@ def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: Boots
         return ObjectErrors.of_rows([row for row in rows[name] if (row["part"], row.get("seed")) in common], BIOTAC)
 
     @cache
-    def less(one: str, other: str) -> Estimate:
+    def less(one: str, other: str) -> ScoreEstimate:
         common = cells[one] & cells[other]
         return compare(errors(one, common), errors(other, common), bootstrap)[MEAN]
 

@@ -135,7 +135,7 @@ class Dataset:
         return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
 
 
-class StoredSample(GraspSample):
+class LazySample(GraspSample):
     """A sample in memory but for its cloud, which is read from the store whenever it is used and is not kept.
 
     Clouds that are used in the order of the store cost one read of each batch. A pickle holds the path of the store.
@@ -188,7 +188,7 @@ def load_dataset(path: str | Path) -> Dataset:
     for read in (record.sample for record in opened.records()) if store is None else store:
         sample = only_finite(read)
         content.update(sample_digest(sample))
-        samples.append(sample if store is None else StoredSample.of(sample, store, len(samples)))
+        samples.append(sample if store is None else LazySample.of(sample, store, len(samples)))
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]

@@ -191,7 +191,7 @@ class ObjectErrors:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ScoreEstimate:
     """A value over all objects with the `low` and `high` end of its interval, None where there are too few objects."""
 
     value: float
@@ -208,13 +208,13 @@ class Estimate:
         return "worse" if self.high < 0.0 else "tie"
 
 
-def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, Estimate]:
+def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
     """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
     size = len(errors.objects)
     return _estimates(errors, _skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), config)
 
 
-def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, Estimate]:
+def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
     """Skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
 
     Raises:
@@ -252,13 +252,15 @@ def _weights(size: int, config: BootstrapConfig) -> Float64:
     return rng.multinomial(size, np.full(size, 1.0 / size), config.draws).astype(np.float64)
 
 
-def _estimates(errors: ObjectErrors, value: Float64, draws: Float64, config: BootstrapConfig) -> dict[str, Estimate]:
+def _estimates(
+    errors: ObjectErrors, value: Float64, draws: Float64, config: BootstrapConfig
+) -> dict[str, ScoreEstimate]:
     names = (*errors.channels.modalities, MEAN)
     if not len(draws):
-        return {name: Estimate(float(value[0, k]), None, None) for k, name in enumerate(names)}
+        return {name: ScoreEstimate(float(value[0, k]), None, None) for k, name in enumerate(names)}
     tail = _tail(len(errors.objects), config.level)
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
-    return {name: Estimate(float(value[0, k]), float(low[k]), float(high[k])) for k, name in enumerate(names)}
+    return {name: ScoreEstimate(float(value[0, k]), float(low[k]), float(high[k])) for k, name in enumerate(names)}
 
 
 def _tail(size: int, level: float) -> float:

@@ -34,7 +34,7 @@ _FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactConfig(Settings):
+class ContactTrainingConfig(Settings):
     """Settings of the fit of a contact model."""
 
     trees: int = setting(60, "Trees of each forest", bounds=(1, 10_000))
@@ -69,7 +69,7 @@ def _of(sample: GraspSample, describe: Callable[[GraspSample], Float64]) -> Floa
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> list[GraspSample] | None:
+def thinned_samples(samples: Sequence[GraspSample], config: ContactTrainingConfig) -> list[GraspSample] | None:
     """The same grasps on clouds with a random share of their points, by the seed; None if the share is 1."""
     if config.thinned == 1.0:
         return None
@@ -82,7 +82,7 @@ def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> li
     return copies
 
 
-def ranges_of(config: ContactConfig, channels: Channels) -> Ranges:
+def ranges_of(config: ContactTrainingConfig, channels: Channels) -> Ranges:
     """Ranges of the values of a sensor: of the BioTac SP those of the settings, of others those of its description."""
     return config.ranges.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
 
@@ -91,7 +91,7 @@ def fit_contact(
     rows: Float64,
     labels: Float64,
     objects: Sequence[str],
-    config: ContactConfig,
+    config: ContactTrainingConfig,
     thinned: Float64 | None = None,
     ranges: Ranges | None = None,
 ) -> ContactEstimator:
@@ -136,7 +136,7 @@ def fit_contact(
 
 
 def fit_forests(
-    rows: Float64, labels: Float64, channels: Channels, config: ContactConfig, thinned: Float64 | None = None
+    rows: Float64, labels: Float64, channels: Channels, config: ContactTrainingConfig, thinned: Float64 | None = None
 ) -> dict[str, Forest]:
     """The forests of `fit_contact` alone, by name, for labels of some channels; other arguments as there."""
     first = len(CONDITIONS)
@@ -155,7 +155,7 @@ def _deviation(labels: Float64, channels: Channels) -> Float64:
     return np.where(deviation > 0.0, deviation, channels.resolution)
 
 
-def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
+def _forest(rows: Float64, scaled: Float64, config: ContactTrainingConfig) -> Forest:
     from sklearn.ensemble import ExtraTreesRegressor
 
     fitted = ExtraTreesRegressor(
@@ -187,7 +187,7 @@ class ContactPredictor:
         rows: (S, F) features of the training samples.
     """
 
-    def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
+    def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactTrainingConfig) -> None:
         self._channels = channels_of(train)
         self.rest, self.rest_recorded = rest_level(train)
         self.rows = describe_samples(train)

@@ -13,7 +13,7 @@ from foretouch.errors import ConfigError, nearest, quoted, shown
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import Ranges
 from foretouch.types.channels import Channels
-from foretouch_lab.learning.training.contact import ContactConfig, ranges_of
+from foretouch_lab.learning.training.contact import ContactTrainingConfig, ranges_of
 from foretouch_lab.learning.training.srgan import SrganConfig
 from foretouch_lab.learning.training.supervised import TrainConfig
 
@@ -69,7 +69,7 @@ class RunConfig(Settings):
     model: ModelConfig = ModelConfig()
     train: TrainConfig = TrainConfig()
     srgan: SrganConfig = SrganConfig()
-    contact: ContactConfig = ContactConfig()
+    contact: ContactTrainingConfig = ContactTrainingConfig()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -117,15 +117,18 @@ class RunConfig(Settings):
     def device(self) -> str:
         """`cpu` or `cuda`."""
         own = self._own
-        return "cpu" if isinstance(own, ContactConfig) else own.resolved_device
+        return "cpu" if isinstance(own, ContactTrainingConfig) else own.resolved_device
 
     def ranges(self, channels: Channels) -> Ranges:
         """Ranges of the hand that the model learns from, which has a sensor of these channels."""
         return self.model.ranges.ranges if self.has_network else ranges_of(self.contact, channels)
 
     @property
-    def _own(self) -> TrainConfig | SrganConfig | ContactConfig:
-        own: dict[str, TrainConfig | SrganConfig | ContactConfig] = {"supervised": self.train, "srgan": self.srgan}
+    def _own(self) -> TrainConfig | SrganConfig | ContactTrainingConfig:
+        own: dict[str, TrainConfig | SrganConfig | ContactTrainingConfig] = {
+            "supervised": self.train,
+            "srgan": self.srgan,
+        }
         return own.get(self.method, self.contact)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from foretouch.errors import ContactError, ConvergenceError
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.layer import solve_layer
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ContactSolution, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ContactSolution, ElasticLayer
 from foretouch_lab.simulation.contact.winkler import solve_winkler
 
 _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]] = {
@@ -38,7 +38,7 @@ LEVELS: Final = tuple(_SOLVERS)
 Grip = tuple[ContactSolution, ContactSolution]  # contacts of the finger at g1 and of the one at g2
 
 
-def choose_level(layers: Sequence[Layer]) -> tuple[str, str]:
+def choose_level(layers: Sequence[ElasticLayer]) -> tuple[str, str]:
     """The level that `auto` stands for with these layers, the pad's first, and the reason.
 
     The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft

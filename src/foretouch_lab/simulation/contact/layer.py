@@ -43,7 +43,7 @@ from foretouch_lab.simulation.contact.problem import (
     Command,
     ContactProblem,
     ContactSolution,
-    Layer,
+    ElasticLayer,
     no_contact,
     refuse_overload,
 )
@@ -78,7 +78,7 @@ def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: flo
     )
 
 
-def _layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
+def _layer_influence(layer: ElasticLayer, n: int, step_m: float) -> Float64:
     """(n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa."""
     offset = step_m * np.arange(n, dtype=np.float64)
     x, y = offset[None, :], offset[:, None]
@@ -98,7 +98,7 @@ def _layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
 
 
 @lru_cache(maxsize=_CACHED)
-def _influence_spectrum(layer: Layer, n: int, step_m: float) -> Complex128:
+def _influence_spectrum(layer: ElasticLayer, n: int, step_m: float) -> Complex128:
     """(2n, n + 1) complex128: the spectrum that turns an n x n pressure into displacement without wrapping.
 
     The coefficients fill a grid of twice the size, so that the cyclic convolution of the padded pressure
@@ -270,7 +270,7 @@ def _descend(
 
 
 @lru_cache(maxsize=_CACHED)
-def _spectra(layers: tuple[Layer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
+def _spectra(layers: tuple[ElasticLayer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
     """(L, 2n, n + 1) of each layer, and their sum; do not write to them."""
     each = np.stack([_influence_spectrum(layer, n, step_m) for layer in layers])
     return each, each.sum(axis=0)

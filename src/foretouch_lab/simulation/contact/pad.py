@@ -17,7 +17,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
 from foretouch.tactile.skin import LAYER_M, skin_axes
 from foretouch.types import Float64
-from foretouch_lab.simulation.contact.problem import Layer
+from foretouch_lab.simulation.contact.problem import ElasticLayer
 
 POISSON: Final = 0.316  # Poisson's ratio of the layer, as in published finite-element models of the skin
 SOFT_WINDOW_M: Final = 0.02  # side of the window on a soft object
@@ -47,9 +47,9 @@ class PadConfig(Settings):
         return self.replace(window_m=SOFT_WINDOW_M)
 
     @property
-    def layer(self) -> Layer:
+    def layer(self) -> ElasticLayer:
         """Skin and liquid as one elastic layer."""
-        return Layer(modulus_pa=self.modulus_pa, poisson=POISSON, thickness_m=self.layer_m)
+        return ElasticLayer(modulus_pa=self.modulus_pa, poisson=POISSON, thickness_m=self.layer_m)
 
     @property
     def skin_axes(self) -> Float64:

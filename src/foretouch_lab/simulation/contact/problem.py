@@ -19,7 +19,7 @@ _LEAST, _MOST = 1e-30, 1e30  # N, m or Pa: far beyond any contact, and their squ
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layer:
+class ElasticLayer:
     """An isotropic elastic layer, bonded to a rigid base.
 
     Raises:
@@ -89,7 +89,7 @@ class ContactProblem:
 
     gap: Float64
     step_m: float
-    layers: tuple[Layer, ...]
+    layers: tuple[ElasticLayer, ...]
 
     def __post_init__(self) -> None:
         if self.gap.ndim != 2 or self.gap.shape[0] != self.gap.shape[1] or self.gap.size == 0:

@@ -16,7 +16,7 @@ from foretouch_lab.simulation.contact.problem import (
     Command,
     ContactProblem,
     ContactSolution,
-    Layer,
+    ElasticLayer,
     no_contact,
     refuse_overload,
 )
@@ -24,7 +24,7 @@ from foretouch_lab.simulation.contact.problem import (
 _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 
 
-def bed_stiffness(layer: Layer) -> float:
+def bed_stiffness(layer: ElasticLayer) -> float:
     """Pressure per indentation of one layer [Pa/m].
 
     ν is capped at 0.45: an incompressible layer does not answer locally, and its bed would be rigid.

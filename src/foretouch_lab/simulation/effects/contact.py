@@ -9,7 +9,7 @@ from foretouch.errors import SimulationError
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.grip import LEVELS, choose_level, solve_grip, weigh
 from foretouch_lab.simulation.contact.pad import PadWindow, gap_field
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 from foretouch_lab.simulation.effect import Effect, Job, SampleState
 from foretouch_lab.simulation.effects.approach import pad_of
 from foretouch_lab.simulation.scene import SceneConfig
@@ -37,12 +37,12 @@ def _solve(level: str, job: Job, state: SampleState) -> None:
     state.contacts = solve_grip(problems, commands, balanced=balanced, axial_load_n=state.axial_load_n, level=level)
 
 
-def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[Layer, ...]:
+def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[ElasticLayer, ...]:
     """The elastic layers in contact: the pad and, if it is soft, the object."""
     pad = scene.fingers.pad.layer
     if item.young_pa is None or item.thickness_m is None:
         return (pad,)
-    return pad, Layer(modulus_pa=item.young_pa, poisson=POISSON, thickness_m=item.thickness_m)
+    return pad, ElasticLayer(modulus_pa=item.young_pa, poisson=POISSON, thickness_m=item.thickness_m)
 
 
 def command_of(scene: SceneConfig, target: float) -> Command:

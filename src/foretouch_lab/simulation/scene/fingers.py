@@ -11,7 +11,7 @@ from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch_lab.simulation.contact.pad import PadConfig
 from foretouch_lab.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
-from foretouch_lab.simulation.fingertip import FingerConfig, ThumbConfig
+from foretouch_lab.simulation.fingertip import SimulatedFingerConfig, ThumbConfig
 from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch
 from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
 
@@ -78,7 +78,7 @@ _NO_TAXELS: Final[dict[str, tuple[Any, ...]]] = {"taxels": (None,), "crosstalk":
 _TAXELS: Final[dict[str, tuple[Any, ...]]] = {
     **dict.fromkeys(("vibration", "scan", "dead"), (None,)),
     "thumb": (ThumbConfig(),),
-    "middle": (FingerConfig(),),
+    "middle": (SimulatedFingerConfig(),),
     "noise": (None, NoiseConfig()),
     "pad.window_m": (PadConfig().window_m,),
 }
@@ -100,7 +100,7 @@ class FingersConfig(Settings):
     sensor: str = setting("", "Sensor of the fingertips: name or YAML file of a description; empty for the BioTac SP")
     pad: PadConfig = PadConfig()
     thumb: ThumbConfig = ThumbConfig()
-    middle: FingerConfig = FingerConfig()
+    middle: SimulatedFingerConfig = SimulatedFingerConfig()
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
     taxels: TaxelConfig | None = None
@@ -144,7 +144,7 @@ class FingersConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TargetConfig(RangedSettings):
+class GraspTargetConfig(RangedSettings):
     """What a finger's controller aims at, drawn uniformly; `control` decides which of the two counts."""
 
     force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
@@ -178,8 +178,8 @@ class GraspsConfig(Settings):
     )
     max_width_m: float = setting(0.13, "Widest opening of the hand", bounds=(0.001, 0.5))
     control: str = setting("force", "Quantity that the hand controls", choices=("force", "depth"))
-    thumb: TargetConfig = TargetConfig()
-    middle: TargetConfig | None = None
+    thumb: GraspTargetConfig = GraspTargetConfig()
+    middle: GraspTargetConfig | None = None
     balanced: bool = setting(
         True, "Whether the object is free to move between the fingers, so that their forces balance"
     )

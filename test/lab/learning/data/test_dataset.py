@@ -17,7 +17,7 @@ from foretouch.dataset.store import content_sha256
 from foretouch.errors import FileError
 from foretouch.types import Cloud, GraspSample
 from foretouch_lab.learning.data import load_dataset
-from foretouch_lab.learning.data.dataset import StoredSample
+from foretouch_lab.learning.data.dataset import LazySample
 from foretouch_lab.learning.training.run import train_run
 
 
@@ -25,7 +25,7 @@ def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:
     data = load_dataset(store)
     assert data.sha256 == content_sha256(samples) == content_sha256(data.samples)
     for given, found in zip(samples, pickle.loads(pickle.dumps(data.samples)), strict=True):
-        assert isinstance(found, StoredSample)
+        assert isinstance(found, LazySample)
         assert "cloud" not in vars(found)
         np.testing.assert_array_equal(found.cloud.xyz, given.cloud.xyz)
         assert "cloud" not in vars(found)
@@ -41,7 +41,7 @@ def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:
 
 def test_models_are_equal_to_those_of_samples_in_memory(samples, data, tmp_path) -> None:
     held = dataclasses.replace(data, samples=tuple(samples))
-    assert not any(isinstance(sample, StoredSample) for sample in held.samples)
+    assert not any(isinstance(sample, LazySample) for sample in held.samples)
 
     def check(name: str, settings: dict[str, object]) -> None:
         folders = []

@@ -14,8 +14,8 @@ from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 from foretouch_lab.learning.evaluation.metrics import (
     MEAN,
     BootstrapConfig,
-    Estimate,
     ObjectErrors,
+    ScoreEstimate,
     compare,
     mean_skill,
     score,
@@ -94,7 +94,7 @@ def test_same_seed_same_interval_units_do_not_matter_and_few_objects_have_none()
     assert skills(one, BootstrapConfig(seed=1))["E_MF"].low != skills(one)["E_MF"].low
 
     few = errors([0.5] * 5)  # promise nothing
-    assert skills(few)["PDC_TH"] == Estimate(0.5, None, None)
+    assert skills(few)["PDC_TH"] == ScoreEstimate(0.5, None, None)
     assert compare(few, errors([0.9] * 5))["PDC_TH"].verdict == "too few objects"
 
 

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
 from foretouch_lab.simulation.contact.grip import LEVELS, solve_grip, weigh
-from foretouch_lab.simulation.contact.problem import Command, Layer
+from foretouch_lab.simulation.contact.problem import Command, ElasticLayer
 
-FOAM = Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)
+FOAM = ElasticLayer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)
 SHARP = paraboloid(24, 0.012, skin(), radius=0.004)
 BLUNT = paraboloid(24, 0.012, skin(), radius=0.02)
 ON_THE_TABLE = np.array([0.0, 0.0, -4.0]), np.array([-0.04, 0, 0]), np.array([0.04, 0, 0]), np.array([0.02, 0, 0])

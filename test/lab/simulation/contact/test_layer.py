@@ -13,7 +13,7 @@ from scipy.special import ellipe, ellipk
 from foretouch.errors import ContactError
 from foretouch_lab.simulation.contact import layer as module
 from foretouch_lab.simulation.contact.layer import solve_layer
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 from foretouch_lab.simulation.contact.winkler import bed_stiffness
 
 TIGHT = {"tolerance": 1e-9}
@@ -23,18 +23,18 @@ def test_short_waves_see_a_half_space_and_long_ones_the_winkler_bed():
     for poisson in (0.0, 0.3, 0.5):
         assert_allclose(module._layer_transfer([20.0, 1e3, 1e6], poisson), 1.0, rtol=1e-12)
     for poisson in (0.0, 0.3, 0.45):
-        t, layer = 1e-4, Layer(modulus_pa=2e6, poisson=poisson, thickness_m=0.003)
+        t, layer = 1e-4, ElasticLayer(modulus_pa=2e6, poisson=poisson, thickness_m=0.003)
         compliance = 2.0 * layer.thickness_m / (layer.plane_modulus_pa * t) * module._layer_transfer(t, poisson)
         assert_allclose(compliance, 1.0 / bed_stiffness(layer), rtol=1e-6)
 
 
 def test_layer_under_even_pressure_is_the_winkler_bed_and_a_thick_one_a_half_space():
     for thickness in (0.0005, 0.001, 0.003):
-        layer = Layer(modulus_pa=1e6, poisson=0.3, thickness_m=thickness)
+        layer = ElasticLayer(modulus_pa=1e6, poisson=0.3, thickness_m=thickness)
         quarter = module._layer_influence(layer, 80, 5e-4)
         total = 4 * quarter[1:, 1:].sum() + 2 * quarter[0, 1:].sum() + 2 * quarter[1:, 0].sum() + quarter[0, 0]
         assert_allclose(total, 1.0 / bed_stiffness(layer), rtol=0.01)
-    thick = module._layer_influence(Layer(modulus_pa=1e6, poisson=0.3, thickness_m=10.0), 16, 5e-4)
+    thick = module._layer_influence(ElasticLayer(modulus_pa=1e6, poisson=0.3, thickness_m=10.0), 16, 5e-4)
     assert_allclose(thick, module._layer_influence(half_space(), 16, 5e-4), rtol=0.01)
     with pytest.raises(ContactError, match=r"less than half a cell, .* use the Winkler level"):
         module._layer_influence(skin(0.0002), 12, 0.001)
@@ -90,7 +90,7 @@ def test_forces_are_those_of_hertz_with_his_pressure_of_sneddon_and_of_dimitriad
     assert_allclose(solve_layer(punch, Command(depth_m=depth)).force_n, expected, rtol=0.01)
 
     def check(poisson, thickness):
-        layer = Layer(modulus_pa=1e6, poisson=poisson, thickness_m=thickness)
+        layer = ElasticLayer(modulus_pa=1e6, poisson=poisson, thickness_m=thickness)
         problem = paraboloid(48, 2.6 * math.sqrt(RADIUS * depth), layer)
         found = solve_layer(problem, Command(depth_m=depth)).force_n
         assert_allclose(found, dimitriadis_force(layer, depth), rtol=0.05)
@@ -99,7 +99,7 @@ def test_forces_are_those_of_hertz_with_his_pressure_of_sneddon_and_of_dimitriad
 
 
 def test_force_and_depth_are_two_ways_to_a_contact_that_turns_with_its_gap():
-    problem = paraboloid(32, 0.008, skin(), Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.02))
+    problem = paraboloid(32, 0.008, skin(), ElasticLayer(modulus_pa=1e5, poisson=0.3, thickness_m=0.02))
     at_force = solve_layer(problem, Command(force_n=1.5), **TIGHT)
     at_depth = solve_layer(problem, Command(depth_m=at_force.depth_m), **TIGHT)
     assert_allclose(at_depth.force_n, 1.5, rtol=1e-6)
@@ -149,7 +149,7 @@ def test_hard_gaps_converge(rng):
 
     moduli = (1e2, 1e6, 1e12)
     layers = [half_space(modulus, poisson) for modulus in moduli for poisson in (0.3, 0.5)]
-    layers += [Layer(modulus_pa=modulus, poisson=0.3, thickness_m=0.003) for modulus in moduli]
+    layers += [ElasticLayer(modulus_pa=modulus, poisson=0.3, thickness_m=0.003) for modulus in moduli]
     every_case([(name, gap, layer) for (name, gap), layer in product(gaps.items(), layers)], check)
 
 

@@ -9,12 +9,12 @@ from every_case import every_case
 from foretouch.errors import ContactError
 from foretouch_lab.simulation.contact.grip import choose_level, solve_contact
 from foretouch_lab.simulation.contact.pad import PadConfig
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 from foretouch_lab.simulation.fingertip import ThumbConfig, draw_finger, read_contact
 
 FINGER = draw_finger(ThumbConfig(), np.random.default_rng(0))
-FOAM = Layer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)
-RUBBER = Layer(modulus_pa=1e6, poisson=0.3, thickness_m=0.01)
+FOAM = ElasticLayer(modulus_pa=1e5, poisson=0.3, thickness_m=0.03)
+RUBBER = ElasticLayer(modulus_pa=1e6, poisson=0.3, thickness_m=0.01)
 CONTACTS = [  # pitch and roll, force, height of the object
     ((0.0, 0.0), 3.0, lambda x, _y: np.zeros_like(x)),
     ((0.3, -0.4), 1.0, lambda x, y: -((np.cos(0.7) * x + np.sin(0.7) * y) ** 2) / (2 * 0.033)),  # a cylinder
@@ -40,7 +40,7 @@ def test_auto_gives_the_electrodes_of_a_fine_solve():
 
 def test_levels_are_chosen_by_the_layers_and_an_unknown_one_is_refused():
     assert choose_level([PadConfig().layer])[0] == "winkler"
-    assert choose_level([PadConfig().layer, Layer(modulus_pa=1e5, poisson=0.3)])[0] == "layer"
+    assert choose_level([PadConfig().layer, ElasticLayer(modulus_pa=1e5, poisson=0.3)])[0] == "layer"
     problem = ContactProblem(np.zeros((4, 4)), 1e-3, (PadConfig().layer,))
     with pytest.raises(ContactError, match="level: 'fem' is not one of auto, winkler, layer"):
         solve_contact(problem, Command(force_n=1.0), "fem")

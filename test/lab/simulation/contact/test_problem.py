@@ -6,9 +6,9 @@ import pytest
 from every_case import every_refusal
 
 from foretouch.errors import ContactError
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 
-SOFT = Layer(modulus_pa=1e5, poisson=0.3)
+SOFT = ElasticLayer(modulus_pa=1e5, poisson=0.3)
 
 
 def _problem(gap, layers=(SOFT,), step=1e-3):
@@ -16,7 +16,7 @@ def _problem(gap, layers=(SOFT,), step=1e-3):
 
 
 def _layer(**changes):
-    return Layer(**{"modulus_pa": 1e6, "poisson": 0.3, **changes})
+    return ElasticLayer(**{"modulus_pa": 1e6, "poisson": 0.3, **changes})
 
 
 def test_what_has_no_meaning_is_refused_and_the_modulus_of_two_equal_bodies_is_half_of_one():

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.grip import solve_contact
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, Layer
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 from foretouch_lab.simulation.contact.shear import STEEPEST, skin_slopes, tractions
 
 STEP_M, RADIUS_M, FRICTION, FORCE_N = 2.5e-4, 0.03, 0.6, 2.0
@@ -20,7 +20,7 @@ def shear(
     tangential_n: tuple[float, float], level: str = "winkler", friction: float = FRICTION, thickness_m: float = 0.003
 ) -> tuple[Float64, Float64]:
     """Pressure and tractions of a ball that presses on a flat pad, without the slopes of the skin."""
-    layer = Layer(modulus_pa=5e5, poisson=0.3, thickness_m=thickness_m)
+    layer = ElasticLayer(modulus_pa=5e5, poisson=0.3, thickness_m=thickness_m)
     problem = ContactProblem(BALL - BALL.min(), STEP_M, (layer,))
 
     def press(force_n: float) -> Float64:

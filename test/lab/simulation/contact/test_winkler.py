@@ -7,7 +7,7 @@ from contact_builders import RADIUS, half_space, paraboloid, skin
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch_lab.simulation.contact.problem import Command, Layer
+from foretouch_lab.simulation.contact.problem import Command, ElasticLayer
 from foretouch_lab.simulation.contact.winkler import bed_stiffness, solve_winkler
 
 
@@ -15,7 +15,7 @@ def test_force_of_a_bed_under_a_paraboloid_is_the_closed_form_and_beds_in_series
     depth = 2e-4  # F = π R k d² (Johnson 1985, section 4.3)
     solution = solve_winkler(paraboloid(256, 0.006, skin()), Command(depth_m=depth))
     assert_allclose(solution.force_n, math.pi * RADIUS * bed_stiffness(skin()) * depth**2, rtol=1e-3)
-    soft = Layer(modulus_pa=1e5, poisson=0.0, thickness_m=0.01)
+    soft = ElasticLayer(modulus_pa=1e5, poisson=0.0, thickness_m=0.01)
     problem = paraboloid(24, 0.012, skin(), soft)
     solution = solve_winkler(problem, Command(force_n=0.5))
     overlap = np.maximum(solution.depth_m - problem.gap, 0.0)
