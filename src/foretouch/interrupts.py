@@ -2,7 +2,7 @@
 """Ctrl-C, SIGTERM and the end of a terminal as `KeyboardInterrupt`, but not in the middle of an import or a clean-up.
 
 An exception from within an import leaves modules half made, and libraries written in C turn it into other errors or lose
-it. Nodes and files that are half made or half closed are no better. There the signal waits.
+it. The same holds for nodes and files that are half made or half closed. There the signal waits.
 """
 
 import os

@@ -223,9 +223,15 @@ def test_a_description_in_a_manifest_is_checked_as_a_file_is() -> None:
     image = {**one, "pixels": [2, 4]}
     places = [[0, k % 4] for k in range(len(points))]
     cases = (
-        ("taxels: are no positions", {**one, "taxels": [[[10**400, 0, 0], *points[1:]], normals, None]}),
-        ("taxels: are no positions", {**image, "taxels": [points, normals, [[10**400, 0], *places[1:]]]}),
-        ("taxels: are no positions", {**image, "taxels": [points, normals, places[1:]]}),
+        (
+            "taxels: positions, normals and pixels are expected",
+            {**one, "taxels": [[[10**400, 0, 0], *points[1:]], normals, None]},
+        ),
+        (
+            "taxels: positions, normals and pixels are expected",
+            {**image, "taxels": [points, normals, [[10**400, 0], *places[1:]]]},
+        ),
+        ("taxels: positions, normals and pixels are expected", {**image, "taxels": [points, normals, places[1:]]}),
         ("taxels: 0 are not 1 to", {**one, "taxels": [[], [], None]}),
         ("taxels: 70000 are not 1 to", {**one, "taxels": [[[0, 0, 0]] * 70_000, [[0, 0, 1]] * 70_000, None]}),
         ("taxels: are not finite, or the normals not", {**one, "taxels": [points, [[0, 0, 0], *normals[1:]], None]}),

@@ -49,7 +49,7 @@ def with_stamp(data: bytes, stamp_ns: int) -> bytes:
 
 def _byte_order(data: bytes) -> str:
     if len(data) < _START:
-        raise DatasetError(f"header: {len(data)} bytes are no message")
+        raise DatasetError(f"header: {len(data)} bytes are not a message")
     return "<" if data[1] & 1 else ">"
 
 

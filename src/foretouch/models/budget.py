@@ -182,7 +182,7 @@ def _read(path: Path, own: Mapping[str, Any]) -> Profile:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
         raise FileError(path, f"is damaged: {shown(str(err))}") from err
     if not all(one and all(map(_plausible, one, one.values())) for one in times.values()):
-        rule = "holds no time, a time that is no number from {:g} to {:g} s, or one of more than {:g} grasps"
+        rule = "holds no time, a time that is not a number from {:g} to {:g} s, or one of more than {:g} grasps"
         raise FileError(path, rule.format(*_TIMES_S, _COUNTS[-1]), field="p95_s")
     return Profile(times, str(document.get("state")), str(path))
 

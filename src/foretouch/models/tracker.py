@@ -376,7 +376,7 @@ class SensorTracker:
         return max(0, int(stamp_ns) - self._newest_ns) / 1e9 if self._newest_ns >= 0 else 0.0
 
     def _checked_stamp(self, stamp_ns: int) -> int:
-        """The stamp, not before the newest one; a `TactileError` if it is no stamp, far ahead, or too late."""
+        """The stamp, not before the newest one; a `TactileError` if it is not a valid stamp, far ahead, or too late."""
         if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
             raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
         stamp = int(stamp_ns)

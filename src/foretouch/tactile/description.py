@@ -332,7 +332,7 @@ def _layout_of(taxels: list[Any], where: str) -> Layout:
         parts = np.asarray([points, normals], np.float64).reshape(2, -1, 3)
         places = None if pixels is None else np.asarray(pixels, np.int64).reshape(len(parts[0]), 2)
     except (TypeError, ValueError, OverflowError) as err:
-        raise ConfigError(f"{where}: are no positions, normals and pixels") from err
+        raise ConfigError(f"{where}: positions, normals and pixels are expected") from err
     if not 0 < len(parts[0]) <= MOST_TAXELS:
         raise ConfigError(f"{where}: {len(parts[0])} are not 1 to {MOST_TAXELS}")
     if not np.allclose(np.linalg.norm(parts[1], axis=1), 1.0) or not np.isfinite(parts).all():

@@ -122,7 +122,7 @@ def _require_plan(folder: Path, plan: Mapping[str, Any]) -> None:
 def _is_whole(folder: Path, number: int) -> bool:
     """Whether a chunk is there with the hashes of its manifest.
 
-    One that is damaged, or is that of another number, is removed, and what is no folder refused.
+    One that is damaged, or is that of another number, is removed, and what is not a folder is refused.
     """
     path = _chunk(folder, number)
     if not os.path.lexists(path):

@@ -159,7 +159,7 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     prediction = TouchPrediction(grasp=UNIT, value=biotac_touch(np.full(50, 2000.0)), lower=None, upper=None)
     good, strange = (touch_message(prediction, grasp_to_msg(UNIT), HEADER) for _ in range(2))
     strange.reference = 77
-    reason = "reference: 77 is none of none, tare, touches, history"
+    reason = "reference: 77 is not one of none, tare, touches, history"
     with pytest.raises(ModelError, match=reason):
         prediction_from_msg(strange)
     assert reference_text(strange) == "reference 77"

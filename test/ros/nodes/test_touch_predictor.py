@@ -128,7 +128,7 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         ("is not 1", Status.BAD_GRASP, lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160)),
         ("degrees from g1 - g2, more than 30", Status.BAD_GRASP, lambda r: oriented(r.grasps[0], Quaternion())),
         ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "rotation", np.full(9, 1e160))),
-        ("'77' is none of", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "object_id", "77")),
+        ("'77' is not one of", Status.BAD_GRASP, lambda r: setattr(r.grasps[0], "object_id", "77")),
         ("1e+160 m apart, more than max_width_m 0.2", Status.BAD_GRASP, far_without_orientation),
         ("", Status.TOO_FEW_POINTS, one_place),
         ("", Status.OK, lambda _: None),
@@ -217,7 +217,7 @@ def test_arrays_that_cannot_be_answered_are_refused_with_the_reason(planner):
             Status.BAD_REQUEST,
             lambda r: (setattr(r, "contacts", [0.0] * 6006), setattr(r, "rotations", [])),
         ),
-        ("'77' is none of", Status.BAD_GRASP, lambda r: setattr(r, "object_id", "77")),
+        ("'77' is not one of", Status.BAD_GRASP, lambda r: setattr(r, "object_id", "77")),
         ("is not a rotation", Status.BAD_GRASP, lambda r: setattr(r, "rotations", [0.5] * 9)),
         ("is not finite", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [math.nan] * 6)),
         ("both contacts are at", Status.BAD_GRASP, lambda r: setattr(r, "contacts", [0.7] * 6)),
@@ -285,7 +285,7 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(graph, planner
 def test_a_goal_that_cannot_be_met_and_too_many_grasps_are_refused_with_the_reason(graph, planner):
     graph.set(planner.node, max_grasps=5)
     for spoil, status, reason in (
-        ({"cost": "beauty"}, Status.BAD_REQUEST, "'beauty' is none of pressure, score"),
+        ({"cost": "beauty"}, Status.BAD_REQUEST, "'beauty' is not one of pressure, score"),
         ({"table": []}, Status.BAD_PLANE, "needed with a cloud"),
         ({"cloud": PointCloud2()}, Status.EMPTY_CLOUD, "no object_cloud with a table"),
         ({"count": 6}, Status.BAD_REQUEST, "bad_request: count: 6 is above max_grasps, 5"),

@@ -120,7 +120,7 @@ def walk(
     while start < end:
         left = end - start - _HEAD.size
         if left < 0:
-            yield Damage(start, f"cut off: {end - start} bytes are no record")
+            yield Damage(start, f"cut off: {end - start} bytes are not a record")
             return
         opcode, length = _HEAD.unpack(data[start : start + _HEAD.size])
         if length > left:

@@ -156,7 +156,7 @@ def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP)
     """
     value, lower, upper = values_from_msg(message, sensor)
     if (reference := _REFERENCE_NAMES.get(message.reference)) is None:
-        raise ModelError(f"reference: {message.reference} is none of {', '.join(REFERENCE_CODES)}")
+        raise ModelError(f"reference: {message.reference} is not one of {', '.join(REFERENCE_CODES)}")
     refused = bool(np.isnan(value).any())
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
     return TouchPrediction(

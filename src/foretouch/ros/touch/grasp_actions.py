@@ -61,7 +61,7 @@ def sample_grasps(
     """
     cost = goal.cost or config.sample_cost
     if cost not in COSTS:
-        raise RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(COSTS)}")
+        raise RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is not one of {', '.join(COSTS)}")
     if goal.count > config.max_grasps:
         raise RefusalError(Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {config.max_grasps}")
     header, targets = _targets(goal, latest, config)

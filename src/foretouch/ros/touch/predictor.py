@@ -244,4 +244,4 @@ def _target_of(object_id: str, targets: Sequence[FoundObject]) -> int:
         return ids.index(object_id)
     if len(ids) == 1 and (not object_id or not ids[0]):
         return 0
-    raise GraspError(f"object_id: {object_id!r} is none of {', '.join(map(repr, ids)) or 'the objects'}")
+    raise GraspError(f"object_id: {object_id!r} is not one of {', '.join(map(repr, ids)) or 'the objects'}")

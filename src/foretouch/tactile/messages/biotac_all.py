@@ -24,7 +24,7 @@ def finger_counts(message: Any, finger: str) -> Float32:
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the chosen fingers (raises `ConfigError` for names that are none of `FINGER_ORDER`)."""
+    """The decoder for the chosen fingers (raises `ConfigError` for names that are not in `FINGER_ORDER`)."""
     names = zip(config.fingers, ("thumb", "middle"), strict=True)
     fingers = tuple(FINGER_ORDER[named_index(name, FINGER_ORDER, which)] for name, which in names)
     others = tuple(f"{channel}_{finger}" for finger in FINGERS for channel in OTHERS)

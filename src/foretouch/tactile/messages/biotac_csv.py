@@ -22,7 +22,7 @@ _FIELDS: Final = 1 + len(_SENSORS) * _PER_SENSOR
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the chosen sensors (raises `ConfigError` for names that are none of 0, 1, 2)."""
+    """The decoder for the chosen sensors (raises `ConfigError` for names other than 0, 1, 2)."""
     names = zip(config.fingers, ("thumb", "middle"), strict=True)
     thumb, middle = (named_index(name, _SENSORS, which) for name, which in names)
     others = ("TAC_TH", "TDC_TH", "TAC_MF", "TDC_MF")
