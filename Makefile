@@ -25,7 +25,7 @@ test test-ros test-portable check coverage: export MALLOC_PERTURB_ ?= 170
 
 .PHONY: setup runtime demo simulated test test-portable test-ros check coverage bench docs reference format clean
 
-# What a robot needs, for the demo; and what the tests need besides.
+# What a robot needs, and the laboratory's simulator for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
 setup: $(VENV)/.installed
 
@@ -34,7 +34,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 	@test ! -e $@ || test "$$(cat $@)" = $(ROS) || { echo "setup: $(VENV) holds another ROS 2: it is made anew"; rm -rf $(VENV); }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera]'
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,lab]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
 	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl

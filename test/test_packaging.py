@@ -23,9 +23,17 @@ from packaging.requirements import Requirement
 import foretouch
 
 ROOT = Path(__file__).parents[1]
-SOURCE = ROOT / "src" / "foretouch"
+PACKAGES = {name: ROOT / "src" / name for name in ("foretouch", "foretouch_lab")}
 OUTER = {"ros", "camera", "__main__", "kernels"}
-CORE = [one.name for one in pkgutil.iter_modules([str(SOURCE)]) if one.name not in OUTER]
+ROBOT = (  # what a robot runs: the nodes, and the modules of the commands `run`, `predict`, `record`, `replay` and `view`
+    *(
+        f"foretouch.ros.nodes.{one.name}"
+        for one in pkgutil.iter_modules([str(PACKAGES["foretouch"] / "ros" / "nodes")])
+    ),
+    *(f"foretouch.cli.{name}" for name in ("main", "run", "predict", "record", "replay", "view")),
+)
+ROBOT_LINES = 28_500
+"""Most lines of `foretouch` that these load."""
 
 
 def test_the_version_is_one() -> None:
@@ -38,14 +46,73 @@ def test_the_version_is_one() -> None:
 
 @pytest.mark.slow
 def test_every_core_module_imports_without_ros() -> None:
-    below = [(name, one.name) for name in CORE for one in pkgutil.iter_modules([str(SOURCE / name)])]
-    names = [f"foretouch.{name}" for name in CORE] + [f"foretouch.{package}.{name}" for package, name in below]
+    names = []
+    for package, folder in PACKAGES.items():
+        core = [one.name for one in pkgutil.iter_modules([str(folder)]) if one.name not in OUTER]
+        below = [f"{name}.{one.name}" for name in core for one in pkgutil.iter_modules([str(folder / name)])]
+        names += [f"{package}.{name}" for name in core + below]
     done = run_python(
         f"import importlib, sys\nfor name in {names!r}: importlib.import_module(name)\n"
         "print([name for name in sys.modules if name == 'rclpy' or name.endswith('_msgs')])"
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[]"
+
+
+def test_a_robot_loads_nothing_of_the_laboratory() -> None:
+    pytest.importorskip("foretouch_msgs.msg", reason="foretouch_msgs is not installed")
+    done = run_python(
+        "import importlib, sys\n"
+        "from foretouch.ros.runtime.environment import prepare_environment\nprepare_environment()\n"
+        f"for name in {ROBOT!r}: importlib.import_module(name)\n"
+        "ours = [one for name, one in sys.modules.items() if name.partition('.')[0] in ('foretouch', 'foretouch_lab')]\n"
+        "print([one.__name__ for one in ours if one.__name__.startswith('foretouch_lab')])\n"
+        "print([name for name in ('sklearn', 'embreex', 'threadpoolctl', 'ray') if name in sys.modules])\n"
+        "print(sum(len(open(one.__file__, encoding='utf-8').readlines()) for one in ours if one.__file__.endswith('.py')))\n"
+    )
+    assert done.returncode == 0, done.stderr
+    modules, libraries, lines = done.stdout.splitlines()[-3:]
+    assert (modules, libraries) == ("[]", "[]")
+    assert 10_000 < int(lines) <= ROBOT_LINES
+
+
+def test_no_class_has_a_name_of_the_other_package() -> None:
+    names = {
+        package: [
+            node.name
+            for path in folder.rglob("*.py")
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        ]
+        for package, folder in PACKAGES.items()
+    }
+    assert set(names["foretouch"]) & set(names["foretouch_lab"]) == set()
+
+
+@pytest.mark.parametrize(
+    ("blocked", "words"),
+    [
+        ("foretouch_lab", ["simulate", "scene.yaml", "-n", "1", "-o", "store"]),
+        ("foretouch_lab", ["dataset", "build", "session", "-o", "store"]),
+        ("foretouch_lab", ["run", "--source", str(ROOT / "config/scenes/clean.yaml")]),
+        ("embreex", ["simulate", str(ROOT / "config/scenes/clean.yaml"), "-n", "1", "-o", "store", "--workers", "1"]),
+    ],
+)
+def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, words, tmp_path) -> None:
+    code = (
+        f"import sys\nsys.modules[{blocked!r}] = None\nfrom foretouch.cli.main import main\nsys.exit(main({words!r}))"
+    )
+    done = run_python(code, cwd=tmp_path)
+    (line,) = [one for one in done.stderr.splitlines() if one.startswith("foretouch: ")]
+    assert (done.returncode, line) == (
+        1,
+        f"foretouch: {_user(words)}: {blocked} is not installed: pip install 'foretouch[lab]'",
+    )
+    assert "Traceback" not in done.stderr
+
+
+def _user(words: list[str]) -> str:
+    return {"dataset": "dataset build", "run": " ".join(words[1:])}.get(words[0], words[0])
 
 
 def test_help_answers_at_once_and_without_heavy_libraries() -> None:
@@ -76,7 +143,7 @@ IMPORT_NAMES = {  # of distributions whose modules are named otherwise
     "foxglove-sdk": "foxglove",
 }
 NOT_IN_ROSDEP = {"torch", "safetensors", "embreex", "mcap", "pyarrow", "rosbags", "threadpoolctl", "lzf"}
-OPTIONAL = ("camera", "sweep", "open3d", "view", "serve")
+OPTIONAL = ("lab", "camera", "sweep", "open3d", "view", "serve")
 ONLY_IN_FULL_ROS = {"sr_robot_msgs"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 
@@ -91,7 +158,7 @@ def imported(*folders: str) -> set[str]:
                     found |= {alias.name.partition(".")[0] for alias in node.names}
                 elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                     found.add(node.module.partition(".")[0])
-    ours = {"foretouch", "foretouch_launch_helpers"}
+    ours = {*PACKAGES, "foretouch_launch_helpers"}
     return {COMES_WITH.get(name, name) for name in found - ours if name not in sys.stdlib_module_names}
 
 
@@ -107,8 +174,11 @@ def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     ros = {name.removeprefix("ros_jazzy_") for name in required("ros")}
     assert ros == {name.removeprefix("ros_") for name in required("kilted")}
     others = {"foretouch_msgs", "rcl_interfaces", "builtin_interfaces", "std_msgs", "ament_index_python", "action_msgs"}
-    needed = imported("src") - ros - others - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS
-    assert needed == set(required(None))
+    robot = imported("src/foretouch") - ros - others
+    assert robot - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS == set(required(None))
+    laboratory = imported("src/foretouch_lab") - ros - others - set(required(None, "open3d", "sweep"))
+    assert laboratory == set(required("lab"))
+    assert not robot & laboratory
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}
     renamed = {"pil": "PIL"}
     modules = {renamed.get(name, name) for name in (one.removeprefix("python3-") for one in declared)}
@@ -172,6 +242,14 @@ def test_the_wheel_predicts_without_ros(unpacked_wheel, tmp_path) -> None:
     done = run_python(code, env={**os.environ, "PYTHONPATH": str(unpacked_wheel)}, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[0])["predictions"][0]["PDC_TH"]["value"] > 0.0
+    assert (unpacked_wheel / "foretouch_lab" / "py.typed").exists()
+    for folder, ours in (
+        ("simulation/scenes", "scenes"),
+        ("learning/recipes/train", "train"),
+        ("learning/recipes/models", "models"),
+    ):
+        packed = {path.name for path in (unpacked_wheel / "foretouch_lab" / folder).iterdir()}
+        assert packed == {path.name for path in (ROOT / "config" / ours).iterdir()}
     sensors = {path.name for path in (unpacked_wheel / "foretouch" / "tactile" / "sensors").iterdir()}
     assert sensors == {path.name for path in (ROOT / "config" / "sensors").iterdir()}
     (file,) = unpacked_wheel.glob("*.dist-info/METADATA")

@@ -16,7 +16,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from foretouch.grasp.messages import decode_grasp, has_orientation
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
@@ -38,6 +37,7 @@ from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
+from foretouch.grasp.messages import decode_grasp, has_orientation
 from foretouch.models import load_model
 from foretouch.models.hand_history import ObjectSignature
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig

@@ -390,9 +390,8 @@ def live(found: Found) -> None:
     except ImportError:
         print("no ROS 2: offline and live are not compared")
         return
-    from foretouch.grasp.messages import decode_grasp
-
     from foretouch.cloud.geometry.limits import ObjectLimits
+    from foretouch.grasp.messages import decode_grasp
     from foretouch.pipeline import Pipeline, PipelineConfig
 
     def add(step: str, difference: float) -> None:

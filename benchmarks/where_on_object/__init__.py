@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from foretouch_lab.learning.evaluation.prequential import other_objects_mean
 
 from benchmarks.where_on_object.results import draw_where, summarise_where, where_rows
 from foretouch.config import Settings, setting
@@ -38,6 +37,7 @@ from foretouch_lab.experiments.shared.scores import labelled
 from foretouch_lab.experiments.shared.simulated_data import SimulatedSettings, load_simulated
 from foretouch_lab.learning.data import labels_of, load_dataset
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.evaluation.prequential import other_objects_mean
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker

@@ -440,7 +440,7 @@ def options_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 def commands() -> str:
     """Every command with its arguments, options and exit status."""
-    from foretouch.cli.main import COMMANDS, main
+    from foretouch.cli.main import COMMANDS, command_module, main
 
     parts = ["## Exit status", _status(main)]
     for name in command_names():
@@ -448,7 +448,7 @@ def commands() -> str:
         usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
         parts += [f"{'###' if ' ' in name else '##'} `{name}`", parser.description or "", f"```text\n{usage}\n```"]
         if name in COMMANDS:
-            parts.append(_status(importlib.import_module(f"foretouch.cli.{name}").run))
+            parts.append(_status(command_module(name).run))
         parts.append(table(["argument", "meaning"], [_option_row(parser, one) for one in options_of(parser)]))
     return sections(parts)
 

@@ -14,7 +14,6 @@ from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
 from foretouch.processes import ONE_THREAD
 
 LOCAL_CLUSTER: Final = "local"  # address that starts a Ray node on this machine
-ADDRESS_HELP: Final = "run on Ray: auto, ray://host:port, or local for a node on this machine (default: not on Ray)"
 
 DIED: Final = "its process died (killed, or out of memory)"
 

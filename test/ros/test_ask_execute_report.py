@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrated_models import make_tracked_calibration, save_calibrated_network
-from foretouch.grasp.messages import decode_grasp
 from geometry_msgs.msg import Quaternion
 from pair_builders import REST, level
 from robot_builders import FRAME, MS, QUICK, Robot
@@ -18,6 +17,7 @@ from std_msgs.msg import Header
 
 from foretouch import reading
 from foretouch.cloud.messages import decode_cloud
+from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns

@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 from every_case import every_case
-from foretouch.grasp.messages import decode_grasp
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch import reading
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.errors import ConfigError
+from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of messages between a sensor and its subscribers (loss, jitter, duplicates), for robustness tests."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 
 from foretouch.config import Settings, setting
-
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,18 +15,6 @@ class FaultConfig(Settings):
     jitter_s: float = setting(0.0, "Largest error of a stamp, to either side", bounds=(0.0, 10.0))
     skew_s: float = setting(0.0, "How much the sensor's clock is ahead of the robot's", bounds=(-3600.0, 3600.0))
     drop_share: float = setting(0.0, "Part of the messages that are not sent", bounds=(0.0, 1.0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class TactileFaultConfig(FaultConfig):
-    """The same, and faults of the fingers."""
-
-    swapped: bool = setting(False, "Whether the readings of thumb and middle finger are exchanged")
-    frozen: str = setting(
-        "",
-        "Finger whose readings stay the same: TH, which takes g1, or MF, which takes g2; empty for none",
-        choices=("", "TH", "MF"),
-    )
 
 
 class MessageFaults:
@@ -64,22 +48,3 @@ class MessageFaults:
         self.passed += 1
         self.moved += shift_ns != 0
         return max(0, true_ns + shift_ns)
-
-
-class TactileFaults(MessageFaults):
-    """The same for tactile messages."""
-
-    config: TactileFaultConfig
-
-    def __init__(self, config: TactileFaultConfig, seed: int = 0) -> None:
-        super().__init__(config, seed)
-        self._first: dict[str, Any] = {}
-
-    def readings(self, fingers: Mapping[str, _T]) -> dict[str, _T]:
-        """The readings that a message carries, by finger: of the wrong one, or those of the first message."""
-        found, frozen = dict(fingers), self.config.frozen
-        if frozen:
-            found[frozen] = self._first.setdefault(frozen, found[frozen])
-        if self.config.swapped:
-            found["TH"], found["MF"] = found["MF"], found["TH"]
-        return found

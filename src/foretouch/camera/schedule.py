@@ -7,12 +7,7 @@ So the sample is a function of the stamp, and the hand touches the very object t
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
-from foretouch.types import Float64
-from foretouch_lab.simulation.scene import SceneConfig, load_scene
 
 _MS_NS = 1_000_000
 
@@ -26,21 +21,6 @@ class ScheduleConfig(Settings, read_only=True):
     samples: int = setting(1000, "Number of samples that are shown before the first comes again", minimum=1)
     origin_ns: int = setting(0, "Time when the first sample is laid on the table, since 1970", minimum=0)
 
-    def load(self) -> SceneConfig:
-        """The scene; a `ConfigError` if there is no path, or the file breaks a rule."""
-        if not self.path:
-            raise ConfigError("path: is empty; name a scene file")
-        return load_scene(self.path)
-
     def slot(self, stamp_ns: int) -> int:
         """The sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
         return max(0, stamp_ns - self.origin_ns) // (round(self.dwell_s * 1e3) * _MS_NS) % self.samples
-
-
-def centre_of_objects(scene: SceneConfig) -> Float64:
-    """(3,) float64 [m], camera frame: where the object is to be looked for among clutter.
-
-    The mean of the places where objects may lie, at half their mean height.
-    """
-    places = [(np.mean(item.pose.x_m), np.mean(item.pose.y_m), np.mean(item.size_m) / 2.0) for item in scene.objects]
-    return scene.camera.view().to_camera(np.mean(places, axis=0))

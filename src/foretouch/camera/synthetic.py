@@ -56,7 +56,7 @@ class SyntheticCamera(DeviceSource):
         self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
         first = self.frame(0)
-        self._shape = first.depth_mm.shape
+        self.shape = first.depth_mm.shape  # (H, W) of every frame
         self._device, self._sensor, self._profile = _software_device(first, fps, serial)
         self._number = 0
         self.plugged = True  # whether the device is present
@@ -80,8 +80,8 @@ class SyntheticCamera(DeviceSource):
         with self._lock:
             number = self._number
             frame = self.frame(number)
-            if frame.depth_mm.shape != self._shape:
-                raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
+            if frame.depth_mm.shape != self.shape:
+                raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self.shape}")
             stamp_ns = self._stamp_ns(number)
             if self.plugged and stamp_ns is not None:
                 self._sensor.on_video_frame(_video_frame(self._profile, frame.depth_mm, number, stamp_ns / 1e6))

@@ -2,8 +2,7 @@
 """`foretouch dataset`: inspect, verify, repair, edit and convert datasets."""
 
 import argparse
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -32,9 +31,8 @@ from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.laboratory import laboratory
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
-from foretouch_lab.dataset.store_writer import build_store
-from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
 
 _SHEET_SAMPLES = 12
 
@@ -263,7 +261,7 @@ def _show(arguments: argparse.Namespace) -> int:
     else:
         save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], title, sensor)
     record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
-    return _print_result("drawn", record, as_json=arguments.json)
+    return print_result("drawn", record, as_json=arguments.json)
 
 
 def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[SampleRecord]:
@@ -324,43 +322,8 @@ def _edit(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _warn_of_other_hands(paths: Sequence[str]) -> None:
-    """Name the properties in which the hands of the datasets differ, as far as they are known."""
-    first, *others = (open_samples(path).identity.hand for path in paths)
-    for path, hand in zip(paths[1:], others, strict=True):
-        differing = [
-            f"{name} {hand[name]}, not {first[name]}"
-            for name in sorted(first.keys() & hand.keys())
-            if hand[name] != first[name]
-        ]
-        if differing:
-            warn(
-                f"{path}: is of another hand than {paths[0]}, whose readings have other levels: {'; '.join(differing)}"
-            )
-
-
 def _build(arguments: argparse.Namespace) -> int:
-    _warn_of_other_hands(arguments.sources)
-    with progress_bar("building", hidden=arguments.json, transient=True) as advance:
-        result = build_store(
-            arguments.sources,
-            arguments.out,
-            attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
-            progress=advance,
-        )
-    splits = json.loads(make_splits(result.samples, arguments.seed))
-    record = {
-        "out": str(arguments.out),
-        "samples": len(result.samples),
-        "labelled": sum(sample.labelled for sample in result.samples),
-        "left_out": dict(result.left_out),
-        "renumbered": result.renumbered,
-        "sha256": result.sha256,
-        "seed": splits["seed"],
-        "splits": {kind: [part["name"] for part in parts] for kind, parts in splits["splits"].items()},
-        "omitted": splits["omitted"],
-    }
-    return _print_result("built", record, as_json=arguments.json)
+    return int(laboratory("cli.build", "dataset build").run(arguments))
 
 
 def _import(arguments: argparse.Namespace) -> int:
@@ -388,7 +351,7 @@ def _import(arguments: argparse.Namespace) -> int:
         "readings": result.readings,
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
-    return _print_result("imported", record, as_json=arguments.json)
+    return print_result("imported", record, as_json=arguments.json)
 
 
 def _name_and_value(text: str) -> tuple[str, str]:
@@ -411,10 +374,10 @@ def _export(arguments: argparse.Namespace) -> int:
         "left_out": dict(result.left_out),
         "lost": {name: count for name, count in result.lost.items() if count},
     }
-    return _print_result("exported", record, as_json=arguments.json)
+    return print_result("exported", record, as_json=arguments.json)
 
 
-def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:
+def print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:
     """Print a JSON object, or a table without empty values; exit status 0."""
     if as_json:
         print_json(record)

@@ -17,6 +17,9 @@ from foretouch.types import Cloud, Plane, assumed_table
 
 Record = dict[str, Any]
 
+ADDRESS_HELP: Final = "run on Ray: auto, ray://host:port, or local for a node on this machine (default: not on Ray)"
+"""Help on `--address` of the commands that can use a cluster."""
+
 
 def numbers(text: str, count: int = 4) -> list[float]:
     """Numbers with commas between them for argparse, such as `a,b,c,d`."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch COMMAND`: run the command's module, and report known errors in one line with exit status 1.
 
-A command is a module `foretouch.cli.<name>` with `add_arguments(parser)` and `run(arguments) -> int`.
+A command is a module `foretouch.cli.<name>`, or `foretouch_lab.cli.<name>` for those of the laboratory, with `add_arguments(parser)` and `run(arguments) -> int`.
 Heavy libraries are imported inside `run`, so that `--help` is fast.
 """
 
@@ -12,11 +12,13 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from foretouch import __version__
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
+from foretouch.laboratory import laboratory, needs_laboratory
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",
@@ -37,6 +39,8 @@ COMMANDS = {
     "sensor": "List, check and draw descriptions of tactile sensors",
     "doctor": "Check dependencies and print the fixes",
 }
+LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
+"""Commands that need `pip install 'foretouch[lab]'`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,7 +91,15 @@ def _run(arguments: list[str]) -> int:
     if parsed.command is None:
         parser.print_help()
         return 2
-    return int(importlib.import_module(f"foretouch.cli.{parsed.command}").run(parsed))
+    with needs_laboratory(parsed.command):  # some libraries are imported when they are needed
+        return int(command_module(parsed.command).run(parsed))
+
+
+def command_module(command: str) -> ModuleType:
+    """The module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
+    if command in LABORATORY:
+        return laboratory(f"cli.{command}", command)
+    return importlib.import_module(f"foretouch.cli.{command}")
 
 
 def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
@@ -108,7 +120,7 @@ def _parser(chosen: str | None) -> argparse.ArgumentParser:
     for name, summary in COMMANDS.items():
         command = commands.add_parser(name, help=summary, description=f"{summary}.")
         if name == chosen:
-            importlib.import_module(f"foretouch.cli.{name}").add_arguments(command)
+            command_module(name).add_arguments(command)
             if name not in {"dataset", "sensor", "view"}:  # whose actions have it, and which prints nothing
                 command.add_json()
     return parser

@@ -20,6 +20,7 @@ from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.laboratory import laboratory
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
 from foretouch.ros.runtime.parameter_files import nodes_of_file
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.tactile.messages.table import TactileConfig
-    from foretouch_lab.ros.hand import HandNode
     from foretouch_msgs.msg import TouchPredictionArray
 
 
@@ -197,14 +197,14 @@ def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileC
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
-    from foretouch_lab.simulation.scheduled import centre_of_objects
-
     from foretouch.camera.schedule import ScheduleConfig
+
+    simulation = laboratory("simulation.scheduled", f"--source {arguments.source}")
 
     show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    scene = show.load()  # so that an error in it is reported before anything starts
+    scene = simulation.scheduled_scene(show)  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     # Few, so that a small computer has time for the rest of the graph.
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
@@ -217,7 +217,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         nodes["segmentation"] = {
             "target.mode": "point",
-            "target.point": centre_of_objects(scene).tolist(),
+            "target.point": simulation.centre_of_objects(scene).tolist(),
             "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
         }
     return nodes
@@ -315,7 +315,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
         counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
-            counts["executed"] = cast("HandNode", graph.nodes["hand"]).executed
+            counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         print_json(counts)
     else:
         terminal().print(

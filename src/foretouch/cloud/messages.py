@@ -1,34 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages without ROS: headers, clouds and grasps, decoded alike from rclpy and rosbags, and serialised by rosbags.
+"""Messages without ROS: headers and clouds, decoded alike from rclpy and rosbags, and serialised by rosbags.
 
 `object_cloud` holds the points of all target objects, one object after the other, best first. Beside x, y, z (and
 rgb) each point carries `label` (UINT32, id of the object) and, where the cloud was cut from an image, `row` and
-`column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of tactile messages
-are in `foretouch.tactile.messages`.
+`column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of grasps are
+in `foretouch.grasp.messages`, those of tactile messages in `foretouch.tactile.messages`.
 
 CDR as ROS 2 uses it: four bytes of encapsulation, whose second gives the byte order, then the fields. A header is
 int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zero, the frame.
 """
 
 import struct
-from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
-from foretouch.errors import CloudError, DatasetError, GraspError
-from foretouch.grasp.pose import quaternion_xyzw
+from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import SECOND_NS, AnyArray, Bool, Cloud, Float64, Grasp, Index, Int64
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64
 
 _START: Final = 4  # of the fields in CDR
 _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32
-_MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
-_UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
-_AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
-_SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no difference
 
 
 def read_header(data: bytes) -> tuple[int, str]:
@@ -72,27 +66,6 @@ def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
     layout, data = encode(cloud)
     header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
     return SimpleNamespace(header=header, data=np.frombuffer(data, np.uint8), **vars(layout))
-
-
-def grasp_fields(grasp: Grasp) -> SimpleNamespace:
-    """The fields of a `foretouch_msgs/Grasp`."""
-    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
-    return SimpleNamespace(
-        id=grasp.id,
-        object_id=grasp.object_id,
-        g1=_point(grasp.g1),
-        g2=_point(grasp.g2),
-        pose=SimpleNamespace(position=_point(grasp.midpoint), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)),
-        rotation=np.ascontiguousarray(grasp.rotation.reshape(9), np.float64),
-        score=float(grasp.score),
-        status=0,
-        reason="",
-    )
-
-
-def _point(position: Any) -> SimpleNamespace:
-    x, y, z = map(float, position)
-    return SimpleNamespace(x=x, y=y, z=z)
 
 
 class ObjectCloud(NamedTuple):
@@ -150,105 +123,6 @@ def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
     found, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     members = np.split(np.argsort(inverse, kind="stable"), np.cumsum(counts)[:-1])
     return [(found[k], members[k]) for k in np.argsort(first)]
-
-
-def has_orientation(message: Any) -> bool:
-    """Whether a `foretouch_msgs/Grasp` holds a rotation, as a matrix or as a quaternion."""
-    return bool(np.any(_quaternion(message)) or np.any(message.rotation))
-
-
-def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
-    """A `foretouch_msgs/Grasp`. The position of its pose is not used: it is the midpoint of the contacts.
-
-    Args:
-        message: With a matrix, a quaternion, or both; nine zeros as matrix mean that only the quaternion counts.
-        rotation: (3, 3) float64, instead of that of the message.
-
-    Raises:
-        GraspError: If a number is not finite, the contacts are one point, or matrix and quaternion are absent or
-            differ.
-    """
-    g1, g2 = (np.array([p.x, p.y, p.z], np.float64) for p in (message.g1, message.g2))
-    rotation = _rotation_of(message) if rotation is None else rotation
-    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
-
-
-def _grasp_numbers(messages: Sequence[Any]) -> tuple[Float64, Float64, Float64]:
-    """(K, 2, 3) contacts, (K, 4) quaternions xyzw and (K, 3, 3) rotations of K `foretouch_msgs/Grasp`, float64."""
-    rows = []
-    for one in messages:
-        g1, g2, q = one.g1, one.g2, one.pose.orientation
-        rows.append((g1.x, g1.y, g1.z, g2.x, g2.y, g2.z, q.x, q.y, q.z, q.w))
-    numbers = np.array(rows, np.float64).reshape(-1, 10)
-    rotations = np.array([one.rotation for one in messages], np.float64).reshape(-1, 3, 3)
-    return numbers[:, :6].reshape(-1, 2, 3), numbers[:, 6:], rotations
-
-
-def surely_sound(contacts: Float64, matrices: Float64) -> Bool:
-    """(K,) whether (K, 2, 3) contacts are finite and apart and (K, 3, 3) matrices rotations; false close to a limit."""
-    with np.errstate(all="ignore"):  # what is not finite is not sound
-        skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    apart = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
-    return np.asarray(apart & (skewed < _SURELY * _AGREEMENT), np.bool_)
-
-
-def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
-    """As `decode_grasp` of each message, in a tenth of the time for many; None where that has to decide."""
-    contacts, xyzw, matrices = _grasp_numbers(messages)
-    with np.errstate(all="ignore"):  # what is not finite is not fine
-        length = np.sqrt((xyzw**2).sum(axis=1))
-        turned = np.abs(_rotations(xyzw / length[:, None]) - matrices).max(axis=(1, 2))
-        agrees = (np.abs(length - 1.0) < _SURELY * _UNIT_TOLERANCE) & (turned < _SURELY * _AGREEMENT)
-    fine = surely_sound(contacts, matrices) & (agrees | ~xyzw.any(axis=1))
-    return [
-        Grasp.checked(g1, g2, matrix, float(one.score), one.id, one.object_id) if good else None
-        for one, (g1, g2), matrix, good in zip(messages, contacts, matrices, fine.tolist(), strict=True)
-    ]
-
-
-def rotation_from_quaternion(xyzw: Float64) -> Float64:
-    """(3, 3) float64 rotation of a quaternion (4,), whose length must be 1 within 1e-3, else a `GraspError`."""
-    length = float(np.linalg.norm(xyzw)) if (np.abs(xyzw) <= _MAX_UNIT).all() else float(np.abs(xyzw).max())
-    if not abs(length - 1.0) <= _UNIT_TOLERANCE:
-        raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
-    return _rotations(xyzw / length)
-
-
-def _rotations(xyzw: Float64) -> Float64:
-    """(..., 3, 3) rotations of unit quaternions (..., 4)."""
-    x, y, z, w = (xyzw[..., k] for k in range(4))
-    matrices = np.empty((*xyzw.shape[:-1], 3, 3))
-    matrices[..., 0, 0], matrices[..., 0, 1] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w)
-    matrices[..., 0, 2], matrices[..., 1, 0] = 2 * (x * z + y * w), 2 * (x * y + z * w)
-    matrices[..., 1, 1], matrices[..., 1, 2] = 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-    matrices[..., 2, 0], matrices[..., 2, 1] = 2 * (x * z - y * w), 2 * (y * z + x * w)
-    matrices[..., 2, 2] = 1 - 2 * (x * x + y * y)
-    return matrices
-
-
-def _rotation_of(message: Any) -> Float64:
-    quaternion = _quaternion(message)
-    matrix = np.asarray(message.rotation, np.float64).reshape(3, 3)
-    if not np.any(matrix):
-        if not np.any(quaternion):
-            raise GraspError("pose: no orientation")
-        return rotation_from_quaternion(quaternion)
-    require_rotation(matrix)
-    if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
-        raise GraspError("rotation: is not that of pose.orientation")
-    return matrix
-
-
-def require_rotation(matrix: Float64) -> None:
-    """Refuse a matrix (3, 3) whose columns are not of unit length and perpendicular within 1e-3, by a `GraspError`."""
-    bounded = (np.abs(matrix) <= _MAX_UNIT).all()
-    if not (bounded and np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT)):
-        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
-
-
-def _quaternion(message: Any) -> Float64:
-    q = message.pose.orientation
-    return np.array([q.x, q.y, q.z, q.w], np.float64)
 
 
 def _integer_field(message: Any, name: str) -> AnyArray | None:

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time blocks, time calls in random order, and distinguish a loaded machine from an idle one."""
+"""Time calls in random order, and distinguish a loaded machine from an idle one."""
 
 import os
 import platform
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +45,6 @@ def cpu_name() -> str:
     info = Path("/proc/cpuinfo")
     names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
     return names[0] if names else platform.processor()
-
-
-@contextmanager
-def timed(times_ms: dict[str, float], name: str) -> Iterator[None]:
-    """Add the wall time of the block under a name, also when it fails [ms]."""
-    start = time.perf_counter()
-    try:
-        yield
-    finally:
-        times_ms[name] = times_ms.get(name, 0.0) + (time.perf_counter() - start) * 1e3
 
 
 def time_calls(

@@ -25,10 +25,10 @@ from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.skin import LAYER_M, skin_axes
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
-from foretouch_lab.simulation.contact.pad import PadConfig
 
-_SKIN: Final = PadConfig()  # of the BioTac SP
+_SKIN_AXES: Final = skin_axes()  # of the BioTac SP
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2
 _DEAD: Final = (128, 128, 128, 90)
 _TARGET, _OTHER = (60, 160, 80), (150, 150, 150)
@@ -191,11 +191,11 @@ class _Writer:
         self._column("/scene/hand/line", rr.LineStrips3D, lines, radii=0.0006)
         for k, finger in enumerate(self._view.fingers):
             path, colour = _path(finger), _COLOURS[k]
-            depth = _SKIN.skin_axes[2] if self._has_skin else 0.0  # of the surface below the origin
+            depth = _SKIN_AXES[2] if self._has_skin else 0.0  # of the surface below the origin
             ends = [_fingertip_pose(one, (one.g1, one.g2)[k], depth) for one in grasps if one is not None]
             self._poses(path, found, ends)
             if self._has_skin:
-                skin = [None if one is None else {"half_sizes": [_SKIN.skin_axes]} for one in grasps]
+                skin = [None if one is None else {"half_sizes": [_SKIN_AXES]} for one in grasps]
                 self._column(f"{path}/skin", rr.Ellipsoids3D, skin, colors=colour, line_radii=0.0001)
             lowest = [None if one is None else {"positions": [[0.0, 0.0, -depth]]} for one in grasps]
             self._column(f"{path}/contact", rr.Points3D, lowest, colors=colour, radii=0.002, labels=[finger])
@@ -208,7 +208,7 @@ class _Writer:
         """(N, 3) taxels in the frame of a fingertip [m], where they are drawn: on the skin, else on the surface of the pad."""
         layout = self._view.sensor.layout
         if self._has_skin:
-            return layout.positions + _SKIN.layer_m * layout.normals
+            return layout.positions + LAYER_M * layout.normals
         placed = layout.positions @ layout.to_fingertip.T
         return np.asarray(placed - [placed[:, 0].mean(), 0.0, placed[:, 2].min()], np.float64)
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
+from foretouch.laboratory import needs_laboratory
 from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
 
@@ -34,7 +35,7 @@ NODES = {
     "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
     "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
 }
-"""Module and class of each node by name."""
+"""Module and class of each node by name; that of the simulated hand is in the laboratory."""
 
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
@@ -111,7 +112,9 @@ def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
     try:
         for name in names:
             module, _, class_name = NODES[name].partition(":")
-            nodes.append(getattr(import_module(module), class_name)(**options))
+            with needs_laboratory(f"node {name}"):
+                made = import_module(module)
+            nodes.append(getattr(made, class_name)(**options))
     except ForetouchError:
         for node in nodes:
             node.destroy_node()

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.monitor import MonitorNode
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
-    from foretouch_lab.ros.hand import HandNode
 
 
 _SOURCES = ("replay", "camera")
@@ -117,7 +116,7 @@ class Graph:
 
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
-        hand, end = cast("HandNode | None", self.nodes.get("hand")), time.monotonic() + timeout_s
+        hand, end = cast("Any", self.nodes.get("hand")), time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
         while hand is not None and hand.busy:

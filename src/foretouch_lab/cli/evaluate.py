@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 
 from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
@@ -15,6 +14,7 @@ from foretouch.models.registry import load_model
 from foretouch.tactile.description import named_taxels, require_same
 from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model, own_samples
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 
 _SCORED: Final = {
     "held_out": "held-out samples",

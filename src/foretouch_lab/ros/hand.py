@@ -18,8 +18,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from foretouch.grasp.messages import decode_grasp
-from foretouch_lab.simulation.tactile_faults import TactileFaultConfig, TactileFaults
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
@@ -28,12 +26,15 @@ from foretouch.camera.schedule import ScheduleConfig
 from foretouch.config import setting
 from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg, sensor_to_msg, tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch_lab.simulation.scheduled import scheduled_scene
+from foretouch_lab.simulation.tactile_faults import TactileFaultConfig, TactileFaults
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -109,7 +110,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
 
     def _setup(self) -> None:
         self._faults = TactileFaults(self.config.faults)
-        scene = self.config.scene.load()
+        scene = scheduled_scene(self.config.scene)
         self._hand = SimulatedHand(scene, self.config.course)
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
             self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)

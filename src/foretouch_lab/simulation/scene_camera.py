@@ -17,10 +17,18 @@ from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
 from foretouch_lab.simulation.campaign import object_index
-from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene, to_millimetres
+from foretouch_lab.simulation.depth_scene import (
+    FIRST_OBJECT,
+    TABLE,
+    DepthImage,
+    DepthScene,
+    random_scene,
+    to_millimetres,
+)
 from foretouch_lab.simulation.effects import place, view
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig
+from foretouch_lab.simulation.scheduled import scheduled_scene
 from foretouch_lab.simulation.world import SampleKey
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
@@ -146,6 +154,25 @@ class _SceneImages:
             self.fault = f"scene: sample {slot} is not shown: {err}"
             _LOG.warning(self.fault)
             return self._maker.nothing()
+
+
+def scheduled_camera(schedule: ScheduleConfig, fps: int, faults: MessageFaults | None = None) -> SyntheticCamera:
+    """As `scene_camera`, of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
+    return scene_camera(scheduled_scene(schedule), schedule, fps, faults)
+
+
+def swinging_camera(seed: int, width: int, height: int, fps: int) -> SyntheticCamera:
+    """A device that streams a random scene of three objects, of which one swings; not yet started.
+
+    Args:
+        seed: Seed of scene and noise.
+        width: Width of the images [px].
+        height: Their height [px].
+        fps: Images a second, of which at most 30 are kept in memory and repeated [Hz].
+    """
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, width, height)
+    return SyntheticCamera(swinging_frames(scene, min(30, fps), rng=rng), fps)
 
 
 def scene_camera(

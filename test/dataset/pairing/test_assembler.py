@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foretouch.grasp.messages import decode_grasp
 from pair_builders import SECOND, interval, level, stream
 
 from foretouch.cloud.messages import cloud_fields
@@ -17,6 +16,7 @@ from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import GraspError, TactileError
+from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import Cloud
 

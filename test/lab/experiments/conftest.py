@@ -28,7 +28,7 @@ def trace(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def scenes() -> Path:
-    return Path(__file__).parents[2] / "config" / "scenes"
+    return Path(__file__).parents[3] / "config" / "scenes"
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from foretouch_lab.learning.data import Dataset, labels_of, load_dataset, make_f
 from foretouch_lab.learning.evaluation.baselines import object_mean
 from foretouch_lab.learning.evaluation.metrics import score
 
-RESULTS = Path(__file__).parents[2] / "docs/results"
+RESULTS = Path(__file__).parents[3] / "docs/results"
 SAMPLES = make_samples(6, 10)
 SHA256 = "cbdc09f6b1113c361402f009a84aacd7284044d93e99fc01c27a3301d68b1a59"  # of the public grasps
 

@@ -33,7 +33,7 @@ from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.simulation.scene import load_scene as read_scene
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SCENE = ROOT / "config" / "scenes" / "deformables_wide.yaml"
 TINY: dict[str, Any] = {
     "updates": 8,

@@ -18,7 +18,7 @@ from foretouch_lab.experiments import Cell, run_sweep
 from foretouch_lab.experiments.framework.executors import Job, run_cell
 from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[2]
 PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where workers find `own_experiments`
 
 

@@ -23,7 +23,7 @@ QUICK = BootstrapConfig(draws=100)
 PERCEPTION = tradeoff_perception.PerceptionSettings(scenes=2, real=0, detail="few")
 SIMULATION = tradeoff_simulation.SimulationSettings(compared=4, train=10, trees=2, finest_cells=24)
 TRAINING = tradeoff_training.TrainingSettings(trees=2, detail="few", bootstrap=QUICK)
-SCENES = Path(__file__).parents[2] / "config" / "scenes"
+SCENES = Path(__file__).parents[3] / "config" / "scenes"
 
 
 @cache

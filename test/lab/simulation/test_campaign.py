@@ -25,7 +25,7 @@ from foretouch_lab.simulation.simulate import Simulation, explain_scene
 from foretouch_lab.simulation.simulate import replay as made_again
 from foretouch_lab.simulation.world import SampleKey, World
 
-SCENES = Path(__file__).parents[2] / "config" / "scenes"
+SCENES = Path(__file__).parents[3] / "config" / "scenes"
 HELD = {"grasps": {"insertion_m": 0.01}}
 BOX = {"name": "box", "shape": "box", "size_m": [0.06, 0.09, 0.07]}
 QUIET = {"hand_counts": 0.0, "finger_counts": 0.0, "electrode_counts": 0.0, "pdc_counts": 0.0}

@@ -19,7 +19,7 @@ from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.world import SampleKey
 
-SCENES = Path(__file__).parents[2] / "config" / "scenes"
+SCENES = Path(__file__).parents[3] / "config" / "scenes"
 SCENE = scene()
 KEYS = set(SampleState.__annotations__)
 OUTPUTS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")

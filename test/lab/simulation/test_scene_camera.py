@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from foretouch_lab.simulation.scheduled import centre_of_objects
 from sim_builders import CAN, run, scene
 
 from foretouch.camera.config import RealSenseConfig
@@ -17,6 +16,7 @@ from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch_lab.simulation import random_scene
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
 from foretouch_lab.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera, swinging_frames
+from foretouch_lab.simulation.scheduled import centre_of_objects, scheduled_scene
 
 START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}
@@ -121,9 +121,9 @@ def test_samples_follow_each_other_and_begin_anew_and_what_is_missing_is_named(t
     seconds = [-1000.0, 0.0, 2.499, 2.5, 4.999, 5.0, 7.499, 7.5, 10.0]
     assert [schedule.slot(START + round(s * 1e9)) for s in seconds] == [0, 0, 0, 1, 1, 2, 2, 0, 1]
     with pytest.raises(ConfigError, match="path: is empty"):
-        ScheduleConfig().load()
+        scheduled_scene(ScheduleConfig())
     with pytest.raises((ConfigError, FileError), match=r"none\.yaml"):
-        ScheduleConfig(path=str(tmp_path / "none.yaml")).load()
+        scheduled_scene(ScheduleConfig(path=str(tmp_path / "none.yaml")))
 
 
 def test_the_object_is_found_near_the_middle_however_the_camera_stands() -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from answer_builders import touch_message
 from every_case import every_case
-from foretouch.grasp.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
 from geometry_msgs.msg import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +17,7 @@ from std_msgs.msg import String
 
 from foretouch.cli.answers import answer_record
 from foretouch.errors import CloudError, GraspError, MissingDependencyError, ModelError
+from foretouch.grasp.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
 from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.conversions import (

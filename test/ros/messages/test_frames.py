@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from foretouch.grasp.messages import decode_grasp, rotation_from_quaternion
 from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
@@ -14,6 +13,7 @@ from shape_msgs.msg import Plane as PlaneMsg
 
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
+from foretouch.grasp.messages import decode_grasp, rotation_from_quaternion
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.frames import FrameTransform

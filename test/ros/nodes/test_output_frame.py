@@ -5,13 +5,13 @@ import time
 
 import numpy as np
 import pytest
-from foretouch.grasp.messages import decode_grasp, rotation_from_quaternion
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch import reading
+from foretouch.grasp.messages import decode_grasp, rotation_from_quaternion
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION

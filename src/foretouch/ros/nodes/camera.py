@@ -10,7 +10,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.config import RealSenseConfig
@@ -20,10 +19,9 @@ from foretouch.camera.schedule import ScheduleConfig
 from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
+from foretouch.laboratory import laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch_lab.simulation import random_scene
-from foretouch_lab.simulation.scene_camera import scene_camera, swinging_frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +69,16 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     def _setup(self) -> None:
         config = self.config
         if config.source == "synthetic":
-            self.synthetic = _synthetic_camera(config)
+            camera = config.camera
+            self.synthetic = _simulation(config.source).swinging_camera(
+                config.synthetic.seed, camera.width, camera.height, camera.fps
+            )
         elif config.source == "scene":
-            scene = config.scene.load()
-            self._size = {"width": scene.camera.width, "height": scene.camera.height}
             self._faults = MessageFaults(config.faults)
-            self.synthetic = scene_camera(scene, config.scene, config.camera.fps, self._faults)
+            found: SyntheticCamera = _simulation(config.source).scheduled_camera(
+                config.scene, config.camera.fps, self._faults
+            )
+            self.synthetic, self._size = found, dict(zip(("height", "width"), found.shape, strict=True))
         self._points = self.advertise(PointCloud2, "points")
 
     def _start(self) -> None:
@@ -176,8 +178,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             self.get_logger().warning(str(status))
 
 
-def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
-    """A scene that swings once a second; at most 30 frames of that are kept in memory."""
-    camera, rng = config.camera, np.random.default_rng(config.synthetic.seed)
-    scene = random_scene(rng, camera.width, camera.height)
-    return SyntheticCamera(swinging_frames(scene, min(30, camera.fps), rng=rng), camera.fps)
+def _simulation(source: str) -> Any:
+    """The module that makes simulated cameras; a `MissingDependencyError` where the laboratory is not installed."""
+    return laboratory("simulation.scene_camera", f"source: {source}")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from foretouch_lab.learning.evaluation.prequential import CLOCK_S, other_objects_mean
 
 from foretouch.models.calibration import Calibration
 from foretouch.models.prequential import Recording, replay
@@ -34,6 +33,7 @@ from foretouch_lab.experiments.shared.tables import (
     with_notes,
 )
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.prequential import CLOCK_S, other_objects_mean
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 

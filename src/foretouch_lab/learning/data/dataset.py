@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
-import copy
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
+from foretouch.models.prequential import with_readings
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor
@@ -178,13 +178,6 @@ class LazySample(GraspSample):
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         store, number = vars(self)["_place"]
         return only_finite(store[number]).cloud
-
-
-def with_readings(sample: GraspSample, **readings: Touch) -> GraspSample:
-    """The sample with another `touch` or `tare`; its cloud is not read."""
-    changed = copy.copy(sample)
-    vars(changed).update(readings)
-    return changed
 
 
 def sample_hash(sample: GraspSample) -> str:

@@ -15,12 +15,10 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
+from foretouch.tactile.skin import LAYER_M, skin_axes
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.problem import ElasticLayer
 
-# The core's semi-axes fit the electrode positions in common use (1 to 20 within 0.03 mm; 21 to 24 sit on a flat up to 0.4 mm inside).
-CORE_HALF_LENGTH_M: Final = 0.01237  # along the finger
-CORE_RADIUS_M: Final = 0.008  # across the finger
 POISSON: Final = 0.316  # Poisson's ratio of the layer, as in published finite-element models of the skin
 SOFT_WINDOW_M: Final = 0.02  # side of the window on a soft object
 
@@ -29,7 +27,7 @@ SOFT_WINDOW_M: Final = 0.02  # side of the window on a soft object
 class PadConfig(Settings):
     """Shape and material of the fingertip's pad, and the grid that contacts are solved on."""
 
-    layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", bounds=(1e-5, 1.0))
+    layer_m: float = setting(LAYER_M, "Thickness of skin and liquid over the core", bounds=(1e-5, 1.0))
     modulus_pa: float = setting(
         1.552e6, "Young's modulus of the layer, as in published finite-element models of the skin", bounds=(1.0, 1e12)
     )
@@ -56,8 +54,7 @@ class PadConfig(Settings):
     @property
     def skin_axes(self) -> Float64:
         """(3,) float64: semi-axes of the skin [m]."""
-        across = CORE_RADIUS_M + self.layer_m
-        return np.array([CORE_HALF_LENGTH_M + self.layer_m, across, across])
+        return skin_axes(self.layer_m)
 
 
 @dataclass(frozen=True, eq=False)

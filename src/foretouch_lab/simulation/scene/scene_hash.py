@@ -8,7 +8,7 @@ import hashlib
 import json
 from typing import Any, Final
 
-from foretouch.tactile import FULL_SCALE
+from foretouch.tactile import FULL_SCALE, skin
 from foretouch.tactile.description import Sensor
 from foretouch_lab.simulation import disturbances, fingertip, taxels
 from foretouch_lab.simulation.contact import layer, pad, problem, shear
@@ -35,8 +35,8 @@ _CONSTANTS: Final[dict[str, Any]] = {
     "grasps": {"error": {"target_share": TARGET_SHARE}},
     "fingers": {
         "pad": {
-            "core_half_length_m": pad.CORE_HALF_LENGTH_M,
-            "core_radius_m": pad.CORE_RADIUS_M,
+            "core_half_length_m": skin.CORE_HALF_LENGTH_M,
+            "core_radius_m": skin.CORE_RADIUS_M,
             "poisson": pad.POISSON,
             "friction": 0.783,
             "soft_window_m": pad.SOFT_WINDOW_M,

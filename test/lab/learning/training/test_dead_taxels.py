@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 from recording_builders import IDENTITY, QUICK
 from run_builders import quiet, run_config, write_store
 
@@ -24,6 +23,7 @@ from foretouch_lab.dataset.store_writer import build_store
 from foretouch_lab.learning.data import Dataset, load_dataset, make_folds
 from foretouch_lab.learning.evaluation.baselines import training_mean
 from foretouch_lab.learning.evaluation.evaluate import cross_validate, evaluate_model
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 from foretouch_lab.learning.training.run import make_learner, train_run
 
 CONTACT = {"method": "contact", "contact": {"trees": 4}}

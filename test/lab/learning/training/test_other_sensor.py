@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 from numpy.testing import assert_allclose, assert_array_equal
 from other_sensor import USKIN, changed_sensor, readings, train_on, write_readings
 from run_builders import quiet, run_config
@@ -18,6 +17,7 @@ from foretouch.tactile import touch_faults
 from foretouch.types import Touch
 from foretouch_lab.learning.data import channels_of, load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 from foretouch_lab.learning.training.calibration import rest_level, resting_labels
 from foretouch_lab.learning.training.run import train_run
 

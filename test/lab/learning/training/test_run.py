@@ -195,7 +195,7 @@ def test_the_recipes_that_come_along_are_understood_and_that_of_p2s_srgan_is_the
         assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
         assert load_run_config(recipe.stem) == resolved  # by name, as where no config folder is installed
 
-    every_case(sorted((Path(__file__).parents[3] / "config/train").glob("*.yaml")), check)
+    every_case(sorted((Path(__file__).parents[4] / "config/train").glob("*.yaml")), check)
     chosen = load_run_config("p2_srgan")
     loss = chosen.srgan.loss
     assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)

@@ -10,7 +10,7 @@ from foretouch.errors import ConfigError
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.simulate import explain_scene
 
-SCENES = {path.stem: path for path in sorted((Path(__file__).parents[3] / "config" / "scenes").glob("*.yaml"))}
+SCENES = {path.stem: path for path in sorted((Path(__file__).parents[4] / "config" / "scenes").glob("*.yaml"))}
 
 
 def test_every_scene_of_the_repository_loads_and_can_be_explained() -> None:
