@@ -143,7 +143,7 @@ IMPORT_NAMES = {  # of distributions whose modules are named otherwise
     "foxglove-sdk": "foxglove",
 }
 NOT_IN_ROSDEP = {"torch", "safetensors", "embreex", "mcap", "pyarrow", "rosbags", "threadpoolctl", "lzf"}
-OPTIONAL = ("lab", "camera", "sweep", "open3d", "view", "serve")
+OPTIONAL = ("lab", "hdf5", "camera", "sweep", "open3d", "view", "serve")
 ONLY_IN_FULL_ROS = {"sr_robot_msgs"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 

@@ -164,6 +164,7 @@ def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
         "README",
         "collector",
         "operator",
+        "other_recordings",
         "own_model",
         "planner",
         "researcher",

@@ -291,7 +291,7 @@ def sampled() -> Reader:
 
     def predict(target: Any, grasps: Any, header: Any) -> Any:
         made = predictor.array([target], grasps, header, config).message.predictions
-        return [(one, None if one.status else np.full(2, 0.5)) for one in made]
+        return [(one, np.full((3, 2), np.nan if one.status else 0.5)) for one in made]
 
     def read(goal: Any) -> None:
         result = sample_grasps(goal, None, config, "0", predict, lambda _: None, lambda: False)
@@ -479,19 +479,19 @@ def labels() -> Reader:
 
 
 _CONFIGS = {
-    "segmentation": "nodes.segmentation:SegmentationNodeConfig",
-    "grasp": "nodes.grasp:GraspNodeConfig",
-    "touch_predictor": "touch.config:TouchPredictorConfig",
-    "recorder": "nodes.recorder:RecorderConfig",
-    "camera": "nodes.camera:CameraNodeConfig",
-    "hand": "nodes.hand:HandConfig",
+    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNodeConfig",
+    "grasp": "foretouch.ros.nodes.grasp:GraspNodeConfig",
+    "touch_predictor": "foretouch.ros.touch.config:TouchPredictorConfig",
+    "recorder": "foretouch.ros.nodes.recorder:RecorderConfig",
+    "camera": "foretouch.ros.nodes.camera:CameraNodeConfig",
+    "hand": "foretouch_lab.ros.hand:HandNodeConfig",
 }
 
 
 def _settings(node: str) -> Reader:
     """Changes of the parameters of one node, and what it makes of them."""
     module, name = _CONFIGS[node].split(":")
-    config: Settings = getattr(import_module(f"foretouch.ros.{module}"), name)()
+    config: Settings = getattr(import_module(module), name)()
     flat = config.to_mapping()
     names, numbers = _flattened(flat), count()
 

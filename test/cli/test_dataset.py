@@ -133,7 +133,7 @@ def test_a_bag_of_a_described_sensor_is_imported_and_shown(call, tmp_path) -> No
     write_topics(tmp_path / "bag", None, xela_stream(), XELA_TYPES)
     start = ("dataset", "import", str(tmp_path / "bag"), "-o", str(tmp_path / "ds"), "--sensor")
     call(*start, "xela").check_refused(
-        "xela: is neither a file nor one of biotac_sp, shadow_mst, tacsl_20x25, xela_uskin_4x4"
+        "xela: is neither a file nor one of biotac_sp, icub_fingertip, shadow_mst, tacsl_20x25, xela_uskin_4x4, xela_uskin_4x4_raw"
     )
     call(*start, "xela_uskin_4x4", "--middle", "MF").check_refused("fingers: 'MF' is not one of TH, FF")
     (answer,) = call(*start, "xela_uskin_4x4", "--json").records

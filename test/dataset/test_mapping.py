@@ -178,6 +178,25 @@ def test_arrays_of_two_dimensions_are_numbered_columns(tmp_path: Path, source: P
         imported(tmp_path, source, table={"file": "{object}_{id}.npz"}, values=columns, others=[], outcome={})
 
 
+def test_lists_in_a_column_of_parquet_are_numbered_columns_and_must_be_of_one_length(tmp_path: Path) -> None:
+    """As LeRobot stores the taxels of a finger: taxels x axes in each row."""
+    found = rows()
+    table = {name: [line[k] for line in found] for k, name in enumerate(NAMES)}
+    table["pad"] = [[[value] for value in line[1:4]] for line in found]
+    source = tmp_path / "source"
+    source.mkdir()
+    values = [{"finger": "A", "channel": "P", "columns": ["pad[{0..2}]"]}, MAP["values"][1]]
+    changes: dict[str, Any] = {"table": {"file": "{object}_{id}.parquet"}, "values": values}
+    pq.write_table(pa.table(table), source / "cup_a.parquet")
+    (record,) = imported(tmp_path, source, **changes)
+    assert record.series is not None
+    assert_array_equal(record.series.counts[:, :3], np.array([line[1:4] for line in found], np.float32))
+    table["pad"] = [*table["pad"][:-2], [[1]] * 4, [[1]] * 2]
+    pq.write_table(pa.table(table), source / "cup_a.parquet")
+    with pytest.raises(FileError, match=r"cup_a\.parquet.*column pad.*lists of several lengths"):
+        import_samples(source, tmp_path / "ds2", map_file=write_map(tmp_path, **changes))
+
+
 def test_files_beside_are_joined_by_row_and_missing_rows_are_counted(tmp_path: Path, source: Path) -> None:
     write_csv(source / "robot.csv", [[k] for k in range(99)], ["joint"])
     write_csv(source / "facts.csv", [["mug", 50]], ["thing", "hz"])

@@ -31,7 +31,12 @@ ANSWER_SUFFIXES = (".json", ".jsonl")
 
 def grasp_record(grasp: Grasp) -> dict[str, Any]:
     """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
-    return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
+    return {
+        "g1": grasp.g1,
+        "g2": grasp.g2,
+        "rotation": grasp.rotation.reshape(9),
+        "score": None if math.isnan(grasp.score) else grasp.score,
+    }
 
 
 def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) -> dict[str, Any]:

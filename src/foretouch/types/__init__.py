@@ -365,8 +365,9 @@ class GraspSample:
 
     id: str  # `<object>/<source id>`
     object: str  # label of the object
-    cloud: Cloud = NO_CLOUD  # the object's cloud on which the grasp was planned
-    grasp: Grasp = NO_GRASP
+    # By factories, since subclasses read their cloud when it is asked for, and must not find a default in the class.
+    cloud: Cloud = field(default_factory=lambda: NO_CLOUD)  # the object's cloud on which the grasp was planned
+    grasp: Grasp = field(default_factory=lambda: NO_GRASP)
     touch: Touch | None = None  # reading in contact; None for an unlabelled sample
     tare: Touch | None = None  # reading without contact; None if there is none
     stamp_ns: int = 0  # time of recording [ns]

@@ -64,7 +64,7 @@ def test_every_sensor_is_read_back_by_its_names_from_messages_and_from_arrays():
                 for end in ("value", "lower", "upper"):
                     touch = None if isinstance(outcome, Refusal) else getattr(outcome, end)
                     array, stacked = (one if end == "value" else getattr(one, end) for one in (values, many[key]))
-                    expected = [np.full(array.shape[1:], np.nan)] * 2
+                    expected = [np.full(array.shape[1:], np.nan)] * len(sensor.channels.fingers)
                     if touch is not None:
                         parts = [touch[f"{key}_{finger}"] for finger in sensor.channels.fingers]
                         expected = [part if array.ndim == 2 else part[0] for part in parts]

@@ -63,7 +63,8 @@ def test_every_described_sensor_is_read_back_with_its_stamp(monkeypatch: pytest.
         assert found.stamp_ns == STAMP
         assert not found.invalid
 
-    every_case([(name,) for name in sensor_files()], check)
+    sources = {name: packaged_sensor(name).config.source.type for name in sensor_files()}
+    every_case([(name,) for name, kind in sources.items() if kind != "table/Rows"], check)  # tables are no messages
 
 
 def test_a_sensor_whose_messages_are_not_installed_is_named() -> None:
