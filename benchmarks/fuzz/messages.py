@@ -479,19 +479,19 @@ def labels() -> Reader:
 
 
 _CONFIGS = {
-    "segmentation": "nodes.segmentation:SegmentationNodeConfig",
-    "grasp": "nodes.grasp:GraspNodeConfig",
-    "touch_predictor": "touch.config:TouchPredictorConfig",
-    "recorder": "nodes.recorder:RecorderConfig",
-    "camera": "nodes.camera:CameraNodeConfig",
-    "hand": "nodes.hand:HandConfig",
+    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNodeConfig",
+    "grasp": "foretouch.ros.nodes.grasp:GraspNodeConfig",
+    "touch_predictor": "foretouch.ros.touch.config:TouchPredictorConfig",
+    "recorder": "foretouch.ros.nodes.recorder:RecorderConfig",
+    "camera": "foretouch.ros.nodes.camera:CameraNodeConfig",
+    "hand": "foretouch_lab.ros.hand:HandNodeConfig",
 }
 
 
 def _settings(node: str) -> Reader:
     """Changes of the parameters of one node, and what it makes of them."""
     module, name = _CONFIGS[node].split(":")
-    config: Settings = getattr(import_module(f"foretouch.ros.{module}"), name)()
+    config: Settings = getattr(import_module(module), name)()
     flat = config.to_mapping()
     names, numbers = _flattened(flat), count()
 

@@ -35,7 +35,7 @@ def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:
     renamed = dataclasses.replace(data.samples[5], id="other")
     np.testing.assert_array_equal(renamed.cloud.xyz, samples[5].cloud.xyz)
     assert renamed.id == "other"
-    with pytest.raises(AttributeError, match="StoredSample has no attribute 'clouds'"):
+    with pytest.raises(AttributeError, match="LazySample has no attribute 'clouds'"):
         _ = data.samples[0].clouds
 
 
