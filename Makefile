@@ -1,9 +1,9 @@
 # Everything for everyone: make setup, make demo, make test, make check, make test-portable, make coverage, make bench, make docs, make reference. Each can be repeated and reuses what stands.
-# ROS=jazzy runs it on ROS 2 Jazzy, in an environment of its own.
+# ROS=kilted runs it on ROS 2 Kilted, in an environment of its own.
 PYTHON ?= python3
-ROS ?= kilted
-VENV := .venv$(if $(filter-out kilted,$(ROS)),-$(ROS))
-ROS_EXTRA := $(if $(filter-out kilted,$(ROS)),$(ROS),ros)
+ROS ?= jazzy
+VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
+ROS_EXTRA := $(if $(filter-out jazzy,$(ROS)),$(ROS),ros)
 CONSTRAINTS := -c constraints.txt -c constraints-$(ROS).txt
 BIN := $(VENV)/bin
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/foretouch
@@ -31,13 +31,14 @@ setup: $(VENV)/.installed
 
 $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
+	@test ! -e $@ || test "$$(cat $@)" = $(ROS) || { echo "setup: $(VENV) holds another ROS 2: it is made anew"; rm -rf $(VENV); }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two; on a loaded machine more)"
 	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,lab]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
 	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
-	@touch $@
+	@echo $(ROS) > $@
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute; on a loaded machine more)"
@@ -98,4 +99,4 @@ format: setup
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf .venv .venv-jazzy build install log dist demo-output
+	rm -rf .venv .venv-kilted build install log dist demo-output

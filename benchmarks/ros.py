@@ -41,8 +41,10 @@ class Client:
         prepare_domain(domain)
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        from foretouch.ros.runtime.executor import GraphExecutor, InputGroup
+        from foretouch.ros.runtime.internal_errors import InternalErrors
 
         if not rclpy.ok():
             rclpy.init()
@@ -51,8 +53,9 @@ class Client:
         self.lock = threading.Lock()
         self.deep = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
         self._clients: dict[str, Any] = {}
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, self.deep)
-        self._executor = SingleThreadedExecutor()
+        group = InputGroup()  # with which the publisher is known on every release
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, self.deep, callback_group=group)
+        self._executor = GraphExecutor(InternalErrors(print))
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
 

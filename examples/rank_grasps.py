@@ -67,10 +67,12 @@ def main() -> None:
     pdc = reading(batch)["PDC"]  # (K, fingers), NaN without a prediction
     best = int(np.nanargmin(pdc.sum(axis=1)))
     print(f"{np.isfinite(pdc).all(axis=1).sum()} of {CANDIDATES} grasps predicted; the gentlest is {best}:")
-    flags = [
-        flag for flag, has in zip(batch.flags, np.reshape(batch.flagged, (CANDIDATES, -1))[best], strict=True) if has
-    ]
+    flagged = dict(zip(batch.flags, np.reshape(batch.flagged, (CANDIDATES, -1)).T.astype(bool), strict=True))
+    flags = [flag for flag, has in flagged.items() if has[best]]
     print(f"PDC thumb {pdc[best, 0]:.0f}, middle finger {pdc[best, 1]:.0f} counts, flags {flags}")
+    if "equal_pressure" in flags:
+        others = flagged["equal_pressure"].sum() - 1
+        print(f"{others} others are as gentle within its interval: select among them by another rule")
     for name_of, point in (("g1", contacts[best, :3]), ("g2", contacts[best, 3:])):
         print(f"{name_of} = ({', '.join(f'{value:.3f}' for value in point)}) m in {batch.header.frame_id}")
     print(f"report its execution as grasp {name}/{best}")  # as examples/report_grasp.py does

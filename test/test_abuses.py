@@ -13,16 +13,18 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
 from every_case import every_case
 from process_domain import process_environment
 from recording_builders import write_dataset
 from scene_builders import scene_cloud, write_scenes
 
+from benchmarks.soak import signals
 from foretouch.cloud.io.files import write_cloud
 from foretouch.types import Cloud
 
@@ -158,30 +160,10 @@ def wait_for(abuse: Abuse, process: subprocess.Popen[bytes]) -> None:
             pass
         return
     end = time.monotonic() + PATIENCE_S
-    while process.poll() is None and not _catches(process.pid, signal.SIGHUP):  # Python alone does not
+    while process.poll() is None and not signals.catches(process.pid):
         assert time.monotonic() < end
         time.sleep(0.002)
     time.sleep(abuse.after)
-
-
-def _catches(pid: int, number: int) -> bool:
-    try:
-        status = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return False
-    (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt"))
-    return bool(int(mask, 16) >> (number - 1) & 1)
-
-
-def members(session: int) -> Iterator[str]:
-    """Command lines of the processes of a session."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state, _, _, leader = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
-            if int(leader) == session and state != "Z":
-                yield (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:  # it has ended meanwhile
-            continue
 
 
 def check_end(abuse: Abuse, process: subprocess.Popen[bytes], out: bytes, err: str) -> None:
@@ -193,7 +175,7 @@ def check_end(abuse: Abuse, process: subprocess.Popen[bytes], out: bytes, err: s
     assert bool(lines) >= (process.returncode > 0), err
     assert len(lines) <= 5, err
     end = time.monotonic() + 20.0
-    while left := list(members(process.pid)):
+    while left := list(signals.members(process.pid)):
         assert time.monotonic() < end, left
         time.sleep(0.05)
     if "--json" in abuse.words:
@@ -227,6 +209,17 @@ def test_a_signal_at_any_moment_ends_it_in_order(commands, start, tmp_path) -> N
         assert hidden == [], "a half-written output is left"
 
     every_case({one.name: one for one in SIGNALS[commands]}, check)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("name", signals.COMMANDS)
+def test_signals_at_random_moments_leave_no_process_no_shared_memory_and_no_open_recording(name, tmp_path) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    rng, scenes = np.random.default_rng(7), signals.write_clouds(tmp_path)
+    domain = int(process_environment()["ROS_DOMAIN_ID"])
+    for _ in range(3):  # `python -m benchmarks.soak.signals` has 200 cases, and the time within which they end
+        one = signals.run_case(*signals.draw(rng, (name,)), scenes, domain, allowed_s=60.0)
+        assert one.fault == "", one
 
 
 @pytest.mark.ros

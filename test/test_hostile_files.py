@@ -19,17 +19,20 @@ from calibrated_models import save_calibrated_contact
 from every_case import every_case
 from recording_builders import readable
 
+from foretouch.cli.answers import prediction_from_record
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml, parse_overrides
+from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ConfigError, DatasetError, ForetouchError
 from foretouch.files import file_sha256
 from foretouch.models.card import read_card
 from foretouch.models.files import read_tensors
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
+from foretouch.tactile import BIOTAC
 from foretouch.types import Cloud
 
 DIGITS = "9" * 4400
@@ -290,6 +293,65 @@ def test_names_that_no_file_can_have_are_refused() -> None:
     }
     cases = [(f"{read.__name__} {name[:5]!r}", read, name) for read, names in readers.items() for name in names]
     every_case(cases, lambda _, read, name: refused(lambda: read(name), ""))
+
+
+def test_numbers_of_a_card_have_a_type_and_bounds(tmp_path: Path) -> None:
+    path = Path(save_calibrated_contact(tmp_path))
+    card = json.loads(path.read_text())
+    skill, regimes = (
+        {"random": {"PDC_TH": {"skill": 0.5}}},
+        {"known": {"objects": 8, "coverage": {"PDC_TH": {"mean": 0.9}}}},
+    )
+    card |= {"skill": skill, "data": {"samples": 400}, "split": {"train": 400}}
+    card["calibration"] |= {"level": 0.9, "regimes": regimes}
+    path.write_text(json.dumps(card))
+    load_model(path)  # so good
+    places = {
+        "skill.random.PDC_TH.skill": (True, "7", 1e20, 10**30),
+        "data.samples": (True, "7", -5, 0.5, 1e20, 10**30),
+        "split.train": (True, -5, 0.5),
+        "calibration.level": (True, "7", -5, 1.5),
+        "calibration.regimes.known.objects": (True, "7", -5, 0.5),
+        "calibration.regimes.known.coverage.PDC_TH.mean": (True, "7", -5, 1e20),
+    }
+    for place, values in places.items():
+        for value in values:
+            changed = json.loads(json.dumps(card))
+            *groups, last = place.split(".")
+            group = changed
+            for name in groups:
+                group = group[name]
+            group[last] = value
+            path.write_text(json.dumps(changed))
+            refused(lambda: load_model(path), place)
+    for text in ("NaN", "Infinity", "-Infinity", "1e999"):
+        path.write_text(json.dumps(card).replace("0.5", text))
+        refused(lambda: load_model(path), "is not a number that can be used")
+
+
+def test_numbers_of_answers_and_counts_have_a_type_and_bounds() -> None:
+    grasp = {"g1": [0.0, 0.0, 1.0], "g2": [0.1, 0.0, 1.0], "rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "score": 3.0}
+    ends = {
+        name: {"value": [1.0] * 24 if name[0] == "E" else 1.0, "lower": None, "upper": None}
+        for name in BIOTAC.modalities
+    }
+    record = {"grasp": grasp, **ends, "reference": "none", "status": "ok", "reason": "", "flags": []}
+    assert prediction_from_record(record).grasp.score == 3.0
+    for wrong in (True, "7", float("nan"), float("inf"), 1e20, 10**30):
+        for changed in (
+            record | {"grasp": grasp | {"score": wrong}},
+            record | {"grasp": grasp | {"g1": [wrong, 0.0, 1.0]}},
+            record | {"PDC_TH": ends["PDC_TH"] | {"value": wrong}},
+            record | {"E_MF": ends["E_MF"] | {"value": [wrong] * 24}},
+        ):
+            with pytest.raises(ConfigError, match="is not a number that can be used"):
+                prediction_from_record(changed)
+    counts = {"received": 3, "written": 2, "lost": 0, "dropped": {"disk full": 1}}
+    assert MessageCounts.from_mapping({"t": json.dumps(counts)}).topics["t"].dropped == {"disk full": 1}
+    for wrong in (True, "7", -1, 0.5, 1e20, 10**30, None):
+        for changed in (counts | {"received": wrong}, counts | {"dropped": {"disk full": wrong}}):
+            with pytest.raises(DatasetError, match="holds no counts"):
+                MessageCounts.from_mapping({"t": json.dumps(changed)})
 
 
 def test_a_card_with_long_or_absurd_fields_is_refused_in_one_line(tmp_path: Path) -> None:

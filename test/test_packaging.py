@@ -171,8 +171,8 @@ def required(*extras: str | None) -> dict[str, Requirement]:
 
 
 def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
-    ros = {name.removeprefix("ros_") for name in required("ros")}
-    assert ros == {name.removeprefix("ros_jazzy_") for name in required("jazzy")}
+    ros = {name.removeprefix("ros_jazzy_") for name in required("ros")}
+    assert ros == {name.removeprefix("ros_") for name in required("kilted")}
     others = {"foretouch_msgs", "rcl_interfaces", "builtin_interfaces", "std_msgs", "ament_index_python", "action_msgs"}
     robot = imported("src/foretouch") - ros - others
     assert robot - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS == set(required(None))

@@ -4,6 +4,8 @@
 import ast
 import importlib
 import importlib.util
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +38,30 @@ def check(script: Path) -> None:
 def test_what_scripts_import_is_there() -> None:
     assert len(SCRIPTS) > 20
     every_case({str(path.relative_to(ROOT)): path for path in SCRIPTS}, check)
+
+
+def checked(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """What `docker/check.sh` does in a folder, without a ROS 2 installation."""
+    environment = {name: value for name, value in os.environ.items() if name != "ROS_DISTRO"}
+    command = ["bash", ROOT / "docker" / "check.sh", *arguments]
+    return subprocess.run(command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
+
+
+def test_the_check_of_a_full_ros_2_goes_on_after_a_failed_step_and_reports_it(tmp_path) -> None:
+    steps = checked(tmp_path, "--list").stdout.split()
+    done = checked(tmp_path, "machine", "doctor")
+    report = (tmp_path / "foretouch-report.txt").read_text()
+    assert (done.returncode, "2 steps, 2 failed" in done.stdout) == (1, True)
+    assert re.findall(r"^== (\w+): FAILED", report, re.MULTILINE) == ["machine", "doctor"]
+    assert "ROS_DISTRO is not set" in report
+    assert checked(tmp_path, "nope").returncode == 2
+    recipe = (ROOT / "docker" / "jazzy.Dockerfile").read_text()
+    called = re.findall(r"check.sh (?:--report \S+ )?(.*)|\"(\w+)\"(?=[,\]])", recipe.partition("FROM")[2])
+    assert {word for pair in called for text in pair for word in text.split()} - {"bash"} == set(steps)
+    (pip,) = re.findall(
+        r"^pip install -c .*?constraints.txt (.*)$", (ROOT / "docs" / "install.md").read_text(), re.MULTILINE
+    )
+    assert f'pip install -q -c "$HERE/constraints.txt" {pip} ' in (ROOT / "docker" / "check.sh").read_text()
 
 
 def test_the_clouds_beside_the_examples_are_those_of_their_scene(tmp_path) -> None:

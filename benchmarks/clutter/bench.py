@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import lccp, models, physics, piles
+from benchmarks.clutter import frontier, lccp, models, physics, piles
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.picture import Shown, draw
 from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects
@@ -155,6 +156,8 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="more folders of labelled scenes")
     parser.add_argument("--count", type=int, default=200, help="number of piles")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
+    parser.add_argument("--frontier", action="store_true", help="F against time over settings of the splitting instead")
+    parser.add_argument("--every", type=int, default=1, help="use every N-th scene of each set")
     parser.add_argument("--write", action="store_true", help="write results.csv, clutter.png and the README's tables")
     add_data(parser)
     options = parser.parse_args()
@@ -165,12 +168,15 @@ def main() -> None:
     if find_spec("mujoco") is None:
         raise SystemExit("piles need MuJoCo: pip install 'foretouch[physics]'")
     sets["piles"] = made("piles", lambda out: piles.write_piles(out, options.count, options.seed, data), options.count, *identity)  # fmt: skip
+    if options.frontier:
+        frontier.run({name: list(islice(load_scenes(folder), 0, None, options.every)) for name, folder in sets.items()}, write=options.write)  # fmt: skip
+        return
     single = made("single", lambda out: piles.write_singles(out, options.seed, data), *identity)
     if lccp.program() is None:
         print("PCL's LCCP is left out: no libpcl-dev or no C++ compiler (apt-get install libpcl-dev g++)\n")
     rows, shown = [], []
     for name, folder in sets.items():
-        scenes = list(load_scenes(folder))
+        scenes = list(islice(load_scenes(folder), 0, None, options.every))
         found = answers(scenes, timed=True)
         rows += table(name, scenes, found)
         shown += _shown(scenes, found)

@@ -118,21 +118,14 @@ def _frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = _object(t, rng)
     plane = Plane.from_coefficients(np.append(rng.normal(size=3), -1.0))
     found = object_frame(points, plane)
-    centre, spread = covariance(exact(points.xyz), exact(points.area))
+    _, spread = covariance(exact(points.xyz), exact(points.area))
     plain, _ = eigen(spread)
     preferred = exact(PREFERRED)
     values, vectors = eigen(spread + exact(0.01) * plain[2] * np.outer(preferred, preferred))
     axis = vectors[:, 2]
-    up = exact(plane.normal)
-    up = -up if up @ centre > 0 else up
-    share = smoothstep(np.abs(up @ axis), exact(0.45), exact(0.65))
-    blend = (1 - share) * np.cross(up, axis) + share * np.cross(axis, _unit(centre))
-    across = blend - (blend @ axis) * axis
-    length = norm(across)
     _, middle, high = real(values)
-    kappa = high / (high - middle) / float(length)
-    sign = 1 if found.axis @ real(axis) > 0 else -1  # both are turned together; the rule for it has its own row
-    return kappa, max(gap(found.axis, sign * axis), gap(found.across, sign * across / length))
+    sign = 1 if found.axis @ real(axis) > 0 else -1  # the rule for it has its own row
+    return high / (high - middle), gap(found.axis, sign * axis)
 
 
 @kernel("asymmetry of the sign, completed")

@@ -15,7 +15,7 @@ from foretouch.types import Cloud, Float32, Float64, Plane
 
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 METHODS = ("original", "completed")
-TUNED_ON = 8  # each k-th recorded cloud served to tune `stable`
+TUNED_ON = 8  # each k-th recorded cloud served to tune an earlier method
 MOVED_MM = 10.0
 CHANGES = ("order of points", "jitter 1 µm", "jitter 0.1 mm", "shift 1 mm", "shift 1 m", "turn 1°", "turn 90°", "turn 180°")  # fmt: skip
 
@@ -24,7 +24,9 @@ def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_data(parser)
-    parser.add_argument("--all", action="store_true", help="also the recorded clouds that did not tune `stable`")
+    parser.add_argument(
+        "--all", action="store_true", help="also the recorded clouds that did not tune an earlier method"
+    )
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "results.csv")
     arguments = parser.parse_args()
     groups = {"made": list(made_clouds())}

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.common import print_rows, scene, write_csv
 from foretouch.grasp import GraspHold, GraspPlan, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.ros.nodes.grasp import GraspNodeConfig
+from foretouch.ros.nodes.grasp import HOLD_TOLERANCE_M, GraspNodeConfig
 from foretouch.types import Float64
 from foretouch_lab.simulation.scene_camera import FrameMaker
 
@@ -86,7 +86,7 @@ def watch(name: str, slot: int, frames: int) -> list[Stream]:
     maker, pipeline, node = FrameMaker(scene(name).updated(CAMERA)), Pipeline(), GraspNodeConfig()
     label = f"{name} {slot}"
     streams = [
-        Stream(label, method, hold, node.grasp_hold_tolerance_m)
+        Stream(label, method, hold, HOLD_TOLERANCE_M)
         for method, hold in (("original", 0.0), ("completed", node.grasp_hold))
     ]
     previous = None

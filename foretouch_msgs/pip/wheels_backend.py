@@ -50,10 +50,10 @@ def build_editable(*args: Any, **kwargs: Any) -> str:
 
 
 def _ros_packages() -> list[str]:
-    distribution = os.environ.get("FORETOUCH_ROS", "kilted")
+    distribution = os.environ.get("FORETOUCH_ROS", "jazzy")
     path = Path(__file__).with_name(f"ros_{distribution}.txt")
     if not path.is_file():
-        raise RuntimeError(f"FORETOUCH_ROS: {distribution!r} is not kilted or jazzy")
+        raise RuntimeError(f"FORETOUCH_ROS: {distribution!r} is not jazzy or kilted")
     return path.read_text(encoding="utf-8").split()
 
 

@@ -333,6 +333,8 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
         raise ConfigError(f"{name}: {quoted(value)} is not {kinds.get(info.type, info.type.__name__)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}: {value} is not finite")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ConfigError(f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used")
     if isinstance(value, int | float):
         unit = f" {info.unit}" if info.unit else ""
         if info.minimum is not None and value < info.minimum:

@@ -18,6 +18,7 @@ import weakref
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from io import BufferedReader
 from itertools import count
 from pathlib import Path
@@ -37,6 +38,20 @@ _BLOCK: Final = 1 << 20
 _SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
 
 Version: TypeAlias = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A schema of a number with bounds, which are inclusive."""
+
+    kind: type  # int or float
+    low: float = -1e12
+    high: float = 1e12
+    optional: bool = False  # whether null fits too
+
+
+COUNT: Final = Number(int, 0, 2**63 - 1)
+"""The schema of counts and of stamps [ns]."""
 
 
 @contextmanager
@@ -286,10 +301,10 @@ def parse_json(text: str | bytes) -> Any:
 
     Raises:
         ValueError: If it is not JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
-            accepts.
+            accepts, or NaN, an infinity or a number that becomes one.
     """
     try:
-        document = json.loads(text)
+        document = json.loads(text, parse_constant=_finite, parse_float=_finite)
     except RecursionError:
         raise ValueError(f"more than {_DEPTH} nested levels") from None
     level = [document] if isinstance(document, dict | list) else []
@@ -303,6 +318,12 @@ def parse_json(text: str | bytes) -> Any:
     if (b"\\ud" if isinstance(text, bytes) else "\\ud") in text.lower():  # type: ignore[operator]
         json.dumps(document, ensure_ascii=False).encode()
     return document
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{shown(text, 40)} is not a number that can be used")
+    return value
 
 
 _JSON_WORDS: Final = {
@@ -322,8 +343,9 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
     Args:
         path: The file, for the message.
         value: Of JSON or YAML.
-        schema: A type; a tuple of types, of which one fits; a list of one schema, for a list; or a mapping of schemas by
-            key, of which a key with `?` behind it may be absent, and others are ignored. Whole numbers are below 2^63,
+        schema: A type; a tuple of types, of which one fits; a `Number`; a list of one schema, for a list; or a mapping of
+            schemas by key, of which a key with `?` behind it may be absent, and others are ignored unless there is a
+            schema for `*`, which is for all of them. Whole numbers are below 2^63,
             also as `float`, which is finite; no number is `bool`.
         field: Name of the value.
 
@@ -333,8 +355,19 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
     if isinstance(schema, list):
         items = require_schema(path, value, list, field)
         return [require_schema(path, one, schema[0], f"{field}[{number}]") for number, one in enumerate(items)]
+    if isinstance(schema, Number):
+        if value is None and schema.optional:
+            return value
+        require_schema(path, value, schema.kind, field)
+        if not schema.low <= value <= schema.high:
+            rule = f"{shown(value, 40)} is not within [{schema.low:g}, {schema.high:g}]"
+            raise FileError(path, rule, field=field or None)
+        return value
     if isinstance(schema, Mapping):
         found = require_schema(path, value, dict, field)
+        if "*" in schema:
+            others = dict.fromkeys(found, schema["*"])
+            schema = others | {key: inner for key, inner in schema.items() if key != "*"}
         for key, inner in schema.items():
             name = key.removesuffix("?")
             where = f"{field}.{name}" if field else name

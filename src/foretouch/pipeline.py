@@ -14,7 +14,13 @@ import numpy as np
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.cloud.segmentation.identity import ObjectIdentity
-from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
+from foretouch.cloud.segmentation.objects import (
+    AMBIGUOUS_TARGET,
+    ObjectSegment,
+    TargetConfig,
+    select_free,
+    select_targets,
+)
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
@@ -121,15 +127,29 @@ class Pipeline:
             found = identity.keep(found)
         if found.status != "ok" or found.plane is None:
             return SegmentedScene(found.status, found.reason, found, ())
-        chosen, reason = select_targets(found.objects, self.config.target, previous)
+        plane = found.plane
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
-        flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
         obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in found.objects])
-        targets = tuple(
-            FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape, flags, obstacles)
-            for one in chosen
-        )
+
+        def target(one: ObjectSegment, flags: tuple[str, ...] = ()) -> FoundObject:
+            pixels = one.pixels if shape else None
+            return FoundObject(str(one.id), one.cloud, plane, pixels, shape, flags, obstacles)
+
+        rule = self.config.target
+        if rule.mode == "free" and found.objects:
+            chosen, reason = select_free(found.objects, rule, lambda one: self._loss(target(one)), previous)
+        else:
+            chosen, reason = select_targets(found.objects, rule, previous)
+        flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
+        targets = tuple(target(one, flags) for one in chosen)
         return SegmentedScene("ok" if targets else "no_target", reason, found, targets, obstacles)
+
+    def _loss(self, target: FoundObject) -> tuple[float, str]:
+        """The score that other objects cost the best grasp of an object, infinite if it has none; and why."""
+        plan = self.plan(target)
+        if not plan.grasps:
+            return np.inf, f"has no grasp ({plan.reason})"
+        return plan.lost, f"is blocked by object {', '.join(map(str, plan.blocked_by))}"
 
     def plan(
         self,

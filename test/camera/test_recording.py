@@ -23,18 +23,15 @@ def _record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count:
             cloud = camera.read(1.0)
             assert cloud is not None, camera.status
             clouds.append(cloud)
-            time.sleep(1.0 / config.fps)  # colour is told apart by its time
     return clouds
 
 
-def _playing(path: Path, config: RealSenseConfig, **changes: object) -> RealSenseConfig:
-    return config.replace(file=str(path), real_time=False, **changes)  # type: ignore[arg-type]
+def _playing(path: Path, config: RealSenseConfig) -> RealSenseConfig:
+    return config.replace(file=str(path), real_time=False)
 
 
-@pytest.mark.parametrize("align", ["none", "colour_to_depth"])
-def test_a_recording_plays_back_bit_for_bit_and_repeats_when_asked_to(align, tmp_path, source, config):
+def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
     path = tmp_path / "seen.db3"
-    config = config.replace(align=align)
     recorded = _record(path, source, config, 5)
     with RealSenseCamera(_playing(path, config)) as camera:
         played = {}
@@ -50,11 +47,7 @@ def test_a_recording_plays_back_bit_for_bit_and_repeats_when_asked_to(align, tmp
     for cloud in recorded:
         twin = played[cloud.stamp_ns]
         assert np.array_equal(twin.xyz, cloud.xyz, equal_nan=True)
-        assert cloud.rgb is None or (twin.rgb is not None and np.array_equal(twin.rgb, cloud.rgb))
         assert twin.frame_id == cloud.frame_id
-    with RealSenseCamera(_playing(path, config, repeat=True)) as camera:
-        stamps = [cloud.stamp_ns for cloud, _ in zip(camera, range(6), strict=False)]
-    assert stamps == [*played, recorded[0].stamp_ns]
 
 
 def test_in_real_time_the_pace_is_that_of_the_recording_and_a_gap_is_told(tmp_path, source, config):

@@ -23,7 +23,7 @@ def test_it_feeds_at_its_rate_its_thread_ends_and_opening_under_full_feed_is_saf
     assert source._number == fed
     assert not any(thread.name == "synthetic-camera" for thread in threading.enumerate())
     source = SyntheticCamera(images, fps=300)
-    fast = config.replace(fps=300, align="colour_to_depth")
+    fast = config.replace(fps=300)
     with source:
         for _ in range(15):
             with RealSenseCamera(fast, source) as camera:

@@ -19,7 +19,7 @@ FIELDS = (  # of a scene, of the pipeline, of a training
     ("train", "contact: {tree: 3}", "contact.tree", "trees"),
     ("train", "methd: contact", "methd", "method"),
 )
-NAMES = (  # recipes, experiments, areas, presets, models, splits, rows
+NAMES = (  # recipes, experiments, areas, presets, models, splits
     (("train", "p3", "data=x", "-o", "y"), "p3: is neither a file nor one of", "p2"),
     (("train", "contact-v1", "data=x", "-o", "y"), "contact-v1: is neither a file nor one of", "contact-v2"),
     (("train", "touchnet", "data=x", "-o", "y"), "touchnet: is neither a file nor one of", "touchnet-v1"),
@@ -27,7 +27,6 @@ NAMES = (  # recipes, experiments, areas, presets, models, splits, rows
     (("experiment", "cross_validation", "-o", "y", "--preset", "smokee"), "'smokee'", "smoke"),
     (("tradeoff", "modle", "-o", "y"), "'modle'", "model"),
     (("predict", "x.pcd", "--model", "contact_v2"), "contact_v2", "contact-v2"),
-    (("doctor", "--self-test", "model"), "'model'", "models"),
 )
 NODES = (
     ("/foretouch/touch_predicter", "/foretouch/touch_predictor"),

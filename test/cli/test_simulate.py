@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch simulate`: a data set of a scene, its plan, its samples again, and mistakes in one line."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,11 @@ def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_pa
     again = call("simulate", scene, "-n", 2, "-o", tmp_path / "again", "--workers", 1, "--no-sheet").out
     assert "render" in again
     assert "depth_noise" not in again
-    assert "effects that ran; --explain lists the other " in again
+    ran, known = re.search(
+        r"(\d+) of (\d+) effects ran, as the scene needs them \(--explain lists all\); slowest: ", again
+    ).groups()
+    effects = call("simulate", scene, "--explain", "--json").records[-1]["effects"]
+    assert (int(ran), int(known)) == (sum(one["ran"] for one in effects), len(effects))
     calls = {e["name"]: e["calls"] for e in record["effects"]}
     assert (calls["counts"], calls["contact_layer"]) == (3, 0)
     assert store.manifest["about"]["scene_sha256"] == record["scene_sha256"]
@@ -71,9 +76,9 @@ def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_pa
 
 def test_seed_and_settings_from_the_command_line(scene, tmp_path, call) -> None:
     words = ("-n", 1, "--workers", 1, "--no-sheet", "--set", "grasps.thumb.force_n=[2, 2]")
-    table = call("simulate", scene, *words, "-o", tmp_path / "a").out
-    assert "contact_winkler" in table
-    assert "failed tries: none" in table
+    told = call("simulate", scene, *words, "-o", tmp_path / "a").out
+    assert re.search(r"slowest: \w+ [\d.]+, \w+ [\d.]+, \w+ [\d.]+ ms a sample\n1 samples in ", told)
+    assert "failed tries: none" in told
     assert not (tmp_path / "a" / SHEET).exists()
     assert "simulated, without a clock" in call("dataset", "info", tmp_path / "a").out  # and no day in 1970
     again = call("simulate", scene, *words, "-o", tmp_path / "b", "--json").records[-1]

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -18,15 +19,16 @@ import pytest
 from constant_models import sensor_with_dead
 from every_case import every_case
 from PIL import Image
-from recording_builders import write_grasps
+from recording_builders import IDENTITY, QUICK, record, write_grasps
 
 from foretouch.cli.main import main
 from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import BIOTAC_SP
-from foretouch.types import Touch, TouchPrediction
+from foretouch.types import Cloud, Touch, TouchPrediction
 from foretouch_lab.dataset.store_writer import build_store
 
 LAYER_M = 0.0014
@@ -277,3 +279,27 @@ def test_a_sensor_of_any_layout_is_on_its_pad_and_only_the_liveliest_of_many_tax
         assert written.rows(f"/touch/{shown}_{first}/08/read", "Scalars:scalars")[2] == [rest.values[-1] + 20.0]
 
     every_case([("xela_uskin_4x4", 96), ("tacsl_20x25", 6)], check)
+
+
+def test_readings_without_a_camera_are_steps_of_their_own(view, tmp_path) -> None:
+    pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'foretouch[view]'")
+    rows = []
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number in range(2):
+            made = record(number)
+            assert made.series is not None
+            counts = np.where(made.series.counts == 0.0, 1.0, made.series.counts)
+            counts[:, [2 + 5, 26 + 9]] = 800.0, np.nan
+            series = replace(made.series, counts=counts.astype(np.float32))
+            writer.append(
+                replace(made, series=series, sample=replace(made.sample, cloud=Cloud(np.empty((0, 3), np.float32))))
+            )
+            rows += counts.tolist()
+    written = view(tmp_path / "ds")
+    read = written.rows("/touch/E_TH/08/read", "Scalars:scalars")
+    assert [read[k][0] for k in range(12)] == [row[2 + 7] for row in rows]
+    shades = written.rows("/taxels/TH/read", "Points2D:colors")
+    assert len({shades[k][5] for k in range(12)}) == 1  # dead
+    assert len({shades[k][7] for k in range(12)}) > 3
+    assert "/scene/cloud" not in written.chunks
+    assert written.rows("/answer", "TextDocument:text")[7][0].startswith("**ball/000002: success**")

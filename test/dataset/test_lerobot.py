@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """LeRobotDataset v3 by pyarrow alone, read by pyarrow, by Rerun, and by `lerobot` in an environment of its own."""
 
+import io
 import json
 import os
 import shutil
@@ -14,14 +15,18 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from every_case import every_case
+from other_sensor import USKIN, write_readings
 from other_tools import run_rerun
+from PIL import Image
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.dataset.lerobot import DATASET_FORMAT
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
-from foretouch.errors import FileError
+from foretouch.dataset.taxels import finger_key
+from foretouch.errors import ConfigError, FileError
+from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import Cloud
 
 OWN = ["timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns"]
@@ -61,6 +66,10 @@ def expected_frames() -> dict[str, np.ndarray]:
         own = {
             "observation.tactile.thumb": np.c_[counts[:, 0], counts[:, 2:26], one.series.others["TDC_TH"]],
             "observation.tactile.middle_finger": np.c_[counts[:, 1], counts[:, 26:], one.series.others["TDC_MF"]],
+            "observation.tactile.thumb.electrode": counts[:, 2:26, None],
+            "observation.tactile.thumb.pdc": counts[:, :1, None],
+            "observation.tactile.middle_finger.electrode": counts[:, 26:, None],
+            "observation.tactile.middle_finger.pdc": counts[:, 1:2, None],
             "action": np.tile(np.r_[sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()], (6, 1)),
             "observation.pointcloud": np.tile(cloud.ravel(), (6, 1)),
             "timestamp": np.arange(6) / 100_000_000,
@@ -87,7 +96,7 @@ def test_frames_and_episodes_have_the_layout_of_version_3(exported: Path) -> Non
     for name, expected in expected_frames().items():
         found = np.array(frames[name].to_pylist())
         np.testing.assert_array_equal(found.astype(expected.dtype), expected, err_msg=name)
-        assert info["features"][name]["shape"] == [1 if expected.ndim == 1 else expected.shape[1]]
+        assert info["features"][name]["shape"] == ([1] if expected.ndim == 1 else list(expected.shape[1:]))
         assert info["features"][name]["dtype"] == expected.dtype.name
     names = info["features"]["observation.tactile.thumb"]["names"]
     assert (names[0], names[1], names[24], names[25]) == ("pdc", "electrode_1", "electrode_24", "tdc")
@@ -106,10 +115,12 @@ def test_statistics_are_those_of_the_frames(exported: Path) -> None:
         wide = values.reshape(24, -1).astype(np.float64)
         for what, value in (("min", wide.min(0)), ("max", wide.max(0)), ("mean", wide.mean(0)), ("std", wide.std(0))):
             # Stamps of 1.7e18 ns have 61 bits, float64 has 53: a quarter of a microsecond.
-            np.testing.assert_allclose(stats[name][what], value, rtol=1e-9, atol=2000.0 if name == "stamp_ns" else 1e-9)
+            np.testing.assert_allclose(
+                np.ravel(stats[name][what]), value, rtol=1e-9, atol=2000.0 if name == "stamp_ns" else 1e-9
+            )
         assert stats[name]["count"] == [24]
         episodes = np.quantile(wide.reshape(4, 6, -1), 0.9, axis=1)
-        np.testing.assert_allclose(stats[name]["q90"], episodes.mean(axis=0), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(np.ravel(stats[name]["q90"]), episodes.mean(axis=0), rtol=1e-9, atol=1e-9)
 
 
 def test_what_cannot_be_exported_or_read_is_refused_and_leaves_nothing(exported: Path, tmp_path: Path) -> None:
@@ -156,6 +167,146 @@ def test_frames_go_on_in_the_next_file_and_group(tmp_path: Path, monkeypatch: py
         assert (episode["data/chunk_index"], episode["data/file_index"]) == divmod(number, 2)
         assert (episode["meta/episodes/chunk_index"], episode["meta/episodes/file_index"]) == divmod(number, 2)
         assert set(pq.read_table(tmp_path / "out/data" / name)["episode_index"].to_pylist()) == {number}
+
+
+def test_each_channel_states_where_its_taxels_are_and_what_they_mean(exported: Path, tmp_path: Path) -> None:
+    features = json.loads((exported / "meta/info.json").read_text())["features"]
+    info = features["observation.tactile.thumb.electrode"]["info"]
+    assert (info["axes"], info["unit"], info["range"], info["contact"]) == (["E"], "counts", [[1.0, 4095.0]], ["fall"])
+    assert (info["sensor"], info["sensor_sha256"], info["rate_hz"]) == ("biotac_sp", BIOTAC_SP.sha256, 100.0)
+    np.testing.assert_array_equal(info["positions"], BIOTAC_SP.layout.positions)
+    np.testing.assert_array_equal(info["normals"], BIOTAC_SP.layout.normals)
+    assert info["valid"] == [True] * 24
+    assert "positions" not in features["observation.tactile.thumb.pdc"]["info"]  # of the whole finger
+    store = write_readings(tmp_path / "store", USKIN.with_dead(np.arange(16) == np.array([[3], [17]])), 2, 2)
+    export_samples(store, tmp_path / "uskin", "lerobot")
+    features = json.loads((tmp_path / "uskin/meta/info.json").read_text())["features"]
+    first = USKIN.channels.fingers[0]
+    name = f"observation.tactile.{finger_key(first)}.taxel"
+    assert (features[name]["shape"], features[name]["info"]["axes"]) == ([16, 3], ["X", "Y", "Z"])
+    assert np.flatnonzero(~np.array(features[name]["info"]["valid"])).tolist() == [3]
+    frame = pq.read_table(tmp_path / "uskin/data/chunk-000/file-000.parquet").to_pylist()[0]
+    sample = next(open_samples(store).records()).sample
+    assert sample.touch is not None
+    expected = np.stack([sample.touch[f"{axis}_{first}"] for axis in "XYZ"], axis=1)
+    np.testing.assert_array_equal(frame[name], expected.astype(np.float32))
+
+
+def test_at_the_rate_of_a_camera_a_frame_has_the_newest_readings_and_their_stamps(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    made = record(0)
+    assert made.series is not None
+    start, count = 1_700_000_000_000_000_000, 130
+    stamps = start + np.sort(np.arange(count) * 10_000_000 + rng.integers(-3_000_000, 3_000_000, count))
+    counts = rng.integers(1, 4096, (count, 50)).astype(np.float32)
+    series = replace(made.series, stamps_ns=stamps, counts=counts, phases=np.zeros(count, np.uint8), others={})
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        writer.append(replace(made, series=series))
+    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot", fps=15)
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    assert info["fps"] == 15
+    assert info["features"]["observation.tactile.thumb.electrode"]["shape"] == [7, 24, 1]
+    frames = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    assert len(frames) == info["total_frames"] == 1 + int((stamps[-1] - stamps[0]) // (1_000_000_000 // 15))
+    for number, frame in enumerate(frames):
+        now = stamps[0] + number * (1_000_000_000 // 15)
+        read = [k for k in range(count) if stamps[k] <= now][-7:]
+        read = [read[0]] * (7 - len(read)) + read
+        np.testing.assert_array_equal(frame["observation.tactile.stamps_ns"], stamps[read])
+        np.testing.assert_array_equal(
+            np.array(frame["observation.tactile.thumb.electrode"])[..., 0], counts[read, 2:26]
+        )
+        np.testing.assert_array_equal(np.ravel(frame["observation.tactile.middle_finger.pdc"]), counts[read, 1])
+        assert frame["observation.tactile.thumb"][0] == counts[read[-1], 0]
+        assert frame["timestamp"] == np.float32(number / 15)
+    export_samples(tmp_path / "ds", tmp_path / "fast", "lerobot", fps=200)  # faster than the sensor: one reading each
+    fast = pq.read_table(tmp_path / "fast/data/chunk-000/file-000.parquet")["observation.tactile.stamps_ns"].to_pylist()
+    latest = [max(k for k in range(count) if stamps[k] <= stamps[0] + 5_000_000 * n) for n in range(len(fast))]
+    assert fast == stamps[latest].tolist()
+    with pytest.raises(ConfigError, match="fps: 2000 exceeds 10 times the rate of the readings"):
+        export_samples(tmp_path / "ds", tmp_path / "faster", "lerobot", fps=2000)
+    for one, other in zip(
+        open_samples(tmp_path / "out").records(), open_samples(tmp_path / "ds").records(), strict=True
+    ):
+        assert one.series is not None
+        assert other.series is not None
+        np.testing.assert_array_equal(one.series.counts, other.series.counts)
+
+
+def test_clouds_that_are_images_are_depth_maps_in_millimetres_with_their_intrinsics(tmp_path: Path) -> None:
+    depth = 0.8 + 0.1 * np.random.default_rng(1).random((12, 16))
+    depth[3, 4] = np.nan
+    row, column = np.indices(depth.shape)
+    fx, fy, cx, cy = 610.25, 609.5, 7.75, 6.125
+    xyz = np.dstack([(column - cx) * depth / fx, (row - cy) * depth / fy, depth]).astype(np.float32)
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number in range(2):
+            made = record(number)
+            writer.append(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
+    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
+    feature = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]["observation.images.depth"]
+    assert (feature["dtype"], feature["shape"]) == ("image", [12, 16, 1])
+    info = feature["info"]
+    assert (info["is_depth_map"], info["depth_unit"]) == (True, "mm")
+    np.testing.assert_allclose(
+        [info["intrinsics"][name] for name in ("fx", "fy", "cx", "cy")], [fx, fy, cx, cy], atol=0.01
+    )
+    frame = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()[-1]
+    with Image.open(io.BytesIO(frame["observation.images.depth"]["bytes"])) as image:
+        found = np.asarray(image)
+    np.testing.assert_array_equal(found, np.nan_to_num(np.rint(1000.0 * xyz[..., 2])))
+    stats = json.loads((tmp_path / "out/meta/stats.json").read_text())["observation.images.depth"]
+    np.testing.assert_allclose(np.ravel(stats["max"]), found.max())
+
+
+def test_metadata_that_do_not_fit_the_tables_are_refused(exported: Path) -> None:
+    path = exported / "meta/info.json"
+    stated = json.loads(path.read_text())
+
+    def check(rule: str, change: dict[str, Any]) -> None:
+        path.write_text(json.dumps(stated | change))
+        with pytest.raises(FileError, match=rule):
+            open_samples(exported)
+
+    features = stated["features"]
+    every_case(
+        [
+            ("total_frames: is 25, and data holds 24", {"total_frames": 25}),
+            ("total_episodes: is 3, and meta/episodes holds 4", {"total_episodes": 3}),
+            ("total_frames: .* is not", {"total_frames": "24"}),
+            ("data_path: is .*passwd", {"data_path": "../../etc/passwd"}),
+            (
+                r"features.action: is float32 \[16\], and file-000.parquet holds float32 \[15\]",
+                {"features": features | {"action": {"dtype": "float32", "shape": [16]}}},
+            ),
+            (
+                r"features.observation.tactile.thumb.electrode: is float32 \[4, 6\], and .* holds float32 \[24, 1\]",
+                {"features": features | {"observation.tactile.thumb.electrode": {"dtype": "float32", "shape": [4, 6]}}},
+            ),
+            (
+                r"features.index: is float32 \[1\], and file-000.parquet holds int64 \[1\]",
+                {"features": features | {"index": {"dtype": "float32", "shape": [1]}}},
+            ),
+            (
+                "gripper: is a feature, and no column",
+                {"features": features | {"gripper": {"dtype": "float32", "shape": [1]}}},
+            ),
+        ],
+        check,
+    )
+    path.write_text(json.dumps(stated))
+    data = exported / "data/chunk-000/file-000.parquet"
+    outside = exported.parent / "elsewhere.parquet"
+    data.rename(outside)
+    with pytest.raises(FileError, match="total_frames: is 24, and data holds 0"):
+        open_samples(exported)
+    data.symlink_to(outside)
+    with pytest.raises(FileError, match="is a link out of the dataset"):
+        open_samples(exported)
+    data.unlink()
+    data.write_bytes(outside.read_bytes()[:1000])
+    with pytest.raises(FileError, match="is not Parquet"):
+        open_samples(exported)
 
 
 def test_rerun_shows_every_episode(exported: Path, tmp_path: Path) -> None:
@@ -208,6 +359,33 @@ def test_the_newest_lerobot_reads_equal_frames(exported: Path, tmp_path: Path) -
             np.testing.assert_array_equal(found[name], expected)
 
         every_case(expected_frames().items(), check)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_the_newest_lerobot_reads_windows_and_depth(tmp_path: Path) -> None:
+    python = lerobot_python()
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number in range(2):
+            made = record(number)
+            row, column = np.indices((8, 10))
+            depth = np.full((8, 10), 1.0 + 0.1 * number)
+            xyz = np.dstack([(column - 4.5) * depth / 600.0, (row - 3.5) * depth / 600.0, depth]).astype(np.float32)
+            writer.append(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
+    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot", fps=40_000_000)
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache"), "PYTHONPATH": ""}
+    command = [python, "-c", _READ, str(tmp_path / "out"), str(tmp_path / "frames.npz")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300.0, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    stored = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    with np.load(tmp_path / "frames.npz") as found:
+        for name in ("observation.tactile.thumb.electrode", "observation.tactile.stamps_ns"):
+            np.testing.assert_array_equal(
+                found[name], np.array([one[name] for one in stored]).astype(found[name].dtype)
+            )
+        assert found["observation.tactile.thumb.electrode"].shape[1:] == (3, 24, 1)
+        expected = np.where(np.arange(len(stored)) < len(stored) // 2, 1000.0, 1100.0)
+        np.testing.assert_array_equal(found["observation.images.depth"][:, 0, 4, 5], expected)  # [mm]
 
 
 def lerobot_python() -> str:

@@ -100,7 +100,7 @@ def test_a_profile_is_measured_once_and_again_where_it_does_not_fit(measured, tm
             **{f"times {times}": ({**good, "p95_s": {**good["p95_s"], levels[0].name: times}}, message)
                for times, message in [({}, "p95_s: holds no time"), ({"1": 0.0}, "p95_s: holds no time"),
                                       *((odd, "p95_s: holds no time, a time that is not a number from 1e-07 to 10000 s") for odd in (
-                                          {"1": float("inf")}, {"1": float("nan")}, {"1": None}, {"1": True}, {"1": "1e-3"},
+                                          {"1": 1e20}, {"1": None}, {"1": True}, {"1": "1e-3"},
                                           {"1": 5e-324}, {"1": 10**400}, {"-5": 1.0}, {"0": 1.0}, {str(10**20): 1.0})),
                                       ({"one": 1.0}, "is damaged"), ({"1e20": 1.0}, "is damaged")]},
         },

@@ -223,13 +223,16 @@ def test_stamps_and_readings_that_cannot_be_are_refused_and_change_nothing() -> 
         for name, array in tracker.to_tensors().items():
             assert_array_equal(array, before[name])
 
-    spoiled = [np.where(np.arange(SIZE) == 7, value, REST) for value in (np.nan, np.inf, -1.0, 4096.0)]
+    spoiled = [np.where(np.arange(SIZE) == 7, value, REST) for value in (np.inf, -1.0, 4096.0)]
+    spoiled += [
+        np.where(unread, np.nan, REST) for unread in (np.arange(SIZE) == 0, np.isin(np.arange(SIZE), range(2, 14)))
+    ]
     every_case(
         [
             ("stamp: .*61.0 s before that of the newest reading", START - 61 * S),
             ("stamp: .*11 years after", START + 11 * 365 * DAY),
             *(("stamp: .*is not nanoseconds", stamp) for stamp in (-1, 1.5, 2**63, True)),
-            *(("reading: value 7", START, reading) for reading in spoiled),
+            *(("reading: value", START, reading) for reading in spoiled),
             ("reading: shape", START, REST[:7]),
         ],
         check,
@@ -418,3 +421,28 @@ def test_recordings_with_and_without_tdc_in_one_history_are_no_worse_than_withou
         _, offsets = played(thermal(), residuals, np.where(seen, tdc, np.nan))
         errors[name] = np.sqrt(np.mean((residuals - offsets)[:, 2:] ** 2))
     assert max(errors.values()) <= 1.02 * errors["none"], errors
+
+
+def test_taxels_that_were_not_read_leave_the_others_as_if_they_did_not_exist() -> None:
+    """Against the dense Gaussian of the values that were read, with a basis that mixes the taxels of a finger."""
+    rng = np.random.default_rng(4)
+    own = BIOTAC.modality_columns["E_TH"]
+    basis = 20.0 * np.eye(SIZE)
+    basis[np.ix_(own, own)] = np.linalg.cholesky(300.0 * np.ones((24, 24)) + 200.0 * np.eye(24))
+    slow = np.where(np.arange(SIZE) == own[0], 30.0, np.linspace(0.1, 2.0, SIZE))  # most of it is common to the taxels
+    parameters = replace(drifting(), basis=basis, slow=slow, alarm=np.full((2, 2), 1e6))
+    residual, unread = rng.normal(0.0, 60.0, SIZE) + 40.0, np.isin(np.arange(SIZE), own[[5, 11]])
+    tracker = SensorTracker(parameters)
+    touch(tracker, 0.0, np.where(unread, np.nan, residual))
+    level, read = tracker.level(START), ~unread
+    state = parameters.slow + parameters.fast + parameters.object[0]
+    covariance = basis * state @ basis.T
+    seen = covariance + basis @ basis.T
+    expected = covariance[:, read] @ np.linalg.solve(seen[np.ix_(read, read)], residual[read])
+    assert_allclose(level.offset, expected, atol=1e-9)
+    spoiled = SensorTracker(parameters)
+    touch(spoiled, 0.0, np.where(unread, 4095.0 - REST, residual))
+    assert np.abs(spoiled.level(START).offset - expected)[read].max() > 5.0
+    tared = SensorTracker(parameters)
+    tared.add_tare(START, np.where(unread, np.nan, residual))
+    assert np.isfinite(tared.level(START).offset).all()

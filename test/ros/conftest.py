@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from process_domain import take_domain
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: pip install foretouch[ros]")
 pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built: pip install ./foretouch_msgs")
@@ -45,11 +46,13 @@ _COLLECT_EVERY = 20  # graphs between two collections, which take a quarter of a
 
 
 def open_domain(*, new: bool) -> int:
-    """The domain of the context that all tests of a worker share, or a new one, 1 to 75, that no earlier process is in."""
+    """The domain of the context that all tests of a worker share, or a new one, 1 to 75, that no other program of tests is in."""
     if new or not rclpy.ok():
         rclpy.try_shutdown()
         worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-        rclpy.init(domain_id=25 * (worker % 3) + (os.getpid() + next(_domains)) % 25 + 1)
+        rclpy.init(
+            domain_id=take_domain(25 * (worker % 3) + (os.getpid() + next(_domains)) % 25 + 1 for _ in range(25))
+        )
     return rclpy.get_default_context().get_domain_id()
 
 

@@ -32,6 +32,7 @@ def test_every_status_reference_flag_and_rule_is_explained():
         "out_of_range",
         "unfamiliar",
         "similar_touches",
+        "equal_pressure",
         "late",
         "reduced",
         "fallback_model",

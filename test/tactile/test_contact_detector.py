@@ -9,13 +9,8 @@ import pytest
 from every_case import every_case
 from sim_builders import CAN, SPONGE, run, scene
 
-from foretouch.tactile.contact_detector import (
-    ContactConfig,
-    ContactDetector,
-    FingerContact,
-    contact_scores,
-    find_contact,
-)
+from foretouch.tactile import contact_detector
+from foretouch.tactile.contact_detector import ContactDetector, FingerContact, contact_scores, find_contact
 from foretouch_lab.simulation.execution import GraspTimingConfig, SimulatedHand
 
 PERIOD = 10_000_000
@@ -57,7 +52,7 @@ def _check_onsets(_: str, item: dict[str, Any], slot: int) -> None:
 
 
 def test_noise_and_the_drift_of_a_sensor_at_rest_are_no_contact(rng: np.random.Generator) -> None:
-    finger, drift = FingerContact("TH", ContactConfig()), np.r_[0.5, rng.uniform(-4, 4, 24)]  # counts a second
+    finger, drift = FingerContact("TH"), np.r_[0.5, rng.uniform(-4, 4, 24)]  # counts a second
     for k in range(6000):
         reading = REST + rng.normal(0, NOISE) + drift * k / 100.0
         assert finger.update(k * PERIOD, reading) is None
@@ -72,19 +67,20 @@ def test_a_steady_touch_gives_no_false_alarm(real_data: Path) -> None:
     assert len(files) == 22
     judged = 0
     for file in files:
-        finger = FingerContact(file.stem, ContactConfig())
+        finger = FingerContact(file.stem)
         for k, row in enumerate(np.loadtxt(file, delimiter=",", skiprows=1)):
             assert finger.update(k * PERIOD, np.r_[2779.0, row]) is None
             judged += finger.touching is not None
     assert judged > 4000
 
 
-def test_one_reading_is_no_contact_and_a_moment_below_no_release() -> None:
-    finger = FingerContact("TH", ContactConfig(confirm=3))
+def test_one_reading_is_no_contact_and_a_moment_below_no_release(monkeypatch) -> None:
+    finger = FingerContact("TH")
     script = [REST] * 100 + [TOUCH, TOUCH] + [REST] * 3 + [TOUCH] * 10 + [REST, REST] + [TOUCH] * 5 + [REST] * 10
     changes = [(k, c.kind, c.stamp_ns // PERIOD) for k, r in enumerate(script) if (c := finger.update(k * PERIOD, r))]
     assert changes == [(107, "onset", 105), (124, "release", 122)]
-    finger = FingerContact("TH", ContactConfig(longest_s=1.0))  # a contact without end is drift
+    monkeypatch.setattr(contact_detector, "LONGEST_S", 1.0)
+    finger = FingerContact("TH")  # a contact without end is drift
     kinds = [c.kind for k in range(400) if (c := finger.update(k * PERIOD, REST if k < 100 else TOUCH))]
     assert kinds == ["onset", "release"]
     assert finger.touching is False

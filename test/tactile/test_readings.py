@@ -37,8 +37,12 @@ def test_faults_are_named_all_at_once() -> None:
         ({"pdc_mf": -22072.0}, "pdc_mf: -22072 is not between 1 and 4095"),
         ({"pdc_th": -9784.0}, "pdc_th: -9784 is not"),
         ({"pdc_th": float("nan")}, "pdc_th: was not read"),
-        ({"e_mf": np.r_[np.full(23, 3500.0), 5000.0]}, "e_mf[23]: 5000 is not between 1 and 4095 counts (1 such"),
-        ({"e_mf": np.r_[np.nan, np.full(23, 3500.0)]}, "e_mf[0]: nan"),
+        (
+            {"e_mf": np.r_[np.full(12, 3500.0), np.full(12, 5000.0)]},
+            "e_mf[12]: 5000 is not between 1 and 4095 counts (12 such",
+        ),
+        ({"e_mf": np.r_[np.full(12, np.nan), np.full(12, 3500.0)]}, "e_mf[0]: nan"),
+        ({"e_mf": np.r_[np.nan, 0.0, np.full(22, 3500.0)]},),  # single dead electrodes
         ({"pdc_th": -1.0, "e_mf": 0.0}, "pdc_th: -1", "e_mf: all 24"),
     ]
     every_case(cases, check)

@@ -7,7 +7,8 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Final, Generic, Literal, TypeVar
 
-_PATIENT: Final = 4  # times the capacity
+_BUSY_S: Final = 0.5  # for which something may wait without a pause until the receiver counts as late
+_CLEAN: Final = 50  # items put without a drop that make up for a dropped one: a loss of 2 % keeps the receiver late
 _Item = TypeVar("_Item")
 
 
@@ -18,8 +19,8 @@ class BoundedQueue(Generic[_Item]):
         capacity: Sum of the sizes of the items that may wait; None for no limit.
         when_full: `drop_oldest` makes room for the new item, `reject` drops the new item, `wait` blocks its sender.
         size_of: Size of an item, such as its bytes; None counts each item as 1.
-        patience_s: Four times the capacity may wait while the oldest item has waited for less than this time [s], so that a
-            receiver that only pauses loses nothing.
+        patience_s: Where an item has waited for longer than this [s], or some have for half a second without a pause, only the
+            newest waits until the receiver keeps up again. A shorter pause of it loses nothing. 0 for no such limit.
         on_drop: Called with each dropped item and the reason. The queue is locked meanwhile: return at once.
     """
 
@@ -33,9 +34,7 @@ class BoundedQueue(Generic[_Item]):
         on_drop: Callable[[_Item, str], None] | None = None,
     ) -> None:
         self.capacity = capacity  # may be changed at any time
-        self.dropped: Counter[str] = (
-            Counter()
-        )  # as `superseded` by newer ones, `full`, `closed`, or what `close` was given
+        self.dropped: Counter[str] = Counter()  # as `superseded`, `full`, `closed`, or what `close` was given
         self._when_full = when_full
         self._size_of = size_of or (lambda _: 1)
         self._patience_s = patience_s
@@ -44,6 +43,8 @@ class BoundedQueue(Generic[_Item]):
         self._items: deque[_Item] = deque()
         self._since: deque[float] = deque()  # when each was put, `time.monotonic` [s]
         self._size = 0
+        self._empty_s = 0.0  # when it was last empty, `time.monotonic` [s]
+        self._to_make_up = 0  # items to be put without dropping one until the receiver keeps up
         self._closed_reason = ""
 
     def put(self, item: _Item) -> bool:
@@ -53,7 +54,8 @@ class BoundedQueue(Generic[_Item]):
             if self._when_full == "wait":
                 self._changed.wait_for(lambda: self._closed_reason or self._has_room(size))
             elif self._when_full == "drop_oldest":
-                while self._items and not self._has_room(size):
+                late = self._is_late()
+                while self._items and (late or not self._has_room(size)):
                     self._drop(self._pop(), "superseded")
             if self._closed_reason or not self._has_room(size):
                 self._drop(item, self._closed_reason or "full")
@@ -95,11 +97,18 @@ class BoundedQueue(Generic[_Item]):
         return bool(self._closed_reason)
 
     def _has_room(self, size: int) -> bool:
-        if self.capacity is None or self._size + size <= self.capacity:
-            return True
-        if not self._items or self._size + size > _PATIENT * self.capacity:
+        return self.capacity is None or self._size + size <= self.capacity
+
+    def _is_late(self) -> bool:
+        """Whether the receiver does not keep up, as an item is put."""
+        now = time.monotonic()
+        if not self._items:
+            self._empty_s = now
+        waits = self._items and (now - self._since[0] > self._patience_s or now - self._empty_s > _BUSY_S)
+        if not self._patience_s or not (waits or self._to_make_up):
             return False
-        return time.monotonic() - self._since[0] < self._patience_s
+        self._to_make_up = min(self._to_make_up + _CLEAN, 2 * _CLEAN) if self._items else self._to_make_up - 1
+        return True
 
     def _wait(self, timeout_s: float | None) -> None:
         self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)

@@ -2,57 +2,13 @@
 """Settings of the RealSense camera and of the library's filters."""
 
 from dataclasses import dataclass
+from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 
-
-@dataclass(frozen=True, kw_only=True)
-class DecimationConfig(Settings):
-    """Reduce the resolution: the median or mean of each block of pixels."""
-
-    enabled: bool = setting(False, "Whether blocks of pixels are merged")
-    magnitude: int = setting(2, "Side of a block", unit="px", bounds=(1, 8))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpatialConfig(Settings):
-    """Smoothing along rows and columns that preserves edges."""
-
-    enabled: bool = setting(False, "Whether each frame is smoothed")
-    magnitude: int = setting(2, "Number of passes", bounds=(1, 5))
-    smooth_alpha: float = setting(0.5, "Weight of the pixel itself; 1 does not smooth", bounds=(0.25, 1.0))
-    smooth_delta: int = setting(20, "Larger steps are edges and are preserved", bounds=(1, 50))
-
-
-@dataclass(frozen=True, kw_only=True)
-class TemporalConfig(Settings):
-    """Smoothing over frames."""
-
-    enabled: bool = setting(False, "Whether frames are averaged over time")
-    smooth_alpha: float = setting(0.4, "Weight of the new frame; 1 does not smooth", bounds=(0.0, 1.0))
-    smooth_delta: int = setting(20, "Larger steps are motion and are preserved", bounds=(1, 100))
-
-
-@dataclass(frozen=True, kw_only=True)
-class HoleFillingConfig(Settings):
-    """Depth for pixels without one, from their neighbours."""
-
-    enabled: bool = setting(False, "Whether holes are filled")
-    mode: int = setting(1, "From 0 the left, 1 the farthest, 2 the nearest neighbour", bounds=(0, 2))
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilterConfig(Settings):
-    """The library's filters, in the order it recommends: decimation, spatial, temporal, hole filling.
-
-    The spatial and temporal filters work on disparity, where noise is uniform.
-    """
-
-    decimation: DecimationConfig = DecimationConfig()
-    spatial: SpatialConfig = SpatialConfig()
-    temporal: TemporalConfig = TemporalConfig()
-    hole_filling: HoleFillingConfig = HoleFillingConfig()
+FILTERS: Final = ("decimation", "spatial", "temporal", "hole_filling")
+"""Of the library, in the order that it recommends."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,16 +35,10 @@ class RealSenseConfig(Settings, read_only=True):
     width: int = setting(848, "Columns of a live image", unit="px", bounds=(64, 3840))
     height: int = setting(480, "Rows of a live image", unit="px", bounds=(64, 2160))
     fps: int = setting(30, "Frames per second of a live device", unit="Hz", bounds=(1, 300))
-    align: str = setting(
-        "none",
-        "Colour: `none`, aligned to the depth image, or the depth aligned to the colour image",
-        choices=("none", "colour_to_depth", "depth_to_colour"),
-    )
-    filters: FilterConfig = FilterConfig()
+    filters: tuple[str, ...] = setting((), "Filters of the library, with its defaults, in its order", choices=FILTERS)
     timeouts: TimeoutConfig = TimeoutConfig()
     real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost")
-    repeat: bool = setting(False, "Whether a recording starts again at its end")
-    frame_id: str = setting("", "Frame of the clouds; empty for the optical frame of the image they come from")
+    frame_id: str = setting("", "Frame of the clouds; empty for the optical frame of the depth image")
     stamp: str = setting(
         "auto",
         "Stamp of a cloud: of the frame, of its arrival, or (`auto`) of the frame if that is wall-clock time",
@@ -105,4 +55,4 @@ class RealSenseConfig(Settings, read_only=True):
     @property
     def optical_frame(self) -> str:
         """The frame of the clouds; by default named as by realsense2_camera."""
-        return self.frame_id or f"camera_{'color' if self.align == 'depth_to_colour' else 'depth'}_optical_frame"
+        return self.frame_id or "camera_depth_optical_frame"

@@ -15,7 +15,7 @@ from typing import Any, Literal, Self
 
 from foretouch.camera.config import RealSenseConfig, TimeoutConfig
 from foretouch.camera.device import DeviceSource, describe, realsense, source_of
-from foretouch.camera.stream import FilterChain, FrameStream
+from foretouch.camera.stream import FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
@@ -31,8 +31,8 @@ CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended",
 class CameraStatus:
     """The state of a camera at one moment.
 
-    Frames are dropped as `missed` (skipped frame numbers: lost before they reached us, or replaced by a newer one),
-    `no_colour` (no matching colour frame) or `bad_frame` (refused by the library).
+    Frames are dropped as `missed` (skipped frame numbers: lost before they reached us, or replaced by a newer one) or
+    `bad_frame` (refused by the library).
     """
 
     state: CameraState = "reconnecting"
@@ -121,11 +121,9 @@ class RealSenseCamera:
         self._status = CameraStatus()
 
     def reconfigure(self, config: RealSenseConfig) -> None:
-        """Apply new filters and timeouts, from any thread; other settings need a new camera."""
-        self.config = self.config.replace(filters=config.filters, timeouts=config.timeouts)
+        """Apply new timeouts, from any thread; other settings need a new camera."""
+        self.config = self.config.replace(timeouts=config.timeouts)
         self._watchdog.config = config.timeouts
-        if (stream := self._stream) is not None:
-            stream.filters = FilterChain(config.filters)
 
     @property
     def status(self) -> CameraStatus:
@@ -198,24 +196,20 @@ class RealSenseCamera:
         return self.config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
-        frames, now = stream.wait(timeout_s), time.monotonic()
-        if frames is None:
+        depth, now = stream.wait(timeout_s), time.monotonic()
+        if depth is None:
             self._on_silence(now, "no frame")
             return None
         self._frame_at_s = now
-        number = int(frames[0].get_frame_number())
+        number = int(depth.get_frame_number())
         if self._last_number is not None and number > self._last_number + 1:  # of this opening
             self._drop("missed", number - self._last_number - 1)
         self._last_number = number
-        if stream.wants_colour and frames[1] is None:
-            self._drop("no_colour")
-            self._on_silence(now, "depth without colour")
-            return None
         try:
-            cloud = stream.cloud(*frames)
+            cloud = stream.cloud(depth)
         except RuntimeError as err:
             self._drop("bad_frame")
-            self._on_silence(now, f"the library refuses the frames ({' '.join(str(err).split())})")
+            self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
             return None
         self._watchdog.note(now, streaming=True)
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
@@ -229,10 +223,7 @@ class RealSenseCamera:
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
         if ended and (self._last_number is not None or silent_s > 1.0):
             self._release()
-            if self.config.repeat:
-                self._set_state("reconnecting", "the recording restarts")
-            else:
-                self._set_state("ended", "the recording has ended")
+            self._set_state("ended", "the recording has ended")
             return
         decision = self._watchdog.decide(now)
         reason = f"{what} for {silent_s:.1f} s"

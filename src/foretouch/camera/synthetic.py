@@ -17,6 +17,7 @@ from foretouch.errors import CameraError
 from foretouch.types import Float64
 
 _DEPTH_UNIT_M = 0.001
+_PIXEL_BYTES = 2
 
 
 class SyntheticFrame(Protocol):
@@ -25,10 +26,6 @@ class SyntheticFrame(Protocol):
     @property
     def depth_mm(self) -> npt.NDArray[np.uint16]:
         """(H, W) uint16 depth [mm], 0 where there is none."""
-
-    @property
-    def rgb(self) -> npt.NDArray[np.uint8]:
-        """(H, W, 3) uint8 colour of the same pixels."""
 
     @property
     def K(self) -> Float64:  # noqa: N802
@@ -60,8 +57,7 @@ class SyntheticCamera(DeviceSource):
         self._fps = fps
         first = self.frame(0)
         self.shape = first.depth_mm.shape  # (H, W) of every frame
-        self._device, self._sensors, self._profiles = _software_device(first, fps, serial)
-        self.colour = True  # whether the colour sensor sends
+        self._device, self._sensor, self._profile = _software_device(first, fps, serial)
         self._number = 0
         self.plugged = True  # whether the device is present
         self._feeding = threading.Event()
@@ -88,9 +84,7 @@ class SyntheticCamera(DeviceSource):
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self.shape}")
             stamp_ns = self._stamp_ns(number)
             if self.plugged and stamp_ns is not None:
-                images: list[npt.NDArray[Any]] = [frame.depth_mm, frame.rgb][: 1 + self.colour]
-                for sensor, profile, image in zip(self._sensors, self._profiles, images, strict=False):
-                    sensor.on_video_frame(_video_frame(profile, image, number, stamp_ns / 1e6))
+                self._sensor.on_video_frame(_video_frame(self._profile, frame.depth_mm, number, stamp_ns / 1e6))
             self._number += 1
             return number
 
@@ -131,26 +125,23 @@ class SyntheticCamera(DeviceSource):
             self._stopping.wait(due - time.monotonic())
 
 
-def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any, list[Any], list[Any]]:
-    """Make a device with a depth and a colour sensor that share one view."""
+def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any, Any, Any]:
+    """Make a device with a depth sensor; it, the sensor and the profile of its stream."""
     rs = realsense()
     device = rs.software_device()
     device.register_info(rs.camera_info.name, "Synthetic D415")
     device.register_info(rs.camera_info.serial_number, serial)
-    intrinsics = _intrinsics(frame)
-    depth_sensor = device.add_sensor("Stereo Module")
-    colour_sensor = device.add_sensor("RGB Camera")
-    depth = depth_sensor.add_video_stream(_video_stream(rs.stream.depth, rs.format.z16, 2, intrinsics, fps))
-    colour = colour_sensor.add_video_stream(_video_stream(rs.stream.color, rs.format.rgb8, 3, intrinsics, fps))
-    depth_sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
+    sensor = device.add_sensor("Stereo Module")
+    stream = rs.video_stream()
+    stream.type, stream.index, stream.uid, stream.fps = rs.stream.depth, 0, int(rs.stream.depth), fps
+    stream.height, stream.width = frame.depth_mm.shape
+    stream.bpp, stream.fmt, stream.intrinsics = _PIXEL_BYTES, rs.format.z16, _intrinsics(frame)
+    profile = sensor.add_video_stream(stream).as_video_stream_profile()
+    sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
     # Of the D415 [mm]; the library's disparity filters require it.
-    depth_sensor.add_read_only_option(rs.option.stereo_baseline, 55.0)
-    no_offset = rs.extrinsics()
-    no_offset.rotation, no_offset.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
-    depth.register_extrinsics_to(colour, no_offset)
-    colour.register_extrinsics_to(depth, no_offset)
+    sensor.add_read_only_option(rs.option.stereo_baseline, 55.0)
     device.create_matcher(rs.matchers.default)
-    return device, [depth_sensor, colour_sensor], [one.as_video_stream_profile() for one in (depth, colour)]
+    return device, sensor, profile
 
 
 def _intrinsics(frame: SyntheticFrame) -> Any:
@@ -164,22 +155,11 @@ def _intrinsics(frame: SyntheticFrame) -> Any:
     return intrinsics
 
 
-def _video_stream(kind: Any, pixel_format: Any, pixel_bytes: int, intrinsics: Any, fps: int) -> Any:
-    stream = realsense().video_stream()
-    stream.type, stream.index, stream.uid = kind, 0, int(kind)
-    stream.width, stream.height, stream.fps = intrinsics.width, intrinsics.height, fps
-    stream.bpp, stream.fmt, stream.intrinsics = pixel_bytes, pixel_format, intrinsics
-    return stream
-
-
-def _video_frame(profile: Any, image: npt.NDArray[Any], number: int, stamp_ms: float) -> Any:
+def _video_frame(profile: Any, depth_mm: npt.NDArray[np.uint16], number: int, stamp_ms: float) -> Any:
     rs = realsense()
     frame = rs.software_video_frame()
-    frame.pixels = np.ascontiguousarray(image)  # the library copies it
-    frame.bpp = image.itemsize * (image.shape[2] if image.ndim == 3 else 1)
-    frame.stride = image.shape[1] * frame.bpp
+    frame.pixels = np.ascontiguousarray(depth_mm)  # the library copies it
+    frame.bpp, frame.stride, frame.depth_units = _PIXEL_BYTES, depth_mm.shape[1] * _PIXEL_BYTES, _DEPTH_UNIT_M
     frame.timestamp, frame.domain = stamp_ms, rs.timestamp_domain.system_time
     frame.frame_number, frame.profile = number, profile
-    if image.dtype == np.uint16:
-        frame.depth_units = _DEPTH_UNIT_M
     return frame

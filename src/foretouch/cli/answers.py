@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foretouch.errors import ConfigError, FileError, ForetouchError, TactileError
+from foretouch.errors import ConfigError, FileError, ForetouchError, TactileError, shown
 from foretouch.files import TEXT_LIMIT, parse_json, read_bytes, require_schema
 from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch.types import Float64, Grasp, Touch, TouchPrediction
 from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
@@ -128,17 +128,15 @@ def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPre
     try:
         field = "grasp"
         shapes = {"g1": (3,), "g2": (3,), "rotation": (3, 3)}
-        g1, g2, rotation = (
-            np.array(record["grasp"][name], np.float64).reshape(shape) for name, shape in shapes.items()
-        )
+        g1, g2, rotation = (_numbers(record["grasp"][name]).reshape(shape) for name, shape in shapes.items())
         score = record["grasp"].get("score")
-        grasp = Grasp(g1, g2, rotation, score=math.nan if score is None else float(score))
+        grasp = Grasp(g1, g2, rotation, score=math.nan if score is None else float(_numbers(score)))
         touches: list[Touch | None] = []
         for end in ("value", "lower", "upper"):
             known = []
             for field in channels.modalities:
                 part = record[field][end]
-                known += [] if part is None else [np.atleast_1d(np.array(part, np.float64))]
+                known += [] if part is None else [np.atleast_1d(_numbers(part))]
             touches.append(Touch(np.concatenate(known), channels) if len(known) == len(channels.modalities) else None)
         field = "status"
         value, lower, upper = touches
@@ -148,3 +146,13 @@ def prediction_from_record(record: Any, channels: Channels = BIOTAC) -> TouchPre
         raise ConfigError(
             f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
         ) from err
+
+
+def _numbers(value: Any) -> Float64:
+    """The array of a number of JSON, or of nested lists of numbers; a ValueError for anything else, and beyond 1e12."""
+    flat = [value]
+    while any(isinstance(one, list) for one in flat):
+        flat = [one for part in flat for one in (part if isinstance(part, list) else [part])]
+    if wrong := [one for one in flat if type(one) not in (int, float) or not abs(one) <= 1e12]:
+        raise ValueError(f"{shown(wrong[0], 40)} is not a number that can be used")
+    return np.array(value, np.float64)

@@ -7,26 +7,32 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.inputs import ADDRESS_HELP, add_options, positive_number, seed_number
+from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
-from foretouch.dataset.record import Identity
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import SampleSet, export_samples, only_finite, open_samples
+from foretouch.dataset.samples import (
+    SampleSet,
+    export_samples,
+    has_points,
+    only_finite,
+    open_samples,
+    sensor_of_samples,
+)
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
-from foretouch.types import GraspSample
 
 _SHEET_SAMPLES = 12
 
@@ -62,7 +68,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build.add_argument("sources", metavar="IN", nargs="+", help=dataset)
     _add_out(build, "STORE", "training store to create; must not exist")
     build.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
-    build.add_argument("--address", help=f"{ADDRESS_HELP}; IN and STORE must be on a disk that all nodes share")
 
     _add_import(_action(actions, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
 
@@ -71,12 +76,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_out(export, "DIR", "folder to create; must not exist")
     exported = [entry.name for entry in formats.FORMATS if entry.exported]
     export.add_argument("--format", required=True, choices=exported, help="format to write")
+    fps = (
+        "of lerobot: frames per second, each with the window of the newest readings; by default each reading is a frame"
+    )
+    export.add_argument("--fps", type=positive_number, metavar="N", help=fps)
 
     show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
     show.add_argument("source", metavar="DS", help=dataset)
     _add_out(show, "F.png", "image file")
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
+    series = "draw taxels over time beside the outcome, as of recordings without a camera"
+    show.add_argument("--series", action="store_true", help=series)
     show.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 
 
@@ -92,8 +103,11 @@ def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> Non
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}) or ROS bag")
+    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}), ROS bag, or tables")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
+    )
     group = parser.add_argument_group("ROS bags without foretouch samples")
     for name, topic, content in (
         ("cloud", CLOUD_TOPIC, "clouds of the object"),
@@ -232,6 +246,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 
 
 def _show(arguments: argparse.Namespace) -> int:
+    from foretouch.report.series_figure import save_series_sheet
     from foretouch.report.touch_figure import save_contact_sheet
 
     require_writable(arguments.out, *PICTURE_SUFFIXES)
@@ -240,24 +255,28 @@ def _show(arguments: argparse.Namespace) -> int:
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
-    save_contact_sheet(arguments.out, selected, title, samples.sensor)
-    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
+    sensor = sensor_of_samples(samples)
+    if arguments.series or not any(has_points(one.sample) for one in selected):
+        save_series_sheet(arguments.out, selected, title, sensor)
+    else:
+        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], title, sensor)
+    record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
 
 
-def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[GraspSample]:
+def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[SampleRecord]:
     """The samples named by --id, or some evenly spaced over the dataset."""
     if arguments.id:
         missing = set(arguments.id)
         for record in samples.records(discarded=True):
             if record.sample.id in missing:
                 missing.discard(record.sample.id)
-                yield only_finite(record.sample)
+                yield record
         if missing:
             raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
         return
     count = min(arguments.count, len(samples))
-    yield from (only_finite(samples.record(k * len(samples) // count).sample) for k in range(count))
+    yield from (samples.record(k * len(samples) // count) for k in range(count))
 
 
 def _repair(arguments: argparse.Namespace) -> int:
@@ -322,11 +341,14 @@ def _import(arguments: argparse.Namespace) -> int:
     hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
     identity = Identity(hand=hand, camera=camera) if hand or camera else None
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
-        result = import_samples(arguments.source, arguments.out, identity=identity, topics=topics, progress=advance)
+        result = import_samples(
+            arguments.source, arguments.out, identity=identity, topics=topics, map_file=arguments.map, progress=advance
+        )
     record = {
         "out": str(arguments.out),
         "samples": result.samples,
         "labelled": result.labelled,
+        "readings": result.readings,
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
     return print_result("imported", record, as_json=arguments.json)
@@ -340,8 +362,11 @@ def _name_and_value(text: str) -> tuple[str, str]:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    if arguments.fps and arguments.format != "lerobot":
+        raise ConfigError(f"--fps: {arguments.format} has no frames")
+    options = {"fps": arguments.fps} if arguments.fps else {}
     with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
-        result = export_samples(arguments.source, arguments.out, arguments.format, advance)
+        result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
     record = {
         "out": str(arguments.out),
         "format": arguments.format,

@@ -10,11 +10,10 @@ import importlib.util
 import os
 import platform
 import re
-import shutil
+import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import metadata
@@ -22,11 +21,13 @@ from typing import Literal
 
 from packaging.requirements import Requirement
 
-from foretouch.cli.output import announce, print_json, print_table, print_text, progress_bar
+from foretouch.cli.output import announce, print_json, print_table
 from foretouch.errors import ForetouchError, MissingDependencyError
-from foretouch.ros.runtime.shared_memory import stale_bytes
+from foretouch.processes import ONE_THREAD
+from foretouch.ros.runtime.shared_memory import FAST_DDS, large_clouds
 
 _State = Literal["ok", "mismatch", "missing", "broken", "optional"]
+_PATIENCE_S = 120.0  # of one check in a process of its own; the longest takes 6 s on an idle machine
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
 
 
@@ -43,20 +44,17 @@ class _Finding:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--all", action="store_true", help="also show the checks that passed")
-    parser.add_argument(
-        "--self-test",
-        nargs="*",
-        metavar="ROW",
-        help="run the shipped models and ROS on this machine; or only one of the rows models, ROS",
-    )
+    parser.add_argument("--self-test", action="store_true", help="also run the shipped models and ROS on this machine")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Return exit status 1 if something is missing, broken or of another version, or fails in the self-test."""
-    if arguments.self_test is not None:
-        return _self_test(arguments.self_test, as_json=arguments.json)
+    """Return exit status 1 if something is missing, broken or of another version."""
     announce("importing the libraries and loading the models")
     findings = list(_examine())
+    if arguments.self_test:
+        findings += _self_test(
+            skipped={finding.name for finding in findings if finding.state not in {"ok", "optional"}}
+        )
     problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
     if arguments.json:
         for finding in findings:
@@ -71,25 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
     return int(bool(problems))
 
 
-def _self_test(names: Sequence[str], *, as_json: bool) -> int:
-    from foretouch.cli.selftest import ROWS, run_rows
-
-    began = time.monotonic()
-    results = []
-    with progress_bar("", total=len(names or ROWS), hidden=as_json, transient=True) as update:
-        for result in run_rows(names or list(ROWS)):
-            results.append(result)
-            update(description=result.row)
-            if as_json:
-                print_json(asdict(result))
-    failed = [one for one in results if one.state == "failed"]
-    if not as_json:
-        rows = [[one.row, one.state, one.found, f"{one.seconds:.1f} s"] for one in results]
-        print_table("foretouch doctor --self-test", ["row", "state", "found", "time"], rows)
-        for one in failed:
-            print_text(f"{one.row}: {one.cause}\n  fix: {one.fix}")
-        print(f"{len(results)} rows, {len(failed)} failed, {time.monotonic() - began:.0f} s")
-    return int(bool(failed))
+def _self_test(skipped: Collection[str]) -> Iterator[_Finding]:
+    """Run the models and, unless it cannot be loaded, ROS, each in a process of its own."""
+    reinstall = "pip install --force-reinstall foretouch"
+    yield _tried(
+        "models answer as expected", "from foretouch.cli.selftest import check_models; check_models()", reinstall
+    )
+    if not any(" loads" in name for name in skipped):
+        code = "from foretouch.cli.selftest import check_ros; check_ros()"
+        yield _tried("a node answers over DDS", code, "see the checks of rclpy, foretouch_msgs and shared memory")
 
 
 def _examine() -> Iterator[_Finding]:
@@ -99,13 +87,12 @@ def _examine() -> Iterator[_Finding]:
     yield _Finding("Python", "mismatch" if old else "ok", f"{version} {platform.machine()}", fix)
     yield from _requirements()
     yield from _imports()
-    yield _shared_memory()
     yield from _own_parts()
 
 
 def _requirements() -> Iterator[_Finding]:
     """Compare the requirements of setup.cfg with what is installed."""
-    other_ros = {"kilted": {"jazzy"}, "jazzy": {"ros"}}.get(_wheels_of_ros(), {"ros", "jazzy"})
+    other_ros = {"kilted": {"ros"}, "jazzy": {"kilted"}}.get(_wheels_of_ros(), {"ros", "kilted"})
     for line in metadata.requires("foretouch") or []:
         extra = match[1] if (match := _EXTRA.search(line)) else None
         if extra not in {"test", "dev", "docs", *other_ros}:
@@ -113,13 +100,11 @@ def _requirements() -> Iterator[_Finding]:
 
 
 def _wheels_of_ros() -> str:
-    """The distribution of ROS 2 whose wheels run, "kilted" where none is installed; "" beside a ROS 2 of its own."""
+    """The distribution of ROS 2 whose wheels run, "jazzy" where none is installed; "" beside a ROS 2 of its own."""
     if os.environ.get("ROS_DISTRO"):
         return ""
-    try:
-        return "jazzy" if metadata.version("ros-rclpy").startswith("7.") else "kilted"
-    except metadata.PackageNotFoundError:
-        return "kilted"
+    installed = {one.name for one in metadata.distributions()}
+    return "kilted" if "ros-rclpy" in installed and "ros-jazzy-rclpy" not in installed else "jazzy"
 
 
 def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
@@ -128,7 +113,7 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
     try:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
-        return _Finding(name, "missing" if extra in {None, "ros", "jazzy"} else "optional", "absent", fix)
+        return _Finding(name, "missing" if extra in {None, "ros", "kilted"} else "optional", "absent", fix)
     fits = wanted.contains(found, prereleases=True)
     return _Finding(name, "ok", found) if fits else _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
 
@@ -145,7 +130,16 @@ def _imports() -> Iterator[_Finding]:
             yield _tried(name, code, fix)
     prepared = "from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()"
     distro = os.environ.get("ROS_DISTRO") or f"{_wheels_of_ros()}, wheels of PyPI"
-    yield _tried(f"rclpy loads ({distro})", f"{prepared}; import rclpy", "pip install 'foretouch[ros]'")
+    identified = f"{prepared}; import rclpy; print(rclpy.get_rmw_implementation_identifier())"
+    loaded = _tried(f"rclpy loads ({distro})", identified, "pip install 'foretouch[ros]'")
+    yield loaded
+    text, fine = large_clouds(loaded.found if loaded.state == "ok" else FAST_DDS)
+    fix = (
+        "docker run --shm-size=1g, or --ipc=host"
+        if FAST_DDS in text.partition(":")[0]
+        else f"RMW_IMPLEMENTATION={FAST_DDS}"
+    )
+    yield _Finding("large clouds", "ok" if fine else "mismatch", text, "" if fine else fix)
     message = f"{prepared}; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()"
     yield _tried("foretouch_msgs loads", message, "pip install ./foretouch_msgs")
     for name, why in (
@@ -153,21 +147,8 @@ def _imports() -> Iterator[_Finding]:
         ("sensor_msgs_py", "comparison in tests"),
         ("sr_robot_msgs", "the messages of Shadow"),
     ):
-        present = _failure(f"import {name}") is None
+        present = _tried(name, f"import {name}", "").state == "ok"
         yield _Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
-
-
-def _shared_memory() -> _Finding:
-    try:
-        free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
-    except OSError:
-        return _Finding("shared memory", "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
-    found = f"{free_mb:.0f} MB free"
-    if (stale_mb := stale_bytes() / 1e6) > 0.0:
-        found += f"; {stale_mb:.0f} MB of processes that were killed, which the next node frees"
-    if free_mb + stale_mb >= 256:  # three segments of 64 MB and a reserve
-        return _Finding("shared memory", "ok", found)
-    return _Finding("shared memory", "mismatch", found, "docker run --shm-size=1g")
 
 
 def _own_parts() -> Iterator[_Finding]:
@@ -216,14 +197,21 @@ def _checked(name: str, otherwise: _State, fix: str, check: Callable[[], str]) -
 
 
 def _tried(name: str, code: str, fix: str) -> _Finding:
-    message = _failure(code)
-    return _Finding(name, "ok", "yes") if message is None else _Finding(name, "broken", message, fix)
+    message, found = _outcome(code)
+    return _Finding(name, "ok", found or "yes") if message is None else _Finding(name, "broken", message, fix)
 
 
-def _failure(code: str) -> str | None:
-    """Run code in another process, which may crash; returns the last line of the error, else None."""
-    done = subprocess.run(  # noqa: S603 - our own interpreter and code
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
-    )
+def _outcome(code: str) -> tuple[str | None, str]:
+    """Run code in another process, which may crash; returns the last line of the error, else None, and what it prints."""
+    try:
+        done = subprocess.run(  # noqa: S603 - our own interpreter and code
+            [sys.executable, "-c", code],
+            capture_output=True, text=True, errors="replace", timeout=_PATIENCE_S, check=False,
+            env={**os.environ, **ONE_THREAD},
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"takes more than {_PATIENCE_S:g} s", ""
+    if done.returncode < 0:
+        return f"its process ended by {signal.Signals(-done.returncode).name}", ""
     lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-    return lines[-1] if done.returncode else None
+    return lines[-1][:300] if done.returncode else None, done.stdout.strip()

@@ -78,8 +78,8 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--scene": {"action": "store_true", "help": "find table and objects in unorganised clouds too"},
     "--target": {
-        "choices": ["nearest", "largest", "all"],
-        "help": "objects of a cloud to use (default: nearest; all for predict)",
+        "choices": ["nearest", "largest", "free", "all"],
+        "help": "objects of a cloud to use; free is the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
     },
     "--tare": {
         "metavar": "F|sample",

@@ -62,7 +62,7 @@ def _record(name: str) -> dict[str, Any]:
 
 def _mean(scores: Mapping[str, Mapping[str, Any]], name: str) -> float | None:
     """Mean of a number over the modalities that have it."""
-    values = [score[name] for score in scores.values() if name in score]
+    values = [score[name] for score in scores.values() if score.get(name) is not None]
     return sum(values) / len(values) if values else None
 
 

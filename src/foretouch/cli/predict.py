@@ -25,6 +25,7 @@ from foretouch.models.prequential import replay_model
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
 from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
 from foretouch.types.channels import Channels
@@ -96,6 +97,7 @@ def _answer(
             grasps, reason = [], str(err)
         planned = time.perf_counter()
         predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
+        predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = [one.reason for one in predictions if one.status != "ok"]
         yield {
@@ -190,7 +192,8 @@ def _named(model: TouchModel) -> inputs.Record:
     """The model for a record, with its sensor unless it is the BioTac SP."""
     channels = model.sensor.channels
     sensor = {} if channels == BIOTAC else {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
-    return {"name": model.name, "sha256": model.sha256, **sensor}
+    dead = {"dead_taxels": model.sensor.dead} if model.sensor.dead else {}  # of which predictions are not valid
+    return {"name": model.name, "sha256": model.sha256, **sensor, **dead}
 
 
 def _show(record: dict[str, Any], *, channels: Channels) -> None:

@@ -209,7 +209,8 @@ def run(arguments: argparse.Namespace) -> int:
             from foretouch.cli.check import run_check
 
             return run_check(node, arguments)
-        node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
+        with uninterrupted():  # or a file would be open that no session closes
+            node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         state = node.session_status()
         announce("writing what is left; waiting until other graphs would be seen")
@@ -244,7 +245,7 @@ def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _identity(what: str, given: str | None) -> dict[str, str | None]:
     model, _, serial = (given or "").partition(":")
-    return {f"identity.{what}": model or None, f"identity.{what}_serial": serial or None}
+    return {f"identity.{what}": None if given is None else model, f"identity.{what}_serial": serial or None}
 
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:

@@ -1,76 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rows of `foretouch doctor --self-test`: the shipped models and ROS on this machine.
+"""What `foretouch doctor --self-test` checks besides the installation: the shipped models and ROS on this machine.
 
-Each row runs in a process of its own, `python -m foretouch.cli.selftest ROW`, so that a crash is one failed row.
-`python -m foretouch.cli.selftest renew` stores the answers of the shipped models again, after a model was released.
+`python -m foretouch.cli.selftest` stores the answers of the shipped models again, after a model was released.
 """
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import ConfigError, ForetouchError, ModelError, described, none_of
+from foretouch.errors import ConfigError, ForetouchError, ModelError, described
 from foretouch.types import Cloud, Grasp
 
-_CRASHED: Final = "foretouch doctor: a library that crashes is named there"
-_PATIENCE_S: Final = 120.0  # of one row; the longest takes 6 s on an idle machine
-_ROS_PATIENCE_S: Final = 20.0  # of one step of the ROS row
+_ROS_PATIENCE_S: Final = 20.0  # of one step of the check of ROS
 _EXPECTED: Final = Path(__file__).with_name("selftest_expected.json")
 _TOLERANCE_COUNTS: Final = 0.5  # half of what a reading resolves; one bit in each coordinate moves an answer by 0.002
-
-
-@dataclass(frozen=True)
-class RowResult:
-    """The outcome of one row."""
-
-    row: str  # its name
-    state: Literal["ok", "failed", "skipped"]
-    found: str  # what was found, such as "6 of 6 as expected"
-    cause: str = ""  # the first check that failed and why, in one line
-    fix: str = ""  # what to do about it
-    seconds: float = 0.0  # elapsed time
-
-
-def run_rows(names: Sequence[str]) -> Iterator[RowResult]:
-    """Run rows by name, each in a process; a row whose process dies or hangs has failed, a name that is none is refused."""
-    for name in names:
-        if name not in ROWS:
-            raise ConfigError(f"--self-test: {none_of(name, ROWS)}")
-    for name in names:
-        yield _in_a_process(name)
-
-
-def _in_a_process(name: str) -> RowResult:
-    from foretouch.processes import one_thread_each
-
-    try:
-        with one_thread_each():
-            done = subprocess.run(  # noqa: S603 - our own interpreter and module
-                [sys.executable, "-m", "foretouch.cli.selftest", name],
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=_PATIENCE_S,
-                check=False,
-            )
-    except subprocess.TimeoutExpired:
-        return RowResult(name, "failed", "stopped", f"takes more than {_PATIENCE_S:g} s", _CRASHED)
-    last = (done.stdout.strip().splitlines() or [""])[-1]  # a library may print lines before
-    if last.startswith('{"row": '):
-        return RowResult(**json.loads(last))
-    status = done.returncode
-    ending = signal.Signals(-status).name if status < 0 else f"exit status {status}"
-    error = (done.stderr.strip().splitlines() or [""])[-1][:300]
-    return RowResult(name, "failed", "stopped", f"its process ended by {ending}{error and f': {error}'}", _CRASHED)
 
 
 def exact_cloud() -> Cloud:
@@ -97,18 +45,15 @@ def exact_grasps() -> list[Grasp]:
     return grasps
 
 
-def _models() -> RowResult:
-    """Hashes of the shipped models, and their answers against those that were stored with this version."""
+def check_models() -> None:
+    """Compare the shipped models and their answers with those stored with this version; a `ModelError` names the first that differs."""
     from foretouch.files import read_json
     from foretouch.models import available_models
 
     expected = read_json(_EXPECTED)
-    names = sorted({*expected, *available_models()})
-    faults = [fault for name in names if (fault := _fault(name, expected.get(name)))]
-    found = f"{len(names) - len(faults)} of {len(names)} as expected"
-    if faults:
-        return RowResult("models", "failed", found, faults[0], "pip install --force-reinstall foretouch")
-    return RowResult("models", "ok", found)
+    for name in sorted({*expected, *available_models()}):
+        if fault := _fault(name, expected.get(name)):
+            raise ModelError(fault)
 
 
 def _fault(name: str, expected: Any) -> str:
@@ -147,8 +92,8 @@ def _renew() -> None:
     _EXPECTED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
-def _ros() -> RowResult:
-    """A cloud over DDS, and a hostile request to a running node.
+def check_ros() -> None:
+    """Send a cloud over DDS, and a hostile request to a running node; a `ConfigError` names what fails.
 
     It talks on this machine only, in a domain and a namespace of its own, so that a running robot is not disturbed.
     """
@@ -156,21 +101,13 @@ def _ros() -> RowResult:
 
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     prepare_environment()
-    try:
-        import rclpy
+    import rclpy
 
-        import foretouch_msgs.msg  # noqa: F401
-    except ImportError as err:
-        return RowResult("ROS", "skipped", f"not installed: {err}")
     rclpy.init(domain_id=60 + os.getpid() % 40)
     try:
         _run_node()
-    except ForetouchError as err:
-        fix = "foretouch doctor: check rclpy, foretouch_msgs and shared memory"
-        return RowResult("ROS", "failed", "stopped", str(err), fix)
     finally:
         rclpy.try_shutdown()
-    return RowResult("ROS", "ok", "cloud over DDS, hostile request refused")
 
 
 def _run_node() -> None:
@@ -248,20 +185,5 @@ def _hostile_request(probe: Any, wait: Callable[[Callable[[], Any], str], None])
             raise ConfigError(f"predict_touch: the statuses are {found}, not {expected}")
 
 
-ROWS: Final = {"models": _models, "ROS": _ros}
-"""By name, in the order in which they run."""
-
-
-def _main(name: str) -> int:
-    """Run one row in this process and print its result as JSON."""
-    if name == "renew":
-        _renew()
-    else:
-        began = time.monotonic()
-        result = ROWS[name]()
-        sys.stdout.write(json.dumps(asdict(replace(result, seconds=time.monotonic() - began))) + "\n")
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1]))
+    _renew()

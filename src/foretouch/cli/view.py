@@ -8,13 +8,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
 from foretouch.cloud.io.files import CLOUD_SUFFIXES
-from foretouch.dataset.record import DISCARDED, SampleRecord
-from foretouch.dataset.samples import is_sample_set, open_samples
+from foretouch.dataset.record import DISCARDED, SampleRecord, readings
+from foretouch.dataset.samples import has_points, is_sample_set, open_samples, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
 from foretouch.files import require_existing, require_writable
@@ -23,7 +25,7 @@ from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import require_same
-from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +81,9 @@ class _Steps:
         # Of answers, what they were given for.
         data = arguments.data if self._are_answers else arguments.path
         samples = data is not None and arguments.topic is None and is_sample_set(data)
-        found = open_samples(data, unfinished=True).sensor if samples else None
+        opened = open_samples(data, unfinished=True) if samples else None
+        self._without_camera = opened is not None and len(opened) > 0 and not has_points(opened.record(0).sample)
+        found = None if opened is None else sensor_of_samples(opened) if self._without_camera else opened.sensor
         unnamed = self._are_answers and arguments.model is None
         self.sensor = found or (BIOTAC_SP if unnamed else self._pipeline.model.sensor)
 
@@ -93,7 +97,10 @@ class _Steps:
         yield from self._of_answers(Path(path)) if self._are_answers else self._of_source(path)
 
     def _of_source(self, path: str) -> Iterator[ViewStep]:
-        """A step for each cloud or sample, with the touch that the model predicts now."""
+        """A step for each cloud or sample, with the touch that the model predicts now; without a camera, for each reading."""
+        if self._without_camera:
+            yield from self._of_readings(path)
+            return
         require_same(self._pipeline.model.sensor.channels, self.sensor.channels, f"model {self._pipeline.model.name}")
         self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
         if self._arguments.topic is None and is_sample_set(path):
@@ -116,6 +123,15 @@ class _Steps:
                     yield self._of_sample(record)
             except ForetouchError as err:
                 self._refuse(samples.name(k), err)
+
+    def _of_readings(self, path: str) -> Iterator[ViewStep]:
+        """The readings of all samples, with what became of their grasp."""
+        samples = open_samples(path, unfinished=True)
+        for record in samples.records():
+            series, tare, name = readings(record), record.sample.tare, f"{record.sample.id}: {record.outcome}"
+            for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
+                read = Touch(counts.astype(np.float64), samples.sensor.channels)
+                yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")
 
     def _of_answers(self, path: Path) -> Iterator[ViewStep]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""

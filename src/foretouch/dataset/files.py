@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that datasets share: readable disk errors, durable names, folders that appear as a whole, sealed manifests."""
+"""Files that datasets share: durable names, folders that appear as a whole, sealed manifests."""
 
 import hashlib
 import json
@@ -12,17 +12,7 @@ from typing import Any
 
 from foretouch import __version__
 from foretouch.errors import FileError, VersionError, shown
-from foretouch.files import TEXT_LIMIT, json_in, read_bytes
-
-
-@contextmanager
-def disk_errors(path: Path, rule: str = "") -> Iterator[None]:
-    """Turn an `OSError` into a `FileError` with its description and number, after `rule` if there is one."""
-    try:
-        yield
-    except OSError as err:
-        prefix = f"{rule}: " if rule else ""
-        raise FileError(path, f"{prefix}{os.strerror(err.errno) if err.errno else err} (errno {err.errno})") from err
+from foretouch.files import TEXT_LIMIT, json_in, read_bytes, system_errors
 
 
 @contextmanager
@@ -36,10 +26,10 @@ def new_folder(path: Path) -> Iterator[Path]:
     part = path.with_name(f".{path.name}.part")
     if part.is_dir():  # `rmtree` would wait for the other end of a FIFO
         shutil.rmtree(part, ignore_errors=True)
-    with disk_errors(path, f"cannot be written, by way of {part.name}"):
+    with system_errors(path, f"cannot be written, by way of {part.name}"):
         part.mkdir(parents=True)
     try:
-        with disk_errors(path, "cannot be written"):
+        with system_errors(path, "cannot be written"):
             yield part / path.name
             (part / path.name).rename(path)
     finally:

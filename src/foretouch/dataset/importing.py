@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports samples into recorded datasets: from vision2tactile folders, training stores, and bags with named topics.
+"""Imports samples into recorded datasets: from vision2tactile folders, training stores, bags with named topics, and tables by a map.
 
 Samples that foretouch 0.2 recorded are converted to the present version. Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
 is extended. From a bag without samples of foretouch, samples are assembled as the recorder does it (see
@@ -15,17 +15,19 @@ from pathlib import Path
 from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
-from foretouch.dataset.files import disk_errors, new_folder
+from foretouch.dataset.files import new_folder
+from foretouch.dataset.mapping import MappedSource
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.record import Identity, SampleRecord, readings
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import DatasetError, FileError, TactileError
+from foretouch.files import require_existing, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
@@ -58,6 +60,7 @@ class ImportResult:
 
     samples: int = 0  # samples that were imported
     labelled: int = 0  # those with a touch
+    readings: int = 0  # those in their series, or a touch without one
     left_out: Counter[str] = field(default_factory=Counter)  # what was not imported, by reason
 
 
@@ -67,12 +70,13 @@ def import_samples(
     *,
     identity: Identity | None = None,
     topics: BagTopics | None = None,
+    map_file: Path | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> ImportResult:
     """Import the samples at a path: vision2tactile folders, a store, a recorded dataset, or a bag.
 
     The dataset `out` is created, or extended where it is of the same hand and camera, which `identity` may give instead of
-    the source; `topics` are for a bag without samples of foretouch.
+    the source; `topics` are for a bag without samples of foretouch, `map_file` for tables (see `foretouch.dataset.mapping`).
 
     Raises:
         FileError: If the source is damaged or holds nothing of the kind, or the dataset is of another kind.
@@ -81,7 +85,10 @@ def import_samples(
     source, out = Path(source), Path(out)
     result = ImportResult()
     with ExitStack() as stack:
-        if is_sample_set(source):
+        if map_file is not None:
+            mapped = MappedSource(require_existing(source), map_file)
+            found, records, sensor = mapped.identity, mapped.records(result.left_out), mapped.sensor
+        elif is_sample_set(source):
             samples = open_samples(source, convert=True)
             found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
@@ -97,11 +104,12 @@ def import_samples(
             raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
         folder = out if out.exists() else stack.enter_context(new_folder(out))
         config = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
-        with disk_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
+        with system_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
             for record in records:
                 writer.append(record)
                 result.samples += 1
                 result.labelled += record.sample.touch is not None
+                result.readings += 0 if (series := readings(record)) is None else len(series.stamps_ns)
                 progress()
     return result
 

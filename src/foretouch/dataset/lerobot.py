@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Export to LeRobotDataset v3, written with pyarrow alone; every executed grasp is an episode, every reading a frame.
 
-The frames hold what policies train on: both fingers, the grasp as the action, and the cloud with a fixed number of points.
+The frames hold what policies train on: both fingers, the grasp as the action, and the cloud with a fixed number of points. Each channel
+of a finger is also a feature of its own, `observation.tactile.FINGER.CHANNEL`, taxels x axes, whose `info` states where the taxels are and
+what their numbers mean (`_described`). At a chosen rate, such as that of a camera, a frame holds a window: the newest readings at its time,
+oldest first, with their stamps. Clouds that are images are depth maps in millimetres, with their intrinsics.
 LeRobot assumes a constant rate, so that `timestamp` is frame_index / fps, and `stamp_ns` is the sensor's own time. What the
 tables cannot hold (all points, colours, candidates, notes, samples without a touch) is in the folder `foretouch` beside them,
 a recorded dataset, from which an export is imported again.
@@ -10,10 +13,11 @@ Statistics are as LeRobot combines them: those of the whole dataset follow from 
 means weighted by frames.
 """
 
+import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,11 +27,12 @@ import pyarrow.parquet as pq
 
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, open_samples
+from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, has_points, open_samples
 from foretouch.dataset.taxels import channel_key, finger_key
-from foretouch.errors import FileError
+from foretouch.errors import ConfigError, FileError, shown
+from foretouch.files import read_json, require_schema
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
 _POINTS: Final = 1024  # of each cloud
@@ -36,22 +41,42 @@ _FILE_MB: Final = 100
 _PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _INFO: Final = "meta/info.json"
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+_STAMPS: Final = "observation.tactile.stamps_ns"  # of the readings of a window
+_DEPTH: Final = "observation.images.depth"
+_AXES: Final = ("X", "Y", "Z")  # channels that are the axes of one feature
+_SIDES: Final = ["height", "width", "channels"]
+_SAME_PIXELS: Final = 0.5  # between intrinsics of one camera, as its clouds have them
+_FASTEST: Final = 10  # frames per reading
 _OWN: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns")
 _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "xyz"] + [
     f"rotation_{row}{column}" for row in range(3) for column in range(3)
 ]
 
 
-def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+@dataclass(frozen=True)
+class _Survey:
+    """What the episodes of a dataset have in common."""
+
+    others: list[str]  # channels of both fingers besides their touches
+    rate: int  # readings per second
+    image: tuple[int, int] | None  # rows and columns of their depth images
+    seen: bool  # whether an episode has points; else it was recorded without a camera, and its grasp is not known
+
+
+def _export(
+    samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
+) -> None:
     out.mkdir(parents=True)
-    others, period_ns = _survey(samples)
-    tables = _Tables(out, samples.sensor, others, max(1, round(SECOND_NS / period_ns)) if period_ns else 1)
+    survey = _survey(samples)
+    if fps and fps > _FASTEST * survey.rate:
+        raise ConfigError(f"fps: {fps} exceeds {_FASTEST} times the rate of the readings, {survey.rate} Hz")
+    tables = _Tables(out, samples.sensor, survey, fps)
     config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
         for record in samples.records(discarded=True):
             progress()
             writer.append(record)
-            if reason := _no_episode(record):
+            if reason := _no_episode(record, survey.seen):
                 result.left_out[reason] += 1
             else:
                 tables.add(record)
@@ -61,24 +86,30 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
     tables.finish(samples.identity.hand.get("model", ""))
 
 
-def _no_episode(record: SampleRecord) -> str:
+def _no_episode(record: SampleRecord, seen: bool) -> str:
     """Why a sample is not an episode, or "" if it is one."""
     if DISCARDED in record.flags or record.sample.touch is None:
         return "discarded" if DISCARDED in record.flags else "unlabelled"
-    return "" if np.isfinite(record.sample.cloud.xyz).all(axis=-1).any() else "no points"
+    return "" if has_points(record.sample) or not seen else "no points"
 
 
-def _survey(samples: SampleSet) -> tuple[list[str], float]:
-    """What all samples have of both fingers besides their touches, and the median period of their readings [ns], or 0."""
+def _survey(samples: SampleSet) -> _Survey:
     others: list[set[str]] = []
-    periods = []
+    periods: list[float] = []
+    shapes = set()
     for record in samples.records():
-        if (series := readings(record)) is not None:
-            suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
-            both = [{name.removesuffix(one) for name in series.others if name.endswith(one)} for one in suffixes]
-            others = [set.intersection(*both, *others)]
-            periods += np.diff(series.stamps_ns)[:100].tolist()
-    return sorted(set().union(*others)), float(np.median(periods or [0]))
+        if (series := readings(record)) is None:
+            continue
+        suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
+        both = [{name.removesuffix(one) for name in series.others if name.endswith(one)} for one in suffixes]
+        others = [set.intersection(*both, *others)]
+        periods += np.diff(series.stamps_ns)[:100].tolist()
+        if has_points(record.sample):
+            shapes.add(record.sample.cloud.xyz.shape[:-1])
+    period_ns = float(np.median(periods or [0]))
+    rate = max(1, round(SECOND_NS / period_ns)) if period_ns else 1
+    image = next(iter(shapes)) if len(shapes) == 1 else ()
+    return _Survey(sorted(set().union(*others)), rate, (image[0], image[1]) if len(image) == 2 else None, bool(shapes))
 
 
 class _Rows:
@@ -115,17 +146,35 @@ class _Rows:
 class _Tables:
     """The tables of a dataset: adds episodes, and writes what describes them at the end."""
 
-    def __init__(self, root: Path, sensor: Sensor, others: Sequence[str], fps: int) -> None:
-        names = [*_value_names(sensor), *(name.lower() for name in others)]
+    def __init__(self, root: Path, sensor: Sensor, survey: _Survey, fps: int | None) -> None:
+        self._window = window = -(-survey.rate // fps) if fps else 0
         self._fingers = {finger: finger_key(finger) for finger in sensor.channels.fingers}
+        self._parts = _described(sensor, self._fingers)
+        names = [*_value_names(sensor), *(name.lower() for name in survey.others)]
         vectors = {f"observation.tactile.{finger}": names for finger in self._fingers.values()}
-        vectors |= {"action": _ACTION, "observation.pointcloud": [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]}
-        self._features = {
+        if survey.seen:
+            points = [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]
+            vectors |= {"action": _ACTION, "observation.pointcloud": points}
+        self._features: dict[str, dict[str, Any]] = {
             name: {"dtype": "float32", "shape": [len(one)], "names": one} for name, one in vectors.items()
         } | {
             name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in _OWN
         }
-        self._root, self._columns, self._others, self._fps = root, sensor.channels.finger_columns, others, fps
+        steps, outer = ([window], ["readings"]) if window else ([], [])
+        for name, (columns, info) in self._parts.items():
+            shape, names = [*steps, *columns.shape], [*outer, "taxels", "axes"]
+            self._features[name] = {"dtype": "float32", "shape": shape, "names": names, "info": info}
+        if window:
+            self._features[_STAMPS] = {"dtype": "int64", "shape": steps, "names": outer}
+        if survey.image:
+            info = {"is_depth_map": True, "depth_unit": "mm", "intrinsics": None}
+            self._features[_DEPTH] = {"dtype": "image", "shape": [*survey.image, 1], "names": _SIDES, "info": info}
+        self._root, self._columns, self._others, self._fps = (
+            root,
+            sensor.channels.finger_columns,
+            survey.others,
+            fps or survey.rate,
+        )
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far
@@ -135,26 +184,44 @@ class _Tables:
         """Write the frames of a grasp."""
         series, sample = readings(record), record.sample
         assert series is not None  # noqa: S101  it has a touch
-        count, task = len(series.stamps_ns), f"grasp the {sample.object}"
+        task = f"grasp the {sample.object}"
+        newest, window = _frames(series.stamps_ns, self._fps, self._window)
+        count = len(newest)
         numbers = np.arange(count)
-        action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()]).astype(np.float32)
         frames: dict[str, AnyArray] = {
-            "action": np.tile(action, (count, 1)),
-            "observation.pointcloud": np.tile(_points(sample.cloud), (count, 1)),
             "timestamp": (numbers / self._fps).astype(np.float32),
             "frame_index": numbers,
             "episode_index": np.full(count, self._episodes),
             "index": self._frames + numbers,
             "task_index": np.full(count, self._tasks.setdefault(task, len(self._tasks))),
-            "stamp_ns": series.stamps_ns,
+            "stamp_ns": series.stamps_ns[newest],
         }
+        if "action" in self._features:
+            action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])
+            frames["action"] = np.tile(action.astype(np.float32), (count, 1))
+            frames["observation.pointcloud"] = np.tile(_points(sample.cloud), (count, 1))
+        for name, (columns, _) in self._parts.items():
+            frames[name] = series.counts[window][..., columns].astype(np.float32)
+        if self._window:
+            frames[_STAMPS] = series.stamps_ns[window]
         for finger, name in self._fingers.items():
             own = series.counts[:, self._columns[finger]]
             others = [series.others[f"{channel}_{finger}"] for channel in self._others]
-            frames[f"observation.tactile.{name}"] = np.column_stack([own, *others]).astype(np.float32)
+            frames[f"observation.tactile.{name}"] = np.column_stack([own, *others]).astype(np.float32)[newest]
+        stats = {
+            name: _statistics(values.reshape(count, -1), self._features[name]["shape"])
+            for name, values in frames.items()
+        }
+        if _DEPTH in self._features:
+            image, intrinsics = _depth(sample.cloud)
+            known = self._features[_DEPTH]["info"]["intrinsics"] or intrinsics
+            if any(abs(known[name] - value) > _SAME_PIXELS for name, value in intrinsics.items()):
+                raise FileError(self._root, f"{sample.id}: its camera has other intrinsics: {intrinsics}")
+            self._features[_DEPTH]["info"]["intrinsics"] = known
+            frames[_DEPTH] = np.full(count, _tiff(image), object)
+            stats[_DEPTH] = _statistics(image.reshape(-1, 1), [1, 1, 1])
         chunk, file = self._data.place()
         self._data.write(pa.table({name: _arrow(frames[name], one) for name, one in self._features.items()}))
-        stats = {name: _statistics(values.reshape(count, -1)) for name, values in frames.items()}
         self._stats = {name: _combined([self._stats[name], one]) if self._stats else one for name, one in stats.items()}
         meta_chunk, meta_file = self._meta.place()
         episode = {
@@ -219,10 +286,91 @@ def _value_names(sensor: Sensor) -> list[str]:
     return names
 
 
+def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[Index, dict[str, Any]]]:
+    """(N, C) columns of a touch, and what they are, of each channel of each finger; x, y and z are the axes of one.
+
+    Positions and normals of the taxels are in the frame of the sensor [m]; values of a whole finger have none.
+    """
+    found: dict[str, tuple[Index, dict[str, Any]]] = {}
+    layout, own = sensor.layout, {one.name: one for one in sensor.config.fingers}
+    stated = {one.name: one for one, _ in sensor.predicted}
+    groups: dict[str, list[int]] = {}
+    for k, one in enumerate(sensor.taxel_channels):
+        groups.setdefault("taxel" if one.name in _AXES else channel_key(one.name), []).append(k)
+    places = {"positions": layout.positions.tolist(), "normals": layout.normals.tolist()}
+    for number, (name, key) in enumerate(fingers.items()):
+        parts = [
+            (group, sensor.taxel_columns[number][:, axes], [sensor.taxel_channels[k] for k in axes])
+            for group, axes in groups.items()
+        ]
+        parts += [
+            (channel_key(one.name), sensor.scalar_columns[number : number + 1, [k]], [one])
+            for k, one in enumerate(sensor.scalar_channels)
+        ]
+        for group, columns, channels in parts:
+            info: dict[str, Any] = {
+                "sensor": sensor.config.name,
+                "sensor_sha256": sensor.sha256,
+                "axes": [one.name for one in channels],
+                "unit": channels[0].unit,
+                "range": [[one.low, one.high] for one in channels],
+                "contact": [stated[one.name].contact for one in channels],
+                "rest": "tare" if channels[0].tared else "zero",
+                "rate_hz": sensor.config.update_rate,
+                "frame": own[name].parent if name in own else "",
+            }
+            if channels[0] in sensor.taxel_channels:
+                info |= {**places, "valid": sensor.valid[number].tolist()}
+            found[f"observation.tactile.{key}.{group}"] = columns, info
+    return found
+
+
+def _frames(stamps_ns: Int64, fps: int, window: int) -> tuple[Index, Index]:
+    """(F,) newest reading of each frame, and (F,) or (F, W) readings of its window; each is a frame without a window.
+
+    Before W readings there are, the first is repeated.
+    """
+    newest = np.arange(len(stamps_ns))
+    if not window:
+        return newest, newest
+    times = np.arange(stamps_ns[0], stamps_ns[-1] + 1, SECOND_NS // fps)
+    newest = np.searchsorted(stamps_ns, times, side="right") - 1
+    return newest, np.maximum(newest[:, None] - np.arange(window)[::-1], 0)
+
+
+def _depth(cloud: Cloud) -> tuple[AnyArray, dict[str, float]]:
+    """(H, W) uint16 depth of an organised cloud [mm], 0 without, and the intrinsics that its points have [pixels]."""
+    z = np.nan_to_num(cloud.xyz[..., 2].astype(np.float64))
+    rows, columns = np.nonzero(z > 0.0)
+    rays = cloud.xyz[rows, columns, :2] / z[rows, columns, None]
+    found = []
+    for ray, pixel in ((rays[:, 0], columns), (rays[:, 1], rows)):
+        found.append([round(float(one), 2) for one in np.polyfit(ray, pixel, 1)])
+    (fx, cx), (fy, cy) = found
+    image = np.clip(np.rint(1000.0 * z), 0, 65535).astype(np.uint16)
+    return image, {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
+
+
+def _tiff(image: AnyArray) -> bytes:
+    """A depth map as an uncompressed TIFF file, as LeRobot stores it."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "TIFF")
+    return file.getvalue()
+
+
 def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:
+    if feature["dtype"] == "image":
+        return pa.array([{"bytes": one, "path": None} for one in values])
     if feature["shape"] == [1]:
-        return pa.array(values)
-    return pa.FixedSizeListArray.from_arrays(values.ravel(), feature["shape"][0])
+        return pa.array(values.ravel())
+    found = pa.array(values.ravel())
+    if len(feature["shape"]) == 1:
+        return pa.FixedSizeListArray.from_arrays(found, feature["shape"][0])
+    for size in feature["shape"][::-1]:  # as `datasets` stores arrays of two dimensions or more
+        found = pa.ListArray.from_arrays(pa.array(np.arange(0, len(found) + 1, size), pa.int32()), found)
+    return found
 
 
 def _points(cloud: Cloud) -> Float32:
@@ -231,17 +379,19 @@ def _points(cloud: Cloud) -> Float32:
     return np.asarray(finite[np.arange(_POINTS) * len(finite) // _POINTS].ravel(), np.float32)
 
 
-def _statistics(values: AnyArray) -> dict[str, AnyArray]:
-    """Statistics of (T, D) values by column."""
+def _statistics(values: AnyArray, shape: Sequence[int]) -> dict[str, AnyArray]:
+    """Statistics of (T, D) values by column, in the shape of a feature."""
     wide = values.astype(np.float64)
     found = {"min": values.min(axis=0), "max": values.max(axis=0), "mean": wide.mean(axis=0), "std": wide.std(axis=0)}
     quantiles = np.quantile(wide, list(_QUANTILES.values()), axis=0)
-    return {**found, "count": np.array([len(values)]), **dict(zip(_QUANTILES, quantiles, strict=True))}
+    found |= dict(zip(_QUANTILES, quantiles, strict=True))
+    return {"count": np.array([len(values)]), **{name: value.reshape(shape) for name, value in found.items()}}
 
 
 def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]:
     stacked = {what: np.stack([one[what] for one in episodes]) for what in episodes[0]}
-    weights = stacked["count"] / stacked["count"].sum()
+    share = stacked["count"] / stacked["count"].sum()
+    weights = share.reshape(-1, *[1] * (stacked["mean"].ndim - 1))
     mean = (weights * stacked["mean"]).sum(axis=0)
     variance = (weights * (stacked["std"] ** 2 + (stacked["mean"] - mean) ** 2)).sum(axis=0)
     return {
@@ -257,7 +407,44 @@ def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]
 def _open(path: Path, unfinished: bool) -> SampleSet:
     if not (path / _SAMPLES).is_dir():
         raise FileError(path, f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has")
-    return replace(open_samples(path / _SAMPLES, unfinished=unfinished), path=path, kind="lerobot")
+    samples = open_samples(path / _SAMPLES, unfinished=unfinished)
+    _require_consistent(path)
+    return replace(samples, path=path, kind="lerobot")
+
+
+def _require_consistent(path: Path) -> None:
+    """Refuse a dataset whose metadata state other counts, shapes or files than there are, by a `FileError`."""
+    schema = {"codebase_version": str, "total_episodes": int, "total_frames": int, "data_path": str, "features": dict}
+    info = require_schema(path / _INFO, read_json(path / _INFO), schema)
+    if info["data_path"] != f"data/{_PATH}":
+        raise FileError(path / _INFO, f"is {shown(info['data_path'])}, not data/{_PATH}", field="data_path")
+    for folder, field in (("data", "total_frames"), ("meta/episodes", "total_episodes")):
+        files = sorted((path / folder).glob("chunk-*/file-*.parquet"))
+        if outside := next((one for one in files if not one.resolve().is_relative_to(path.resolve())), None):
+            raise FileError(outside, "is a link out of the dataset")
+        try:
+            tables = {file: pq.ParquetFile(file) for file in files}
+            firsts = {file: next(table.iter_batches(1)) for file, table in tables.items() if folder == "data"}
+        except (OSError, StopIteration, pa.ArrowException) as err:
+            raise FileError(path / folder, f"holds a file that is not Parquet, or empty: {err}") from err
+        if (count := sum(one.metadata.num_rows for one in tables.values())) != info[field]:
+            raise FileError(path / _INFO, f"is {info[field]}, and {folder} holds {count}", field=field)
+        for file, first in firsts.items():
+            _require_features(path / _INFO, info["features"], file, first)
+
+
+def _require_features(path: Path, features: Mapping[str, Any], file: Path, first: Any) -> None:
+    """Refuse features that are not the columns of a file, by its first row; those of images are not opened."""
+    for name, feature in features.items():
+        stated = require_schema(path, feature, {"dtype": str, "shape": [int]}, f"features.{name}")
+        if name not in first.schema.names:
+            raise FileError(file, "is a feature, and no column", field=name)
+        if stated["dtype"] != "image":
+            value = np.asarray(first[name][0].as_py())
+            kind = f"{'int64' if value.dtype.kind == 'i' else 'float32'} {list(value.shape or [1])}"
+            if f"{stated['dtype']} {stated['shape']}" != kind:
+                rule = f"is {stated['dtype']} {stated['shape']}, and {file.name} holds {kind}"
+                raise FileError(path, rule, field=f"features.{name}")
 
 
 DATASET_FORMAT = DatasetFormat(recognise=lambda path: (path / _INFO).is_file(), open=_open, export=_export)

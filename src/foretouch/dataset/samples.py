@@ -6,18 +6,21 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from foretouch.dataset import formats
 from foretouch.dataset.files import new_folder
-from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
+from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
 from foretouch.errors import FileError
 from foretouch.files import require_existing
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
+
+_SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +72,7 @@ class DatasetFormat:
     recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
     open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
     convert: Callable[[Path], SampleSet] | None = None  # as `open`, also of versions that are only read to convert them
-    export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
+    export: Callable[..., None] = _not_supported
 
 
 def _functions(entry: formats.FormatEntry) -> DatasetFormat:
@@ -102,6 +105,19 @@ def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = 
     return found.convert(path) if convert and found.convert is not None else found.open(path, unfinished)
 
 
+def sensor_of_samples(samples: SampleSet) -> Sensor:
+    """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
+    rows = [
+        series.counts[:: max(1, len(series.counts) // _SHOWN)] for one in samples.records() if (series := readings(one))
+    ]
+    return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
+
+
+def has_points(sample: GraspSample) -> bool:
+    """Whether a point of the cloud is finite; a recording without a camera has none."""
+    return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
+
+
 def only_finite(sample: GraspSample) -> GraspSample:
     """The sample with an unorganised cloud, without points that have no depth."""
     finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
@@ -109,7 +125,7 @@ def only_finite(sample: GraspSample) -> GraspSample:
 
 
 def export_samples(
-    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None
+    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None, **options: Any
 ) -> ExportResult:
     """Write the samples of a dataset in another format; reading them back gives equal numbers.
 
@@ -118,6 +134,7 @@ def export_samples(
         out: Folder to create; must not exist.
         kind: Name of a format in `formats.FORMATS` that is exported.
         progress: Called once a sample.
+        options: Of the format: `fps` of lerobot.
 
     Raises:
         FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
@@ -126,5 +143,5 @@ def export_samples(
     export = _functions(next(entry for entry in formats.FORMATS if entry.name == kind)).export
     result = ExportResult()
     with new_folder(Path(out)) as folder:
-        export(open_samples(source), folder, result, progress)
+        export(open_samples(source), folder, result, progress, **options)
     return result

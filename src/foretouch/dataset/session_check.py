@@ -16,10 +16,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from foretouch import __version__
-from foretouch.dataset.files import disk_errors
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, SensorHealth
 from foretouch.errors import FileError
-from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes
+from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes, system_errors
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.contact_detector import ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReader, TactileReading
@@ -69,7 +68,7 @@ class SessionCheck:
         self.targets: Sequence[Float32] = ()
         self._reader, self._channels = reader, reader.channels
         self._fingers = dict(zip(reader.channels.fingers, fingers, strict=True))
-        self._contacts, self._health = ContactDetector(None, reader.channels), SensorHealth(reader.channels)
+        self._contacts, self._health = ContactDetector(reader.channels), SensorHealth(reader.channels)
         self._readings: deque[TactileReading] = deque(maxlen=2000)
         self._received: dict[str, list[int]] = defaultdict(list)
         self._behind: dict[str, list[int]] = defaultdict(list)
@@ -146,7 +145,7 @@ class SessionCheck:
         channels = self._channels
         counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, channels.size)
         half = len(counts) // 2
-        scores = contact_scores(counts[half:], counts[:half], None, channels) if half > 4 else np.zeros((1, 2))
+        scores = contact_scores(counts[half:], counts[:half], channels) if half > 4 else np.zeros((1, 2))
         restless, found = np.median(scores, axis=0) > 1.0, []
         for k, (finger, columns) in enumerate(channels.finger_columns.items()):
             state, fix = self._health.states[finger], "check cable and power of the finger"
@@ -211,7 +210,7 @@ def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> 
 def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
     """Append a report to those of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written."""
     report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [one.record() for one in findings]}
-    with disk_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
+    with system_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
         log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())
         log.flush()
         os.fsync(log.fileno())

@@ -29,7 +29,7 @@ from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.files import FileBytes, Version, file_sha256, open_regular, parse_json, require_schema, version_of
+from foretouch.files import COUNT, FileBytes, Version, file_sha256, open_regular, parse_json, require_schema, version_of
 from foretouch.tactile.description import sensor_in
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 from foretouch.types.channels import Channels
@@ -65,11 +65,11 @@ _POINTS: Final = ("xyz", "rgb")
 _VECTORS: Final = ("g1", "g2", "rotation", "touch", "tare")
 _NULLABLE: Final = ("rgb", "touch", "tare")
 _MANIFEST_SCHEMA: Final = {
-    "samples": int,
+    "samples": COUNT,
     "sha256": str,
     "about?": dict,
     "sensor?": dict,
-    "shards?": [{"file": str, "samples": int, "sha256": str}],
+    "shards?": [{"file": str, "samples": COUNT, "sha256": str}],
     "files?": [{"file": str, "sha256": str}],
 }
 

@@ -28,40 +28,53 @@ from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Grasp, Int32, Int64, Plane
+from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane
 
 _closing_lines = Kernel(
     "closing_lines",
-    *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, int, int),
+    *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, np.float32, int, int),
     *(np.float64, int, np.float64),
 )
-_hidden_points = Kernel("hidden_points", np.float64, int, float, np.float64, np.float32, int, int, np.float64)
+_outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
+_hidden_points = Kernel(
+    "hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64
+)
 
 _ANGLES = 24  # directions in half a turn
-_LINES = 21  # in each direction, next to the centre
+_LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
-_END_SHARE = 0.02  # of the points of a line that are beyond either end
+_END_SHARE = 0.03  # of the points of a line that are beyond either end
 _TOP_SHARE, _TOP_M = 0.12, 0.004  # of the height, and at least: what counts as the top of an object
 _TOP_CELL_M, _MASS_CELL_M = 0.003, 0.004  # of the grids for the middle of the top, and for the centre of mass
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
-_SPACINGS = 0.8  # mean distances to the neighbours in a cell of that grid, at least
+_SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
 _BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
 _MOST_CELLS = 4e6  # of such a grid
 _FAR_M = 0.6  # from the centre: no hand reaches it
 _STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
+_ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
+REASONS = (
+    "n_too_flat",
+    "n_too_wide",
+    "n_too_thin",
+    "n_too_steep",
+    "n_blocked",
+)  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
-_SLOPE_DEG = 45.0  # of either side against the line
+_SLOPE_DEG = 40.0  # of either side against the line
 _ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
+_WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
+_BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
-_SOFT = 0.05  # of the cost, in which the weight of a line falls by a factor of e
+_SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
-_APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
+APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
 
@@ -90,7 +103,7 @@ class Obstacles:
 
 @dataclass(frozen=True, eq=False)
 class ClosingLines:
-    """The lines of one object. Arrays are (24, 21): directions, and places beside the centre."""
+    """The lines of one object. Arrays are (24, 17): directions, and places beside the centre."""
 
     low: Float64  # float64 [m], where the line enters the object, from its middle; NaN where it meets nothing
     high: Float64  # float64 [m], where it leaves it
@@ -99,6 +112,7 @@ class ClosingLines:
     blocker: Int64  # int64, index of the first obstacle in the way of a finger, or -1
     cost: Float64  # float64, infinite for lines that the hand cannot execute
     counts: dict[str, int]  # of lines: all, and those refused by each filter
+    lost: float  # by which the best cost is higher than it would be without obstacles; infinite if they block all
 
 
 class CompletedObject:
@@ -152,30 +166,26 @@ class CompletedObject:
         self._weights = np.where(near, self._weights, 0.0)
 
     @cached_property
-    def _outline(self) -> tuple[Float64, Float32]:
-        """Column, row and pitch of a grid over the object's image, and the depth of the nearest point of each cell [m].
-
-        The depth is infinite in gaps of the outline, and zero outside of it.
-        """
-        from scipy.ndimage import binary_closing
-
+    def _seen(self) -> tuple[Float64, Float32, Float32]:
+        """A grid over the object's image: column, row and pitch; and as `outline` finds them, `nearest` [m] and `inside`."""
         xyz = self._points.xyz
         place = xyz[:, :2] / xyz[:, 2:]
         pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
         low = place.min(axis=0) - 4.0 * pitch
-        column, row = np.floor((place - low) / pitch).astype(np.int64).T
-        nearest = np.full((int(row.max()) + 5, int(column.max()) + 5), np.inf, np.float32)
-        np.minimum.at(nearest, (row, column), xyz[:, 2].astype(np.float32))
-        closed = binary_closing(np.isfinite(nearest), iterations=2) | np.isfinite(nearest)
-        nearest[~closed] = 0.0
-        return np.array([*low, pitch]), nearest
+        columns, rows = (np.floor((place.max(axis=0) - low) / pitch).astype(np.int64) + 5).tolist()
+        nearest, inside = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+        grid = np.array([*low, pitch])
+        _outline(xyz, len(xyz), grid, rows, columns, nearest, inside)
+        if np.isnan(inside[0, 0]):
+            raise MemoryError("outline")
+        return grid, nearest, inside
 
-    def _camera(self) -> tuple[Float64, Float32, int, int]:
+    def _camera(self) -> tuple[Float64, Float32, Float32, int, int]:
         """The outline and the pose of the table's frame in the camera's, as the kernels read them."""
         if not self._in_view:
-            return np.zeros(15), np.zeros((1, 1), np.float32), 0, 0
-        grid, nearest = self._outline
-        return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, *nearest.shape
+            return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
+        grid, nearest, inside = self._seen
+        return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
 
     def _mirrored(self, seen: Float64) -> tuple[Float64, Float64]:
         """Points mirrored about the vertical line through the middle of the top, where the camera cannot see; and their weights."""
@@ -198,14 +208,14 @@ class CompletedObject:
         return other[kept], weight[kept]
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """(A, n_lines, 5) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
         settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        found = np.empty((len(turns), n_lines, 6))
+        found = np.empty((len(turns), n_lines, 5))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
             *(others, len(others), found),
@@ -214,34 +224,44 @@ class CompletedObject:
 
     def lines(self) -> ClosingLines:
         """All closing lines with their costs."""
-        hand = self._hand
-        angles = np.pi * np.arange(_ANGLES) / _ANGLES
-        low, high, height, top, blocker, _ = np.moveaxis(
-            self._close(np.stack([angles, 0.0 * angles], axis=1), _LINES), 2, 0
+        turns = np.zeros((_ANGLES, 3))
+        turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
+        found = self._close(turns, _LINES)
+        low, high, height, top, blocker = np.moveaxis(found, 2, 0)
+        slope = np.stack([_slopes(low), _slopes(high)])
+        refused = self._refused(found) | {"n_too_steep": slope.max(axis=0) > _STEEPEST}
+        left = alone = np.isfinite(height)
+        counts = {"n_lines": int(np.count_nonzero(left))}
+        for name in REASONS:
+            counts[name] = int(np.count_nonzero(left & refused[name]))
+            alone, left = left, left & ~refused[name]
+        counts["n_free"] = int(np.count_nonzero(left))
+        every = np.minimum(np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST), _MOST_COST)
+        cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
+        if counts["n_blocked"]:
+            lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
+        return ClosingLines(
+            low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost
         )
-        width, met = high - low, np.isfinite(height)
-        refused = {
-            "n_too_flat": np.isnan(low) | (height > top + 0.5 * hand.tip_radius_m),
-            "n_too_wide": width > hand.opening_m,
-            "n_too_thin": width < _THIN_M,
-            "n_too_steep": np.maximum(_slopes(low), _slopes(high)) > _STEEPEST,
+
+    def _refused(self, found: Float64) -> dict[str, Bool]:
+        """Which lines (..., 5) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        low, high, height, top, blocker = np.moveaxis(found, -1, 0)
+        return {
+            "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
+            "n_too_wide": high - low > self._hand.opening_m,
+            "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
-        counts, left = {"n_lines": int(np.count_nonzero(met))}, met
-        for name, mask in refused.items():
-            counts[name] = int(np.count_nonzero(left & mask))
-            left = left & ~mask
-        counts["n_free"] = int(np.count_nonzero(left))
-        cost = np.where(left, _smoothed(np.where(left, self._cost(low, high), _MOST_COST)), np.inf)
-        return ClosingLines(low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts)
 
-    def _cost(self, low: Float64, high: Float64) -> Float64:
-        """What speaks against each line; the smallest is the best."""
+    def _cost(self, width: Float64, slope: Float64) -> Float64:
+        """What speaks against each line, with the slopes of both ends (2, ...); the smallest is the best."""
         offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
         angle = np.pi * np.arange(_ANGLES) / _ANGLES
-        slopes = [np.degrees(np.arctan(np.abs(_slopes(side)))) / _SLOPE_DEG for side in (low, high)]
-        cost = (high - low) / _WIDTH_M + slopes[0] ** 2 + slopes[1] ** 2
-        return np.asarray(cost + (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None], np.float64)
+        cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
+        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None]
+        opening_m = self._hand.opening_m
+        return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
@@ -256,13 +276,15 @@ class CompletedObject:
         inside = (columns >= 0) & (columns < _LINES)
         cost = np.where(inside, lines.cost[rows, np.clip(columns, 0, _LINES - 1)], np.inf)
         weight = np.exp(-np.minimum((cost - lines.cost[angle, line]) / _SOFT, 700.0)) * np.isfinite(cost)
+        around = 1.0 * np.isfinite(cost)
+        heights = np.where(np.isfinite(cost), lines.height[rows, np.clip(columns, 0, _LINES - 1)], 0.0)
         weight /= weight.sum()
         turn = np.pi * (angle + float((weight * turns).sum())) / _ANGLES
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * steps).sum()))
-        low, high, height, top, blocker, _ = self._close(np.array([[turn, beside_m]]), 1)[0, 0].tolist()
-        if not self._admits(high - low, height, top) or blocker >= 0.0:
+        found = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
+        if any(one.any() for one in self._refused(found).values()):
             return self.contacts(lines, angle, line)
-        return self._ends(turn, beside_m, low, high, height)
+        return self._ends(turn, beside_m, *found[:3].tolist())
 
     def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
         along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
@@ -271,10 +293,6 @@ class CompletedObject:
         ends = middle + low * along, middle + high * along
         return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
 
-    def _admits(self, width: float, height: float, top: float) -> bool:
-        hand = self._hand
-        return _THIN_M <= width <= hand.opening_m and height <= top + 0.5 * hand.tip_radius_m
-
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Direction and place of the line that is closest to a grasp."""
         across = self._basis @ (grasp.g2 - grasp.g1)
@@ -282,6 +300,11 @@ class CompletedObject:
         middle, turn = self._basis @ (grasp.midpoint - self._foot), np.pi * angle / _ANGLES
         beside = float(np.cos(turn) * middle[1] - np.sin(turn) * middle[0])
         return angle, int(np.clip(round(beside / _STEP_M) + _LINES // 2, 0, _LINES - 1))
+
+
+def _final(cost: Float64, left: Bool, wide: Bool) -> Float64:
+    """Costs of the lines that are left, smoothed with those that are only too wide; infinite for the others."""
+    return np.where(left, _smoothed(np.where(left | wide, cost, _MOST_COST)), np.inf)
 
 
 def _smoothed(cost: Float64) -> Float64:
@@ -362,10 +385,17 @@ def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> l
         if len(chosen) == count:
             break
         ends = np.stack(completed.contacts(lines, int(angle), int(line)))
-        if not (np.linalg.norm(taken - ends, axis=2).max(axis=1, initial=0.0) < _APART_M).any():
+        if not (np.linalg.norm(taken - ends, axis=2).max(axis=1, initial=0.0) < APART_M).any():
             chosen.append((int(angle), int(line)))
             taken = np.concatenate([taken, ends[None]])
     return chosen
+
+
+def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
+    """Ids of the objects that block lines, ascending."""
+    return (
+        () if obstacles is None else tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
+    )
 
 
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
@@ -373,13 +403,12 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
     counts = lines.counts
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"
-    blockers = [] if obstacles is None else np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist()
     reasons = {
         "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
         "n_too_steep": f"at an edge, steeper than {_STEEPEST:g} on one side",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
-        "n_blocked": f"blocked by object {', '.join(map(str, blockers))}",
+        "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
     }
     found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
     return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"

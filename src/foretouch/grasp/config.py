@@ -57,7 +57,6 @@ class GeoGraspConfig(Settings):
 class SceneGeoGraspConfig(GeoGraspConfig):
     """Settings of the grasp planner of simulated samples: as that of the recorded ones, it drops no flying points."""
 
-    method: GraspMethod = setting("original", _METHOD, choices=get_args(GraspMethod))
     flying_share: float = setting(1.0, _FLYING, bounds=(0.0, 1.0))
 
 

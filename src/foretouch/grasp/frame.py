@@ -41,7 +41,6 @@ class ObjectFrame:
 
     centroid: Float64  # (3,) float64 [m], of the visible surface
     axis: Float64  # (3,) float64, the object's main axis
-    across: Float64  # (3,) float64, from the first to the second side, perpendicular to the axis
     ratio: float  # middle over major eigenvalue, 0 ... 1
 
 
@@ -72,9 +71,9 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
 
 
 def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
-    """Centroid, main axis and the direction across it; the signs follow the object's asymmetry.
+    """Centroid and main axis; its sign follows the object's asymmetry along it and across it.
 
-    `across` is the table's normal x the axis, and for an upright object the axis x the direction of view; it changes
+    Across is the table's normal x the axis, and for an upright object the axis x the direction of view; it changes
     its sign with the axis. Of the two signs, that with the larger sum of the third moments along both directions is
     taken. A small constant preference for one direction of the camera's frame is added to the second and the third
     moments: it decides where the object is as round, or as symmetric, as the noise.
@@ -105,8 +104,8 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     weight = points.area / total
     skew = sum(_third_moment(weight, along) for along in (offset @ axis, offset @ across))
     if skew + _SIGN_BIAS * (across @ PREFERRED) < 0.0:
-        axis, across = -axis, -across
-    return ObjectFrame(centroid, axis, across, float(max(values[1], 0.0) / values[2]))
+        axis = -axis
+    return ObjectFrame(centroid, axis, float(max(values[1], 0.0) / values[2]))
 
 
 def _third_moment(weight: Float64, along: Float64) -> float:

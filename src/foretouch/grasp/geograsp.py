@@ -22,11 +22,13 @@ from foretouch.cloud.timing import timed
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
+    APART_M,
     COMPLETED_POINTS,
     SCORE_OF_NONE,
     CompletedObject,
     Obstacles,
     best_lines,
+    blocking_objects,
     why_no_line,
 )
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig
@@ -58,6 +60,8 @@ class GraspPlan:
     centroid: Float64 | None = None  # (3,) float64 [m], of the object
     axis_ratio: float | None = None  # middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary
     slide_m: float = 0.0  # shift of the grasp plane along the axis [m]
+    lost: float = 0.0  # score of the best grasp that other objects cost; infinite if they block all ("completed" only)
+    blocked_by: tuple[int, ...] = ()  # ids of the objects that block some grasps, ascending
     outdone: int = 0  # number of clouds in a row on which another grasp was better than the held one
     counts: dict[str, int] = field(default_factory=dict)  # points, candidates and pairs after each stage, by name
     ms: dict[str, float] = field(default_factory=dict)  # wall time of each stage and their `total` [ms]
@@ -224,6 +228,7 @@ def _plan_completed(
     with timed(plan.ms, "candidates"):
         lines = completed.lines()
         counts |= lines.counts
+        plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
         best = best_lines(completed, lines, config.count)
         ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
@@ -231,11 +236,15 @@ def _plan_completed(
         plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held
-            held_score = SCORE_OF_NONE - lines.cost[completed.nearest_line(last.grasp)]
+            cost = float(lines.cost[completed.nearest_line(last.grasp)])
+            held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
             plan.grasps = (first, *plan.grasps[1:])
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"best of {counts['n_free']} of {counts['n_lines']} closing lines"
+        if len(plan.grasps) < config.count:
+            near = f"all others are within {APART_M * 1e3:g} mm of one of these"
+            plan.reason += f"; {len(plan.grasps)} grasps instead of {config.count}: {near}"
     else:
         plan.reason = why_no_line(lines, hand, obstacles)

@@ -6,15 +6,20 @@
 #define ALONG_M 0.0005f /* of a bin of the histogram along a line */
 #define HEIGHTS 640     /* bins: no object is higher than 0.6 m */
 #define ALONGS 2560     /* bins: nor longer than 1.2 m */
-#define STEPS 24        /* places of a column that are tried for free space */
+#define STEPS 16        /* places of a column that are tried for free space */
 #define FADE 4.0f       /* bins of height over which points fade out below the fingertips */
-#define END_M 0.003f    /* from either end of a line are the points that have the height of the end */
+#define END_M 0.004f    /* from either end of a line are the points that have the height of the end */
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
-#define FOUND 6         /* values of a line */
+#define LEAST 0.5       /* of the share beyond an end, from which on its place is a mean */
+#define MOST 2.5        /* up to which */
+#define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
+#define FADE_M 0.002    /* before and behind such a depth, over which it fades */
+#define FOUND 5         /* values of a line */
 
 typedef struct {
     const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch of the grid */
-    const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap, 0 outside of the outline */
+    const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap */
+    const float *inside;  /* (rows, columns) how certainly a cell is inside of the outline, 0 ... 1 */
     int64_t rows, columns;
 } Outline;
 
@@ -23,28 +28,78 @@ INLINE double smooth(double value, double low, double high) {
     return inside * inside * (3.0 - 2.0 * inside);
 }
 
-/* How far a place of the table's frame is behind the object's nearest point on its ray; infinite in a gap, -infinite outside. */
-INLINE double depth_behind(const Outline *seen, double x, double y, double z) {
+/* The largest (sign 1) or smallest (-1) of each cell and its neighbours up to two cells away, first along rows, then along columns; the
+ * two cells at the border are left as they are. values, other: (rows, columns); the result is in `values`. */
+INLINE void widen(float *values, float *other, int64_t rows, int64_t columns, float sign) {
+    for (int64_t axis = 0; axis < 2; axis++) {
+        const int64_t step = axis ? columns : 1;
+        const float *from = axis ? other : values;
+        float *to = axis ? values : other;
+        for (int64_t i = 2 * step; i < rows * columns - 2 * step; i++) {
+            float best = sign * from[i - 2 * step];
+            for (int64_t k = -1; k <= 2; k++) {
+                best = sign * from[i + k * step] > best ? sign * from[i + k * step] : best;
+            }
+            to[i] = sign * best;
+        }
+    }
+}
+
+/* The outline of n points (n, 3) in front of the camera, in cells of grid[2] from column grid[0] and row grid[1] on, with four empty cells around.
+ *
+ * nearest (rows, columns): depth of the nearest point, infinite without one. inside (rows, columns): 0 ... 1, each point counts for the four
+ * cells around it, one in all; gaps narrower than five cells are closed. It is continuous in the points. inside[0] is NaN without memory. */
+void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest, float *inside) {
+    float *other = calloc((size_t)(rows * columns), sizeof(float));
+    for (int64_t i = 0; i < rows * columns; i++) {
+        nearest[i] = INFINITY, inside[i] = 0.0f;
+    }
+    if (!other) {
+        inside[0] = NAN;
+        return;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        const double depth = points[3 * i + 2];
+        const double column = (points[3 * i] / depth - grid[0]) / grid[2], row = (points[3 * i + 1] / depth - grid[1]) / grid[2];
+        float *cell = nearest + (int64_t)row * columns + (int64_t)column;
+        *cell = (float)depth < *cell ? (float)depth : *cell;
+        const int64_t left = (int64_t)(column - 0.5), up = (int64_t)(row - 0.5);
+        const float right = (float)(column - 0.5 - (double)left), down = (float)(row - 0.5 - (double)up);
+        float *first = inside + up * columns + left;
+        first[0] += (1.0f - right) * (1.0f - down), first[1] += right * (1.0f - down);
+        first[columns] += (1.0f - right) * down, first[columns + 1] += right * down;
+    }
+    for (int64_t i = 0; i < rows * columns; i++) {
+        inside[i] = inside[i] > 1.0f ? 1.0f : inside[i];
+    }
+    widen(inside, other, rows, columns, 1.0f);
+    widen(inside, other, rows, columns, -1.0f);
+    free(other);
+}
+
+/* How certainly a place of the table's frame is hidden by the object, 0 ... 1, around a depth behind its nearest point on the ray. */
+INLINE double hidden_by(const Outline *seen, double x, double y, double z, double depth_behind) {
     const double *c = seen->camera, depth = c[6] * x + c[7] * y + c[8] * z + c[11];
     if (!(depth > 0.0)) {
-        return -INFINITY;
+        return 0.0;
     }
     const double column = floor(((c[0] * x + c[1] * y + c[2] * z + c[9]) / depth - c[12]) / c[14]);
     const double row = floor(((c[3] * x + c[4] * y + c[5] * z + c[10]) / depth - c[13]) / c[14]);
     if (!(column >= 0.0 && row >= 0.0 && column < (double)seen->columns && row < (double)seen->rows)) {
-        return -INFINITY;
+        return 0.0;
     }
-    const float nearest = seen->nearest[(int64_t)row * seen->columns + (int64_t)column];
-    return nearest == 0.0f ? -INFINITY : (isinf(nearest) ? INFINITY : depth - (double)nearest);
+    const int64_t cell = (int64_t)row * seen->columns + (int64_t)column;
+    const float nearest = seen->nearest[cell];
+    const double behind = isinf(nearest) ? 1.0 : depth - (double)nearest;
+    return (double)seen->inside[cell] * smooth(behind, depth_behind - FADE_M, depth_behind + FADE_M);
 }
 
 /* hidden (n): how certainly the object hides each of the points (n, 3) from the camera, 0 ... 1, around a depth behind it. */
-void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, int64_t rows,
-                   int64_t columns, double *hidden) {
-    const Outline seen = {camera, nearest, rows, columns};
+void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, const float *inside,
+                   int64_t rows, int64_t columns, double *hidden) {
+    const Outline seen = {camera, nearest, inside, rows, columns};
     for (int64_t i = 0; i < n; i++) {
-        const double behind = depth_behind(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2]);
-        hidden[i] = smooth(behind < 1.0 ? behind : 1.0, 0.5 * depth, 1.5 * depth);
+        hidden[i] = hidden_by(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2], depth);
     }
 }
 
@@ -72,41 +127,56 @@ INLINE double quantile(const Histogram *one, double share) {
     return (double)one->to + 1.0;
 }
 
+/* Mean of the quantiles from one share to another, in bins, from below (sign 1) or above (-1): it moves little where few points decide. */
+INLINE double mean_quantile(const Histogram *one, double first, double last, int64_t sign) {
+    const double from = first * one->total, to = last * one->total;
+    double below = 0.0, sum = 0.0;
+    for (int64_t i = sign > 0 ? one->from : one->to; i >= one->from && i <= one->to && below < to; i += sign) {
+        const double bin = one->bins[i], above = below + bin;
+        const double a = below > from ? below : from, b = above < to ? above : to;
+        if (b > a) {
+            sum += (b - a) * ((double)(i + (sign < 0)) + (double)sign * ((a + b) / 2.0 - below) / bin);
+        }
+        below = above;
+    }
+    return to > from ? sum / (to - from) : (double)one->to;
+}
+
 /* The points of one strip, which lie one after the other. */
 typedef struct {
     const float *along, *height, *weight;
-    int64_t n;
+    int64_t n, first, last; /* number of points; first and last bin along the line */
+    float *faded;           /* place for n weights */
 } Strip;
 
 /* Ends of a strip along its line: quantiles of the points above a height [bins]. */
 INLINE void ends(const Strip *one, Histogram *bins, float above, double share, double *low, double *high) {
-    float least = INFINITY, most = -INFINITY;
+    float total = 0.0f;
+    clear(bins, one->first, one->last);
     for (int64_t i = 0; i < one->n; i++) {
-        least = one->along[i] < least ? one->along[i] : least;
-        most = one->along[i] > most ? one->along[i] : most;
+        const float part = (one->height[i] - above) / FADE + 0.5f, positive = part < 0.0f ? 0.0f : part;
+        one->faded[i] = one->weight[i] * (positive > 1.0f ? 1.0f : positive);
     }
-    clear(bins, (int64_t)least, (int64_t)most);
     for (int64_t i = 0; i < one->n; i++) {
-        const float share = (one->height[i] - above) / FADE + 0.5f;
-        bins->bins[(int32_t)one->along[i]] += one->weight[i] * (share < 0.0f ? 0.0f : (share > 1.0f ? 1.0f : share));
+        bins->bins[(int32_t)one->along[i]] += one->faded[i];
+        total += one->faded[i];
     }
-    for (int64_t i = bins->from; i <= bins->to; i++) {
-        bins->total += bins->bins[i];
-    }
-    *low = quantile(bins, share);
-    *high = quantile(bins, 1.0 - share);
+    bins->total = total;
+    const double first = mean_quantile(bins, LEAST * share, MOST * share, 1);
+    const double last = mean_quantile(bins, LEAST * share, MOST * share, -1);
+    const double beyond = OUTWARDS * share * (last - first); /* of what an even density leaves beyond such a mean */
+    *low = first - beyond > 0.0 ? first - beyond : 0.0;
+    *high = last + beyond < ALONGS - 1.0 ? last + beyond : ALONGS - 1.0;
 }
 
-/* Median height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
-INLINE double height_at_end(const Strip *one, Histogram *bins, float place, float sign) {
-    clear(bins, bins->from, bins->to);
+/* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
+INLINE double height_at_end(const Strip *one, float place, float sign) {
+    float sum = 0.0f, total = 1e-9f;
     for (int64_t i = 0; i < one->n; i++) {
-        if (sign * (one->along[i] - place) > 0.0f) {
-            bins->bins[(int64_t)one->height[i]] += one->weight[i];
-            bins->total += one->weight[i];
-        }
+        const float beyond = sign * (one->along[i] - place) / (END_M / ALONG_M), share = beyond < 0.0f ? 0.0f : (beyond > 1.0f ? 1.0f : beyond);
+        sum += one->weight[i] * share * one->height[i], total += one->weight[i] * share;
     }
-    return quantile(bins, 0.5);
+    return (double)(sum / total);
 }
 
 /* Height of the underside of a body that is as thick as it is wide, as an arch seen from above; 0 if the points speak for walls.
@@ -114,28 +184,43 @@ INLINE double height_at_end(const Strip *one, Histogram *bins, float place, floa
  * Evidence are ends that are seen well below the top, and nothing that is seen lower than the underside of a round body is seen. */
 INLINE double round_underside(double top, double lowest, double end, double width, double horizontal) {
     const double radius = width / 2.0, below = lowest - (top - radius - radius * horizontal);
-    const double tall = smooth(top / width, 1.2, 1.5), none = smooth(below, -0.4 * radius, -0.2 * radius);
-    const double bent = smooth(top - end, 0.25 * radius, 0.5 * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
+    const double tall = smooth(top / width, 1.2, 1.5), none = smooth(below, -0.4 * radius, -0.1 * radius);
+    const double bent = smooth(top - end, 0.2 * radius, 0.6 * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
     const double underside = top - width;
     return underside > 0.0 ? tall * none * bent * from_above * underside : 0.0;
+}
+
+/* Height down to which the object hides its columns, as a mean over three along a line, whose middle is at `mid`. */
+INLINE double seen_under(const Outline *seen, double c, double s, double mid, double offset, double top, double tip) {
+    double sum = 0.0;
+    for (int64_t j = -1; j <= 1; j++) {
+        const double along = mid + (double)j * tip / 2.0, x = c * along - s * offset, y = s * along + c * offset;
+        double hidden = 1.0;
+        for (int64_t k = 2; k <= STEPS; k++) { /* downwards from the top, until the table is seen through the column */
+            const double here = hidden > 0.0 ? hidden_by(seen, x, y, top * (1.0 - (double)k / STEPS), -SEEN_M) : 0.0;
+            hidden = here < hidden ? here : hidden;
+            sum += (1.0 - hidden) * top / STEPS;
+        }
+    }
+    return sum / 3.0;
 }
 
 /* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
  *
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
- * turns (angles, 2): direction of the lines [rad], and how far the middle one is beside the axis. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
+ * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
  * part of the direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
- * found (angles, lines, 6): both ends, height, top, the first of `others` in the way of a finger, or -1, and the weight of the points. Ends are
+ * found (angles, lines, 5): both ends, height, top, and the first of `others` in the way of a finger, or -1. Ends are
  * NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
-                              int64_t lines, const double *settings, const double *camera, const float *nearest, int64_t rows, int64_t columns,
+                              int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns,
                               const double *others, int64_t m, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
-    const Outline seen = {camera, nearest, rows, columns};
+    const Outline seen = {camera, nearest, inside, rows, columns};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
-    float *memory = malloc(((size_t)n * 11 + HEIGHTS + ALONGS + 8) * sizeof(float));
-    int64_t *start = malloc((size_t)(bins + 1) * sizeof(int64_t)), used = 0, highest = 0;
+    float *memory = malloc(((size_t)n * 12 + HEIGHTS + ALONGS + 8) * sizeof(float));
+    int64_t *start = malloc((size_t)(bins + 1) * 3 * sizeof(int64_t)), used = 0, highest = 0;
     for (int64_t i = 0; i < angles * lines * FOUND; i++) {
         found[i] = NAN;
     }
@@ -144,8 +229,9 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         return;
     }
     float *along = memory, *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
-    float *place = share_of + n, *beside = place + n, *across = beside + n, *tent = across + n;
-    Histogram heights = {tent + n, 0, 0, 0.0}, alongs = {tent + n + HEIGHTS, 0, 0, 0.0};
+    float *place = share_of + n, *beside = place + n, *across = beside + n, *tent = across + n, *faded = tent + n;
+    int64_t *least = start + bins + 1, *most = least + bins; /* bins along the line of the points in each strip of one step */
+    Histogram heights = {faded + n, 0, 0, 0.0}, alongs = {faded + n + HEIGHTS, 0, 0, 0.0};
     for (int64_t i = 0; i < n; i++) {
         if (weights[i] > 0.0) {
             const double bin = points[3 * i + 2] / (double)HEIGHT_M;
@@ -156,7 +242,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
     }
     for (int64_t angle = 0; angle < angles; angle++) {
-        const double c = cos(turns[2 * angle]), s = sin(turns[2 * angle]), beside_m = turns[2 * angle + 1];
+        const double c = cos(turns[3 * angle]), s = sin(turns[3 * angle]), beside_m = turns[3 * angle + 1];
         const float c_place = (float)c / ALONG_M, s_place = (float)s / ALONG_M, c_line = (float)(c / step), s_line = (float)(s / step);
         const float first = (float)((double)(bins / 2) - beside_m / step), last = (float)bins;
         memset(start, 0, (size_t)(bins + 1) * sizeof(int64_t));
@@ -172,16 +258,18 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
         for (int64_t j = 0; j < bins; j++) {
             start[j + 1] += start[j];
+            least[j] = ALONGS, most[j] = 0;
         }
         for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step; afterwards start[j] is the end of strip j */
             if (beside[i] >= 0.0f && beside[i] < last) {
-                const int64_t at = start[(int32_t)beside[i]]++;
+                const int64_t j = (int64_t)(int32_t)beside[i], at = start[j]++, bin = (int64_t)(int32_t)place[i];
+                least[j] = bin < least[j] ? bin : least[j], most[j] = bin > most[j] ? bin : most[j];
                 along[at] = place[i], height[at] = level[i], weight[at] = share_of[i], across[at] = beside[i];
             }
         }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = line ? start[line - 1] : 0;
-            const Strip strip = {along + from, height + from, tent, start[line + 3] - from};
+            Strip strip = {along + from, height + from, tent, start[line + 3] - from, ALONGS, 0, faded};
             double *one = found + (angle * lines + line) * FOUND, low, high;
             if (strip.n < 8) {
                 continue;
@@ -189,32 +277,28 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             for (int64_t i = 0; i < strip.n; i++) { /* a point on the line counts once, one two steps beside it not at all */
                 tent[i] = weight[from + i] * (1.0f - 0.5f * fabsf(across[from + i] - (float)(line + 2)));
             }
-            ends(&strip, &alongs, -FADE, share, &low, &high);
+            for (int64_t j = line; j < line + 4; j++) {
+                strip.first = least[j] < strip.first ? least[j] : strip.first;
+                strip.last = most[j] > strip.last ? most[j] : strip.last;
+            }
             clear(&heights, 0, highest);
             for (int64_t i = 0; i < strip.n; i++) {
                 heights.bins[(int32_t)strip.height[i]] += strip.weight[i];
             }
+            ends(&strip, &alongs, -FADE, share, &low, &high);
             heights.total = alongs.total;
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
-            double under = 0.0;
-            for (int64_t k = 2; k <= STEPS; k++) { /* downwards from the top, until the table is seen through the column */
-                const double z = top * (1.0 - (double)k / STEPS);
-                if (rows > 0 && depth_behind(&seen, c * mid - s * offset, s * mid + c * offset, z) < -SEEN_M) {
-                    under = z;
-                    break;
-                }
-            }
+            double under = rows > 0 ? seen_under(&seen, c, s, mid, offset, top, tip) : 0.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
-                const float at_end = END_M / ALONG_M;
-                const double first = height_at_end(&strip, &heights, (float)low + at_end, -1.0f);
-                const double second = height_at_end(&strip, &heights, (float)high - at_end, 1.0f);
+                const float at_end = END_M / ALONG_M; /* the weight of a point grows over that length */
+                const double first = height_at_end(&strip, (float)low + at_end, -1.0f), second = height_at_end(&strip, (float)high - at_end, 1.0f);
                 const double end = (first > second ? first : second) * (double)HEIGHT_M;
                 const double round = round_underside(top, lowest, end, width, horizontal);
                 under = round > under ? round : under;
             }
-            double z = (top + under) / 2.0 + shift;
+            double z = isnan(turns[3 * angle + 2]) ? (top + under) / 2.0 + shift : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < under ? under : z;
             z = z < floor_m ? floor_m : z;
@@ -224,7 +308,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 continue;
             }
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
-            one[4] = -1.0, one[5] = alongs.total;
+            one[4] = -1.0;
             for (int64_t i = 0; i < m && one[4] < 0.0; i++) {
                 const double x = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
                 const int beside = fabs(y - offset) < tip && others[3 * i + 2] > z - tip;

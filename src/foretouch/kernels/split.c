@@ -18,9 +18,7 @@ enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, BY_AXIS, COUNTS };                   
 #define TURN 0.25f /* chord of the normals of one surface on both sides of a nearer part */
 #define SKEW 0.05f /* and how far it may be off for each metre between them */
 #define LINES 4    /* of cells on which they agree, at least */
-#define BRIDGE 3    /* cells between two parts that are next to each other */
-#define SHARP 0.35f /* bend of a rim */
-#define TOUCH 0.03f /* depth between a small part and its neighbour, and height between a hollow part and its rim [m] */
+#define TOUCH 0.03 /* height between a hollow part and its rim [m] */
 #define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
 #define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
 #define EVEN 0.02  /* share of the normals in all directions that is assumed besides those that are seen */
@@ -39,8 +37,7 @@ typedef struct {
 
 typedef struct {
     int32_t a, b, next; /* fragments, a < b; the next border of a */
-    int32_t steps, length, convex, behind, apart; /* edges; those where b is behind a less those where it is before; no common axis */
-    float near; /* smallest difference in depth [m] */
+    int32_t steps, length, behind, apart; /* edges; those where b is behind a less those where it is before; no common axis */
     double bend; /* sum */
 } border;
 
@@ -240,7 +237,7 @@ static border *border_of(graph *g, int32_t a, int32_t b) {
         at = &g->borders[*at].next;
     }
     if (*at < 0) {
-        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, 0, INFINITY, 0.0};
+        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, 0.0};
         *at = (int32_t)g->n_borders++;
     }
     return g->borders + *at;
@@ -262,20 +259,14 @@ static void measure(graph *g) {
             f->hollow += (g->bends[2 * i] > HOLLOW && g->bends[2 * i] < STEP) || (g->bends[2 * i + 1] > HOLLOW && g->bends[2 * i + 1] < STEP);
         }
         for (int dir = 0; dir < 2; dir++) {
-            const int64_t to = dir ? g->w : 1, rest = dir ? g->h - i / g->w : g->w - i % g->w;
-            int64_t t = 1;
-            while (t < rest && t < BRIDGE && !c[t * to].label) {
-                t++;
-            }
-            if (c->part && t < rest && c[t * to].label && c->part != c[t * to].part) {
-                const float bend = t > 1 ? STEP : g->bends[2 * i + dir], by = fabsf(c->p[2] - c[t * to].p[2]);
-                border *one = border_of(g, c->part, c[t * to].part);
+            const cell *o = c + (dir ? g->w : 1);
+            const float bend = g->bends[2 * i + dir];
+            if (bend == bend && c->part != o->part) {
+                border *one = border_of(g, c->part, o->part);
                 one->bend += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
                 one->steps += bend == STEP;
-                one->convex += bend < -SHARP;
                 one->length++;
-                one->behind += (c->p[2] < c[t * to].p[2]) == (c->part == one->a) ? 1 : -1;
-                one->near = by < one->near ? by : one->near;
+                one->behind += (c->p[2] < o->p[2]) == (c->part == one->a) ? 1 : -1;
             }
         }
     }
@@ -307,8 +298,7 @@ static void join(graph *g, int32_t a, int32_t b) {
         if (other && g->fragments[other].first >= 0) {
             border *same = g->borders + g->fragments[other].first;
             same->bend += one.bend, same->steps += one.steps, same->length += one.length;
-            same->convex += one.convex, same->behind += one.behind;
-            same->near = same->near < one.near ? same->near : one.near;
+            same->behind += one.behind;
         } else {
             if (other) {
                 g->fragments[other].first = (int32_t)kept;
@@ -431,11 +421,9 @@ static void join_all(graph *g, int64_t *counts) {
             const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
             double bend = one->bend / one->length;
             int reason = -1;
-            if ((a->area < g->s[PART_M2] || b->area < g->s[PART_M2]) && one->near < TOUCH) {
+            if (a->area < g->s[PART_M2] || b->area < g->s[PART_M2]) {
                 reason = bend < least ? -1 : BY_SIZE;
                 bend -= 10.0;
-            } else if (is_hollow(a) && is_hollow(b) && 2 * one->convex > one->length) {
-                continue; /* two bowls whose rims touch */
             } else if (is_hollow(a) && is_hollow(b) && 2 * one->steps < one->length) {
                 reason = bend < least ? -1 : BY_HOLLOW;
                 bend -= 5.0;

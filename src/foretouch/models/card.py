@@ -10,21 +10,27 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.errors import ConfigError, FileError, ModelError, TactileError, quoted, shown
-from foretouch.files import read_json, require_schema
+from foretouch.files import COUNT, Number, read_json, require_schema
 from foretouch.tactile.description import Sensor, require_same, sensor_in
 from foretouch.types.channels import Channels
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 2
 
-_Fields = Mapping[str, type | tuple[type, ...]]
+_Fields = Mapping[str, Any]  # of a schema
+_SKILLS: Final = {"*": {"*": {"*": Number(float, optional=True)}}}  # of each split, modality and measure
+_GROUP: Final = {
+    "objects?": COUNT,
+    "samples?": COUNT,
+    "coverage?": {"*": {"*": Number(float, 0.0, 1.0, optional=True)}},
+}
 _COMMON: Final[_Fields] = {"name": str, "kind": str, "sha256": str}
 _TRAINED: Final[_Fields] = {
     "weights": str,
     "config": dict,
-    "data": dict,
-    "split": dict,
-    "skill": dict,
+    "data": {"samples?": COUNT},
+    "split": {"train?": COUNT, "unlabelled?": COUNT, "validation?": COUNT, "test?": COUNT},
+    "skill": _SKILLS,
     "baselines": dict,
     "limits": list,
     "calibration": (dict, type(None)),
@@ -66,6 +72,9 @@ def read_card(path: str | Path) -> dict[str, Any]:
         raise ModelError(f"{path}: kind: {quoted(kind)} is not one of {', '.join(KINDS)}")
     try:
         require_schema(path, card, {**_COMMON, **KINDS[kind]})
+        if card["calibration"] is not None:
+            schema = {"level?": Number(float, 0.0, 1.0), "regimes?": {"*": _GROUP}}
+            require_schema(path, card["calibration"], schema, "calibration")
     except FileError as err:
         raise ModelError(str(err)) from err
     return card

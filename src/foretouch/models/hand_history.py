@@ -28,7 +28,7 @@ from foretouch.files import free_name, open_own, read_bytes, replace_files, syst
 from foretouch.models.files import packed, under
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import BIOTAC, touch_faults
+from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import require_same
 from foretouch.types import AnyArray, Cloud, Float64, Grasp, Touch, UInt8
 from foretouch.types.channels import Channels
@@ -127,14 +127,12 @@ class HandHistory:
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute the grasp.
         """
-        require_same(reading.channels, self.model.sensor.channels, "touched")
-        if faults := touch_faults(reading):
-            raise TactileError(f"touched: {faults[0]}")
+        values = self.model.usable_values(reading, "touched")
         estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         where = None if estimate.where is None else estimate.where[0]
-        restarted = self.tracker.add_touch(stamp_ns, reading.values, estimate.counts[0], tdc=tdc, where=where)
+        restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
         self.signature = ObjectSignature.of(cloud)
         return self._counted(restarted)
 

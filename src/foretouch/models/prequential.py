@@ -5,6 +5,7 @@ This is what a robot at work sees. The tracker learns of another object wherever
 where an object returns: what was learned about it before is forgotten.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -12,13 +13,12 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import DatasetError, GraspError, ModelError, TactileError
+from foretouch.errors import DatasetError, GraspError, ModelError
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
-from foretouch.tactile import tdc_of, touch_faults
-from foretouch.tactile.description import require_same
-from foretouch.types import Bool, Float64, GraspSample, Index, Int64
+from foretouch.tactile import tdc_of
+from foretouch.types import Bool, Float64, GraspSample, Index, Int64, Touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Recording:
 
     def tare(self, k: int) -> Float64 | None:
         """(D,) tare of a grasp minus the rest level [counts]; None without."""
-        return None if self.tares is None or np.isnan(self.tares[k]).any() else self.tares[k]
+        return None if self.tares is None or np.isnan(self.tares[k]).all() else self.tares[k]
 
     def is_known(self, k: int) -> bool:
         """Whether the object of a grasp is in the distribution of the training data."""
@@ -148,7 +148,7 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
         (counts[k],), (variance,) = tracker.moments(levels[k], expected[None], None if where is None else where[None])
         deviation[k] = np.sqrt(variance)
         half[k] = tracker.factor(levels[k]) * deviation[k]
-        if np.isfinite(reading).all():
+        if not np.isnan(reading).all():
             names += tracker.add_touch(stamp, reading, expected, tdc=_row(recording.tdc, k), where=where)
         restarted.append(tuple(dict.fromkeys(names)))
     return Replayed(counts, half, deviation, levels, restarted)
@@ -210,12 +210,11 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     readings, expected = np.full((2, len(ordered), model.sensor.channels.size), np.nan)
     known, where = np.zeros(len(ordered), np.bool_), []
     for k, sample in enumerate(ordered):
-        for touch in filter(None, (sample.touch, sample.tare)):
-            require_same(touch.channels, model.sensor.channels, sample.id)
         if sample.touch is not None:
-            if faults := touch_faults(sample.touch):
-                raise TactileError(f"{sample.id}: {faults[0]}")
-            readings[k] = sample.touch.values
+            readings[k] = model.usable_values(sample.touch, sample.id)
+        if sample.tare is not None:
+            tare = Touch(model.usable_values(sample.tare, sample.id), sample.tare.channels)
+            ordered[k] = with_readings(sample, tare=tare)
         try:
             one = model.estimate_executed(sample.cloud, [sample.grasp])
         except GraspError as err:
@@ -227,3 +226,10 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     recording = replace(recording, where=np.concatenate(described)) if len(described) == len(where) else recording
     played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
     return ModelReplay(ordered, recording, played, np.array([mine for _, mine in flagged], np.bool_))
+
+
+def with_readings(sample: GraspSample, **readings: Touch) -> GraspSample:
+    """The sample with another `touch` or `tare`; its cloud is not read."""
+    changed = copy.copy(sample)
+    vars(changed).update(readings)
+    return changed

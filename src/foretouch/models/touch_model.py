@@ -21,6 +21,7 @@ from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import card_sensor
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges, touch_faults
+from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
 from foretouch.types import (
     Bool,
@@ -249,10 +250,18 @@ class TouchModel:
             TactileError: If the tare is of another sensor, or not a reading of working sensors.
         """
         rest = self._calibrated().rest
-        require_same(tare.channels, self.sensor.channels, "tare")
-        if faults := touch_faults(tare):
-            raise TactileError(f"tare: {faults[0]}")
-        return tare_offset(tare, rest)
+        return tare_offset(Touch(self.usable_values(tare, "tare"), tare.channels), rest)
+
+    def usable_values(self, touch: Touch, what: str) -> Float64:
+        """(D,) values of a reading; NaN of taxels that are dead in the training data, or whose reading cannot be used.
+
+        Raises:
+            TactileError: Names `what` is of another sensor, or not a reading of working sensors.
+        """
+        require_same(touch.channels, self.sensor.channels, what)
+        if faults := touch_faults(touch):
+            raise TactileError(f"{what}: {faults[0]}")
+        return usable(touch.values, touch.channels, self.sensor.valid_values)
 
     def _calibrated(self) -> Calibration:
         if self.calibration is None:

@@ -153,7 +153,7 @@ class SensorTracker:
 
         Args:
             stamp_ns: When it was taken [ns].
-            offset: (D,) tare minus rest level of the model [counts].
+            offset: (D,) tare minus rest level of the model [counts]; NaN of taxels that were not read.
             tdc: (F,) TDC of the fingers [counts]; NaN or None where it was not read.
 
         Returns:
@@ -169,7 +169,8 @@ class SensorTracker:
         mean, variance = self._filter.predicted(parts=1, x=x)
         variance = variance + self.parameters.tare_noise
         limits = np.maximum(self.parameters.alarm, [0.0, _COMMON_JUMP])
-        failed = self._failed(offset - self.parameters.basis @ mean, variance, limits)
+        innovation = self._completed(offset - self.parameters.basis @ mean, variance)
+        failed, offset = self._failed(innovation, variance, limits), self.parameters.basis @ mean + innovation
         self._restart(failed)
         self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1, x=x)
         self._newest_ns, self._readings = stamp, self._readings + 1
@@ -187,7 +188,7 @@ class SensorTracker:
     ) -> tuple[str, ...]:
         """Add the (D,) reading of a grasp on the current object, and the prediction by vision of this grasp [counts].
 
-        `where` are the (P,) features of the grasp. The other arguments, the result and the errors are as of `add_tare`.
+        The reading is NaN at taxels that were not read. `where` are the (P,) features of the grasp. The other arguments, the result and the errors are as of `add_tare`.
         """
         self._check("reading", reading, working=True)
         self._check("expected", expected)
@@ -197,11 +198,14 @@ class SensorTracker:
         x = self._add_tdc(tdc, stamp)
         level = self.level(stamp)
         counts, half = self.adapt(level, expected[None], None if where is None else where[None])
-        self._adapt_factor(np.abs(reading - counts[0]) > half[0])
+        outside = np.abs(reading - counts[0]) > half[0]
+        self._adapt_factor(np.where(np.isnan(reading), MISS_RATE, outside))
         mean, variance = self._filter.predicted(x=x)
         noise = self.parameters.noise[self._kind]
         limits = self.parameters.alarm * (1.0 if self.touches else _FIRST_TOUCH)
-        failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, limits)
+        innovation = self._completed(reading - expected - self.parameters.basis @ mean, variance + noise)
+        reading = expected + self.parameters.basis @ mean + innovation
+        failed = self._failed(innovation, variance + noise, limits)
         restarted = failed & self._suspect
         self._restart(restarted)
         self._suspect = failed & ~restarted
@@ -327,7 +331,20 @@ class SensorTracker:
         logarithm = self._log_factor if level.same_object else self._other_log_factor()
         return np.asarray(self._channels.by_modality(np.exp(logarithm)), np.float64)
 
-    def _adapt_factor(self, outside: Bool) -> None:
+    def _completed(self, innovation: Float64, variance: Float64) -> Float64:
+        """(D,) innovations, with their mean given the others where they are NaN; the variance is (D,) in coordinates.
+
+        The mean of the state after them is then that after the others alone.
+        """
+        unread = np.isnan(innovation)
+        if not unread.any():
+            return innovation
+        precision = (self._inverse[:, unread] / variance[:, None]).T @ self._inverse  # rows of that of the innovations
+        found = innovation.copy()
+        found[unread] = -np.linalg.solve(precision[:, unread], precision[:, ~unread] @ innovation[~unread])
+        return found
+
+    def _adapt_factor(self, outside: Float64) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""
         moved = self._log_factor + _ADAPTATION_RATE * (self._channels.modality_means @ outside - MISS_RATE)
         self._log_factor = np.minimum(
@@ -366,7 +383,9 @@ class SensorTracker:
         if values.shape != (channels.size,):
             raise TactileError(f"{name}: shape {values.shape} is not ({channels.size},)")
         low, high = (channels.low, channels.high) if working else (-channels.most, channels.most)
-        wrong = np.flatnonzero(~((values >= low) & (values <= high)))  # NaN fails too
+        unread = np.isnan(values) & channels.of_taxels & (name != "expected")
+        unread &= channels.by_modality(channels.modality_means @ unread < 0.5)
+        wrong = np.flatnonzero(~((values >= low) & (values <= high)) & ~unread)  # NaN fails too
         if wrong.size:
             k = int(wrong[0])
             unit = channels.channel_of[channels.modalities[channels.modality_of_value[k]]].unit

@@ -249,7 +249,7 @@ class _Writer:
                 continue
             dead = ~view.sensor.valid[k]
             known = [one[~dead] for column in levels.values() for one in column if one is not None]
-            low, high = np.percentile(known, [1, 99])
+            low, high = np.nanpercentile(known, [1, 99])
             span = max(high - low, view.channel.resolution)
             for what, column in levels.items():
                 path, place = f"/taxels/{name}/{what}", aside * (what == "read")
@@ -260,8 +260,8 @@ class _Writer:
                     if one is None:
                         rows.append(None)
                         continue
-                    shade = colours(np.clip((one - low) / span, 0.0, 1.0), bytes=True)
-                    shade[dead] = _DEAD
+                    shade = colours(np.clip((np.nan_to_num(one) - low) / span, 0.0, 1.0), bytes=True)
+                    shade[dead | np.isnan(one)] = _DEAD
                     labels = [view.channel.text(x) for x in one]
                     rows.append({"positions": flat + place, "colors": shade, "labels": labels})
                 self._column(path, rr.Points2D, rows, radii=radius, show_labels=False)
@@ -303,9 +303,9 @@ class _Writer:
 def _lively(rows: Float64) -> int:
     """Which of (steps, curves, N) values varies most over the steps: what was read, else what was predicted."""
     for k in (3, 0):
-        seen = rows[np.isfinite(rows[:, k, 0]), k]
+        seen = rows[np.isfinite(rows[:, k]).any(axis=1), k]
         if len(seen) > 1:
-            return int(np.argmax(seen.std(axis=0)))
+            return int(np.argmax(np.ma.masked_invalid(seen).std(axis=0).filled(0.0)))
     return 0
 
 
@@ -406,13 +406,11 @@ def _layout(view: TaxelView, lively: Sequence[int], eye: tuple[Float64, float] |
         target, size = eye
         position = target + size * np.array([-1.0, -1.3, -1.9])  # from the camera's side, from above and the left
         controls = rrb.EyeControls3D(position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))
-    scene = rrb.Vertical(
-        rrb.Spatial3DView(origin="/scene", name="scene", eye_controls=controls, line_grid=False),
-        rrb.TextDocumentView(origin="/answer", name="answer"),
-        row_shares=[3, 1],
-    )
+    answer = rrb.TextDocumentView(origin="/answer", name="answer")
+    scene = rrb.Spatial3DView(origin="/scene", name="scene", eye_controls=controls, line_grid=False)
+    left = answer if eye is None else rrb.Vertical(scene, answer, row_shares=[3, 1])
     return rrb.Blueprint(
-        rrb.Horizontal(scene, *columns, column_shares=[2, 1, 1]),
+        rrb.Horizontal(left, *columns, column_shares=[1 if eye is None else 2, 1, 1]),
         rrb.TimePanel(state="collapsed", timeline="step", fps=5.0, play_state="paused"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),

@@ -47,7 +47,11 @@ class TaxelView:
 
     def levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
         """(N,) float64: the change of each taxel from rest, positive as by contact; its value where rest is not known."""
-        values = touch.values[self.columns(finger)]
+        return self._levels(touch.values, rest, finger)
+
+    def _levels(self, values: Float64, rest: Touch | None, finger: int) -> Float64:
+        """(..., N) of (..., D) values."""
+        values = values[..., self.columns(finger)]
         if not self.has_rest(rest):
             return values
         change: Float64 = values - self._at_rest(rest, finger)
@@ -64,29 +68,30 @@ class TaxelView:
         change = {-1: "drop", 0: "change", 1: "rise"}[one.contact]
         return f"{change} of {one.name} from rest [{one.unit}]" if from_rest else f"{one.name} [{one.unit}]"
 
-    def shares(self, touch: Touch, rest: Touch | None, ranges: Ranges | None, finger: int) -> Float64:
-        """(N,) float64 in [0, 1]: how far contact has moved each taxel.
+    def shares(self, values: Float64, rest: Touch | None, ranges: Ranges | None, finger: int) -> Float64:
+        """(..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
 
         Through its range where contact moves it in one direction from a measured rest level; else from rest, of the way to the farther
         end of its range. Without ranges, relative to what all taxels of the touch show.
         """
         columns, tared, sign = self.columns(finger), self.channel.tared, self.channel.contact
-        levels = np.array([self.levels(touch, rest, k) for k in range(len(self.fingers))])
+        levels = np.array([self._levels(values, rest, k) for k in range(len(self.fingers))])
         if ranges is not None and tared and (sign or rest is None):
-            values, low, high = touch.values[columns], ranges.low[columns], ranges.high[columns]
-            moved, span = high - values if sign < 0 else values - low, high - low
+            shown, low, high = values[..., columns], ranges.low[columns], ranges.high[columns]
+            moved, span = high - shown if sign < 0 else shown - low, high - low
         elif self.has_rest(rest):
-            moved, span = np.abs(levels[finger]), np.abs(levels).max()
+            moved, span = np.abs(levels[finger]), np.abs(levels).max(axis=(0, -1))[..., None]
             if ranges is not None:
                 at_rest = self._at_rest(rest, finger)
                 span = np.maximum(np.abs(ranges.high[columns] - at_rest), np.abs(ranges.low[columns] - at_rest))
         else:
-            moved, span = levels[finger] - levels.min(), np.ptp(levels)
+            moved = levels[finger] - levels.min(axis=(0, -1))[..., None]
+            span = np.ptp(levels, axis=(0, -1))[..., None]
         share: Float64 = np.clip(moved / np.maximum(span, 1e-12), 0.0, 1.0)
         return share
 
-    def pressures(self, touch: Touch, rest: Touch | None, ranges: Ranges) -> Float64:
-        """(F,) float64: how hard each finger presses, 0 lowest, 1 highest of the range.
+    def pressures(self, values: Float64, rest: Touch | None, ranges: Ranges) -> Float64:
+        """(..., F) float64: how hard each finger presses, 0 lowest, 1 highest of the range, of (..., D) values of touches.
 
         By the first scalar that contact raises or lowers; where there is none, by the mean of the shares of the valid taxels.
         """
@@ -94,11 +99,12 @@ class TaxelView:
             if one.contact:
                 columns = self.sensor.scalar_columns[:, k]
                 low, high = ranges.low[columns], ranges.high[columns]
-                moved = touch.values[columns] - low if one.contact > 0 else high - touch.values[columns]
+                moved = values[..., columns] - low if one.contact > 0 else high - values[..., columns]
                 return np.asarray(moved / (high - low), np.float64)
         fingers = range(len(self.fingers))
-        shares = [self.shares(touch, rest, ranges, k)[self.sensor.valid[k]] for k in fingers]
-        return np.array([one.mean() if one.size else np.nan for one in shares])
+        shares = [self.shares(values, rest, ranges, k)[..., self.sensor.valid[k]] for k in fingers]
+        none = np.full(values.shape[:-1], np.nan)
+        return np.stack([one.mean(axis=-1) if one.shape[-1] else none for one in shares], axis=-1)
 
     def scalars(self, finger: int, value: Touch, around: TouchPrediction | None = None) -> str:
         """The scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""

@@ -65,15 +65,20 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
     most = max(map(len, panels))
     left = [2.6, 1.9] if any(one.target for one in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
-    scale = _Scale(view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row])
+    scale = TaxelScale(
+        view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row]
+    )
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
+    seen = ""  # title of the last scene, which is not repeated
     for part, one, row in zip(parts, grasps, panels, strict=True):
         part.suptitle("\n".join(filter(None, (one.title, _agreement(one, view.sensor)))), fontsize=10)
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
         views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
         if one.target is not None:
-            _draw_scene(views[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+            title = f"what the camera sees\nof the table, {abs(one.target.plane.offset):.2f} m away"
+            _draw_scene(views[0], one.scene or one.target.cloud, one.target, "" if title == seen else title)
+            seen = title
             _draw_front(views[1], one.target.cloud, one.prediction.grasp, view.fingers)
         for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
@@ -129,7 +134,7 @@ def save_contact_sheet(
     grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
     for axes in grid.flat:
         axes.set_axis_off()
-    scale = _Scale(view, [(one.touch, one.tare) for one in samples if one.touch is not None])
+    scale = TaxelScale(view, [(one.touch, one.tare) for one in samples if one.touch is not None])
     for front, sample in zip(grid.reshape(-1, 3), samples, strict=False):
         _draw_sample(list(front), sample, scale)
     if scale.drawn is not None:
@@ -137,7 +142,7 @@ def save_contact_sheet(
     return save(figure, Path(path), dpi=100)
 
 
-def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> None:
+def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: TaxelScale) -> None:
     """Draw object and fingers of a sample."""
     front, *fingers = panels
     front.set_axis_on()
@@ -154,7 +159,7 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: _Scale) -> 
         axes.set_title(title, fontsize=9, color=_FINGER_COLOURS[k])
 
 
-class _Scale:
+class TaxelScale:
     """Draws taxels, all of a page by one scale of colours: their change from rest where all touches have one.
 
     Args:
@@ -170,11 +175,12 @@ class _Scale:
         ]
         known = np.concatenate([[], *levels])
         self.limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        self._colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
+        self.colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
         if self._tared and not view.channel.contact:  # in both directions from rest
             largest = max(map(abs, self.limits))
-            self.limits, self._colours = (-largest, largest), "PuOr"
+            self.limits, self.colours = (-largest, largest), "PuOr"
         self.drawn: Any = None  # what a bar of colours is made for
+        self._ringed = False  # whether any taxel has a ring
 
     def _levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
         return self.view.levels(touch, rest if self._tared else None, finger)
@@ -192,13 +198,14 @@ class _Scale:
         size *= 1.0 if few else 2.0 * _FEW / sensor.size
         levels = self._levels(touch, rest, finger)
         style: dict[str, Any] = {"edgecolors": _FINGER_COLOURS[finger]} if few else {"linewidths": 0.0}
-        style |= {"vmin": low, "vmax": high, "cmap": self._colours}
+        style |= {"vmin": low, "vmax": high, "cmap": self.colours}
         self.drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **style)
         hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
         if not valid.all():
             axes.scatter(across[~valid], along[~valid], s=size, edgecolors="grey", **hollow)
         if outside is not None:
             ringed = outside & valid
+            self._ringed |= bool(ringed.any())
             axes.scatter(across[ringed], along[ringed], s=2.2 * size, edgecolors="black", **hollow)
         axes.set(xticks=[], yticks=[])
         axes.margins(0.15)
@@ -206,19 +213,20 @@ class _Scale:
     def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
         """Add the bar of colours below some axes, or alone to a figure without any."""
         what = self.view.label(from_rest=self._tared)
-        label = f"{what}\nseen from outside, unrolled; up: towards the tip; ringed: outside of its 90 % interval"
+        rings = "; ringed: outside of its 90 % interval" * self._ringed
+        dead = "; hollow: dead" * bool(self.view.sensor.dead)
+        label = f"{what}\nseen from outside, unrolled; up: towards the tip{rings}{dead}"
         own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
         if axes is None:
             own = {"cax": figure.subplots(), "orientation": "horizontal"}
         figure.colorbar(self.drawn, label=label, **own)
 
 
-def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
+def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
     """Draw the scene from the camera, coloured by depth, with the outline of the target.
 
     An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
     """
-    title = f"what the camera sees\nof the table, {abs(target.plane.offset):.2f} m away"
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
         rows, columns = np.divmod(target.pixels, target.image_shape[1])
@@ -242,6 +250,9 @@ def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
     points = _finite_subset(target)
+    if not len(points):
+        axes.set_axis_off()
+        return
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
     ends = np.stack([grasp.g1, grasp.g2])
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)

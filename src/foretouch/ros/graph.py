@@ -189,7 +189,7 @@ def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bo
     name = f"{namespace.rstrip('/')}/{service}"
     node = rclpy.create_node("caller", namespace=namespace)
     try:
-        client = node.create_client(Trigger, name)  # type: ignore[var-annotated]
+        client = node.create_client(Trigger, name)
         if not client.wait_for_service(timeout_sec=wait_s):
             raise ForetouchError(f"{name}: no such service within {wait_s:g} s: is the graph running?")
         future = client.call_async(Trigger.Request())

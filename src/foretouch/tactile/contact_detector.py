@@ -6,60 +6,38 @@ divided by the noise of its channel, and
 
     score = max over the channels of the rms over the channel's values of |change| / noise / limit
 
-so that a score above 1 is contact. The limit is `electrode_limit` for a channel of taxels, `pdc_limit` for one of a single
+so that a score above 1 is contact. The limit is `TAXEL_LIMIT` for a channel of taxels, `SINGLE_LIMIT` for one of a single
 value. The noise is the spread at rest (1.4826 times the median absolute deviation), but at least what the description
 states, or the resolution of the channel where it states none. That of the BioTac SP states what sensors showed without
 contact: 4.4 counts (electrodes), 0.4 counts (PDC). With noise alone the rms over its 24 electrodes is 1 +- 0.14, far below
 the limit of 3; one electrode that moves by fifteen deviations reaches it, and so do all together that move by 2.8. A steady
 touch relaxes by up to 8 counts/s: over 45 s of such recordings the limit of 3 causes no false alarm, 2.5 causes two.
 
-Contact begins with the first of `confirm` consecutive readings above 1 and ends with the first of `confirm` consecutive
-readings below `release_level`. The reference follows drift: it is the median over `window_s` that end `lag_s` ago, and
-is frozen during contact. A contact that lasts longer than `longest_s` is considered drift and is ended.
+Contact begins with the first of `CONFIRM` consecutive readings above 1 and ends with the first of `CONFIRM` consecutive
+readings below `RELEASE_LEVEL`. The reference follows drift: it is the median over `WINDOW_S` that end `LAG_S` ago, and
+is frozen during contact. A contact that lasts longer than `LONGEST_S` is considered drift and is ended.
 """
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.config import Settings, setting
 from foretouch.tactile.channels import BIOTAC
 from foretouch.types import SECOND_NS, Float64, Int64
 from foretouch.types.channels import Channels
 
+TAXEL_LIMIT: Final = 3.0  # rms of the taxels' changes that counts as contact [deviations]
+SINGLE_LIMIT: Final = 12.0  # change of a finger's single value, such as PDC [deviations]
+RELEASE_LEVEL: Final = 0.7  # score below which contact ends
+CONFIRM: Final = 3  # consecutive readings that confirm a change
+WINDOW_S: Final = 0.5  # over which the reference is computed [s]
+LAG_S: Final = 0.3  # between the reference and now: a slower contact is considered drift [s]
+LONGEST_S: Final = 120.0  # of a contact; longer ones are considered drift [s]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
-_MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactConfig(Settings):
-    """Settings of the contact detector."""
-
-    electrode_limit: float = setting(
-        3.0,
-        "Root mean square of the taxels' changes (electrodes of a BioTac) that counts as contact",
-        unit="deviations",
-        bounds=(1.2, 100.0),
-    )
-    pdc_limit: float = setting(
-        12.0,
-        "Change of a finger's single value (PDC of a BioTac) that counts as contact",
-        unit="deviations",
-        bounds=(3.0, 1e4),
-    )
-    release_level: float = setting(
-        0.7, "Score below which contact ends, relative to the score at which it begins", bounds=(0.1, 1.0)
-    )
-    confirm: int = setting(3, "Consecutive readings that confirm a change", bounds=(1, 100))
-    window_s: float = setting(0.5, "Time over which the reference is computed", bounds=(0.05, 60.0))
-    lag_s: float = setting(
-        0.3, "Time between the reference and now: a slower contact is considered drift", bounds=(0.0, 60.0)
-    )
-    longest_s: float = setting(120.0, "Longer contacts are considered drift", bounds=(1.0, 1e6))
+_MAX_READINGS: Final = 20_000  # far more than the window and the lag hold at any rate; stamps may repeat
 
 
 class ContactEvent(NamedTuple):
@@ -78,17 +56,16 @@ class FingerContact:
         score: Score of the last reading; 0 until a reference exists.
     """
 
-    def __init__(self, finger: str, config: ContactConfig, channels: Channels = BIOTAC) -> None:
+    def __init__(self, finger: str, channels: Channels = BIOTAC) -> None:
         self.finger = finger
         self._channels = channels
-        self.config = config
         self.touching: bool | None = None
         self.score = 0.0
         self._recent: deque[tuple[int, Float64]] = deque(maxlen=_MAX_READINGS)
         self._reference: Float64 | None = None
         self._noise = np.empty(0)
         self._since_update = 0
-        self._state = _Hysteresis(config)
+        self._state = _Hysteresis()
 
     def update(self, stamp_ns: int, counts: npt.ArrayLike) -> ContactEvent | None:
         """Process a reading, (M,) values of the finger with its stamp [ns]; stamps may go back."""
@@ -97,12 +74,12 @@ class FingerContact:
             self._update_reference(stamp_ns, reading)
         if self._reference is None:
             return None
-        self.score = float(_scores((reading - self._reference) / self._noise, self.config, self._channels))
+        self.score = float(_scores((reading - self._reference) / self._noise, self._channels))
         change = self._state.update(stamp_ns, self.score)
         self.touching = self._state.touching
         if change is None:
             return None
-        if change[0] == "release" and self.score >= self.config.release_level:
+        if change[0] == "release" and self.score >= RELEASE_LEVEL:
             self.reset()  # not a release but drift: the reference is no longer valid
         self._recent.clear()  # readings before this contact are no reference for the next one
         return ContactEvent(self.finger, *change)
@@ -111,17 +88,17 @@ class FingerContact:
         """Discard the reference, for instance after a clock jump or a sensor dropout."""
         self.touching, self.score, self._reference = None, 0.0, None
         self._recent.clear()
-        self._state = _Hysteresis(self.config)
+        self._state = _Hysteresis()
 
     def _update_reference(self, stamp_ns: int, reading: Float64) -> None:
         """Compute the reference from the recent readings without contact."""
         self._recent.append((stamp_ns, reading))
-        newest = stamp_ns - round(self.config.lag_s * SECOND_NS)
-        oldest = newest - round(self.config.window_s * SECOND_NS)
+        newest = stamp_ns - round(LAG_S * SECOND_NS)
+        oldest = newest - round(WINDOW_S * SECOND_NS)
         while self._recent and self._recent[0][0] < oldest:
             self._recent.popleft()
         self._since_update += 1
-        spans = stamp_ns - self._recent[0][0] >= round((self.config.lag_s + self.config.window_s) * 0.9 * SECOND_NS)
+        spans = stamp_ns - self._recent[0][0] >= round((LAG_S + WINDOW_S) * 0.9 * SECOND_NS)
         if not spans or (self._reference is not None and self._since_update < _REFERENCE_INTERVAL):
             return
         window = np.array([counts for stamp, counts in self._recent if stamp <= newest])
@@ -138,9 +115,8 @@ class ContactDetector:
         fingers: Detector of each finger, by name.
     """
 
-    def __init__(self, config: ContactConfig | None = None, channels: Channels = BIOTAC) -> None:
-        self.config = config or ContactConfig()
-        self.fingers = {name: FingerContact(name, self.config, channels) for name in channels.fingers}
+    def __init__(self, channels: Channels = BIOTAC) -> None:
+        self.fingers = {name: FingerContact(name, channels) for name in channels.fingers}
         self._columns = channels.finger_columns
 
     @property
@@ -167,39 +143,30 @@ def _resting_noise(readings: Float64, channels: Channels) -> Float64:
     return np.asarray(np.maximum(spread, stated), np.float64)
 
 
-def contact_scores(
-    counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None, channels: Channels = BIOTAC
-) -> Float64:
+def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC) -> Float64:
     """(T, F) scores of the fingers; above 1 a finger is in contact.
 
     Args:
         counts: (T, D) readings.
         rest: (R, D) readings without contact: their median is the reference.
-        config: Settings.
         channels: Of a touch.
     """
-    settings = config or ContactConfig()
     values, resting = np.asarray(counts, np.float64), np.asarray(rest, np.float64)
     scores = []
     for index in channels.finger_columns.values():
         still = resting[:, index]
         change = (values[:, index] - np.median(still, axis=0)) / _resting_noise(still, channels)
-        scores.append(_scores(change, settings, channels))
+        scores.append(_scores(change, channels))
     return np.stack(scores, axis=-1)
 
 
 def find_contact(
-    stamps_ns: Sequence[int] | Int64,
-    counts: npt.ArrayLike,
-    rest: npt.ArrayLike,
-    config: ContactConfig | None = None,
-    channels: Channels = BIOTAC,
+    stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC
 ) -> tuple[int | None, ...]:
     """First contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
-    settings = config or ContactConfig()
     onsets: list[int | None] = []
-    for scores in contact_scores(counts, rest, settings, channels).T:
-        state = _Hysteresis(settings)
+    for scores in contact_scores(counts, rest, channels).T:
+        state = _Hysteresis()
         changes = (state.update(int(stamp), float(score)) for stamp, score in zip(stamps_ns, scores, strict=True))
         onsets.append(next((change[1] for change in changes if change is not None), None))
     return tuple(onsets)
@@ -208,36 +175,35 @@ def find_contact(
 class _Hysteresis:
     """Contact state from scores, with hysteresis and confirmation."""
 
-    def __init__(self, config: ContactConfig) -> None:
+    def __init__(self) -> None:
         self.touching = False
-        self._config = config
         self._consecutive = 0
         self._first_ns = 0
         self._since_ns = 0
 
     def update(self, stamp_ns: int, score: float) -> tuple[Literal["onset", "release"], int] | None:
-        drift = self.touching and stamp_ns - self._since_ns > self._config.longest_s * SECOND_NS
-        against = score < self._config.release_level if self.touching else score > 1.0
+        drift = self.touching and stamp_ns - self._since_ns > LONGEST_S * SECOND_NS
+        against = score < RELEASE_LEVEL if self.touching else score > 1.0
         if not against and not drift:
             self._consecutive = 0
             return None
         if self._consecutive == 0:
             self._first_ns = stamp_ns
         self._consecutive += 1
-        if self._consecutive < self._config.confirm and not drift:
+        if self._consecutive < CONFIRM and not drift:
             return None
         self.touching, self._consecutive = not self.touching, 0
         self._since_ns = self._first_ns
         return ("onset" if self.touching else "release"), self._first_ns
 
 
-def _scores(change: Float64, config: ContactConfig, channels: Channels) -> Float64:
+def _scores(change: Float64, channels: Channels) -> Float64:
     """(...) scores of (..., M) changes of a finger in units of each value's noise."""
     scores, first = [], 0
     for one in channels.channels:
         part, first = change[..., first : first + one.size], first + one.size
         if one.size == 1:
-            scores.append(np.abs(part[..., 0]) / config.pdc_limit)
+            scores.append(np.abs(part[..., 0]) / SINGLE_LIMIT)
         else:
-            scores.append(np.sqrt(np.mean(np.square(part), axis=-1)) / config.electrode_limit)
+            scores.append(np.sqrt(np.mean(np.square(part), axis=-1)) / TAXEL_LIMIT)
     return np.asarray(np.maximum.reduce(scores), np.float64)

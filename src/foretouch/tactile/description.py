@@ -131,7 +131,9 @@ class SensorConfig(Settings):
     group: str = setting("", "Group of sensors that it belongs to, such as fingertips")
     update_rate: float = setting(100.0, "Readings per second", unit="Hz", bounds=(0.01, 1e5))
     fingers: tuple[FingerConfig, ...] = ()
-    grasp: tuple[str, ...] = setting((), "Fingers that touch g1 and g2; by default the first two")
+    grasp: tuple[str, ...] = setting(
+        (), "Fingers that touch g1 and g2, then others that are recorded with them; by default the first two"
+    )
     array: ArrayConfig | None = None
     taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
     pixels: tuple[int, ...] = setting(
@@ -154,7 +156,7 @@ class SensorConfig(Settings):
         if Path(self.taxels).name != self.taxels:
             raise ConfigError(f"taxels: {self.taxels!r} is not a valid file name beside the description")
         require_length(self, 6, "pad")
-        require_length(self, 2, *(name for name in ("pixels", "grasp") if getattr(self, name)))
+        require_length(self, 2, *(["pixels"] if self.pixels else []), *(["grasp"] if len(self.grasp) == 1 else []))
         if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
             raise ConfigError(f"source.type: {self.source.type!r} is not a type of messages, as package/Name")
         scalars = [channel.name for channel in self.scalars]
@@ -258,6 +260,33 @@ class Sensor:
         taxels = np.arange(self.size)
         return np.array([~np.isin(taxels, finger.dead) for finger in self.config.chosen_fingers()])
 
+    @cached_property
+    def valid_values(self) -> Bool:
+        """(D,) values of a touch that are not of taxels declared dead."""
+        found = np.ones(self.channels.size, np.bool_)
+        found[self.taxel_columns[~self.valid]] = False
+        return found
+
+    @property
+    def dead(self) -> dict[str, list[int]]:
+        """Indices of the taxels declared dead, by finger that has some."""
+        return self.taxels_of(~self.valid_values)
+
+    def taxels_of(self, values: Bool) -> dict[str, list[int]]:
+        """Indices of the taxels of which a value is in a (D,) mask, by finger that has some."""
+        named = zip(self.channels.fingers, np.asarray(values[self.taxel_columns].any(axis=-1)), strict=True)
+        return {finger: np.flatnonzero(chosen).tolist() for finger, chosen in named if chosen.any()}
+
+    def with_dead(self, dead: Bool) -> "Sensor":
+        """The same sensor with further taxels declared dead, by an (F, N) mask."""
+        failed: Bool = np.logical_or(dead, ~self.valid)
+        found = dict(zip((one.name for one in self.config.chosen_fingers()), failed, strict=True))
+        fingers = [
+            one.replace(dead=tuple(np.flatnonzero(found[one.name]).tolist())) if one.name in found else one
+            for one in self.config.fingers
+        ]
+        return Sensor(self.config.replace(fingers=tuple(fingers)), self.layout)
+
     def to_mapping(self) -> dict[str, Any]:
         """All that `sensor_of` needs, as plain types, for manifests and cards."""
         stated: dict[str, Any] = _stated(self.config.to_mapping())
@@ -346,8 +375,22 @@ def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:
 
 
 def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
-    """The facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none."""
-    return facts if sensor.is_biotac else {**facts, "sensor": sensor.to_mapping()}
+    """The facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none, unless taxels are dead."""
+    return facts if sensor.is_biotac and sensor.valid.all() else {**facts, "sensor": sensor.to_mapping()}
+
+
+def named_taxels(taxels: Mapping[str, Sequence[int]]) -> str:
+    """Indices of taxels by finger, for people: `TH 5, 7; MF 0`."""
+    return "; ".join(f"{finger} {', '.join(map(str, own))}" for finger, own in taxels.items())
+
+
+def require_two(sensor: Sensor) -> Sensor:
+    """The sensor, if it is read on two fingers as a hand is driven; a `ConfigError` if a recording has more."""
+    if len(sensor.channels.fingers) != 2:
+        raise ConfigError(
+            f"sensor: {sensor.config.name}: grasp: {', '.join(sensor.channels.fingers)} are not two fingers"
+        )
+    return sensor
 
 
 def require_same(found: Channels, wanted: Channels, what: str) -> None:

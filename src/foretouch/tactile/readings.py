@@ -25,7 +25,10 @@ _REFERENCE_KOHM: Final = 10.0
 
 
 def touch_faults(touch: Touch, finger: str = "") -> tuple[str, ...]:
-    """Why working sensors cannot have produced a reading, or the part of one finger; one line each, empty if they can."""
+    """Why working sensors cannot have produced a reading, or the part of one finger; one line each, empty if they can.
+
+    Single taxels may be dead: NaN or out of range. A finger of which half of them or more are does not work.
+    """
     channels = touch.channels
     if ((touch.values >= channels.low) & (touch.values <= channels.high)).all():
         return ()
@@ -36,7 +39,7 @@ def touch_faults(touch: Touch, finger: str = "") -> tuple[str, ...]:
 
 def _fault(name: str, channel: Channel, values: Float64) -> str:
     wrong = np.flatnonzero(~((values >= channel.low) & (values <= channel.high)))  # NaN is a fault too
-    if not wrong.size:
+    if 2 * wrong.size < max(2, values.size):
         return ""
     if np.isnan(values).all():
         return f"{name}: was not read"

@@ -6,6 +6,7 @@ everything derived from them are in the camera's optical frame (x right, y down,
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self, overload
@@ -249,7 +250,7 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    # `out_of_range`, `unfamiliar`, `similar_touches`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
+    # `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `reduced`, `fallback_model`, `ambiguous_target`, `unknown_frame`
     flags: tuple[str, ...] = ()
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
@@ -285,6 +286,13 @@ class TouchPredictions(Sequence[TouchPrediction]):
         self.channels, self.refused = channels, refused
         self._shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
         self._made: list[TouchPrediction | None] = [refused.get(number) for number in range(len(grasps))]
+
+    def flagged(self, flags: Sequence[tuple[str, ...]]) -> "TouchPredictions":
+        """The same with (K,) more flags of each."""
+        twin = copy(self)
+        both = [old + new for old, new in zip(self.flags, flags, strict=True)]
+        twin.__dict__.update(flags=both, _made=[self.refused.get(number) for number in range(len(self.grasps))])
+        return twin
 
     def __len__(self) -> int:
         return len(self._made)
@@ -324,6 +332,16 @@ class TouchPredictions(Sequence[TouchPrediction]):
         return built
 
 
+def prediction_rows(predictions: Sequence[Any], size: int) -> Float64:
+    """(3, K, D) values, lower and upper bounds of predictions of D values; NaN where there is none, as of a refusal."""
+    if isinstance(predictions, TouchPredictions):
+        none = np.full((len(predictions), size), np.nan)
+        return np.array([predictions.values, *(predictions.bounds or (none, none))])
+    ends = [[getattr(one, end, None) for one in predictions] for end in ("value", "lower", "upper")]
+    nothing = np.full(size, np.nan)
+    return np.array([[nothing if one is None else one.values for one in end] for end in ends])
+
+
 def _touches(rows: Float64, channels: Channels) -> list[Touch]:
     """The `Touch` of each row of (K, D), in a third of the time for many."""
     made = []
@@ -334,14 +352,21 @@ def _touches(rows: Float64, channels: Channels) -> list[Touch]:
     return made
 
 
+NO_CLOUD = Cloud(np.empty((0, 3), np.float32))
+"""The cloud of a sample that was recorded without a camera: it has no points, and the sample's grasp is not known."""
+
+NO_GRASP = Grasp(np.array([0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.0]), np.eye(3)[:, [1, 2, 0]])
+"""In the place of a grasp that is not known: contacts that no hand reaches."""
+
+
 @dataclass(frozen=True, eq=False)
 class GraspSample:
     """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
 
     id: str  # `<object>/<source id>`
     object: str  # label of the object
-    cloud: Cloud  # the object's cloud on which the grasp was planned
-    grasp: Grasp
+    cloud: Cloud = NO_CLOUD  # the object's cloud on which the grasp was planned
+    grasp: Grasp = NO_GRASP
     touch: Touch | None = None  # reading in contact; None for an unlabelled sample
     tare: Touch | None = None  # reading without contact; None if there is none
     stamp_ns: int = 0  # time of recording [ns]

@@ -140,6 +140,12 @@ class Channels:
         return found
 
     @cached_property
+    def of_taxels(self) -> npt.NDArray[np.bool_]:
+        """(D,) which values are of a taxel, and not of the whole finger; read-only."""
+        found: npt.NDArray[np.bool_] = _kept(self._of_values("size") > 1.0)
+        return found
+
+    @cached_property
     def tared(self) -> npt.NDArray[np.bool_]:
         """(D,) whether the rest level is measured, else it is zero; read-only."""
         found: npt.NDArray[np.bool_] = _kept(self._of_values("tared") > 0.0)

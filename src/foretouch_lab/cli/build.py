@@ -3,14 +3,12 @@
 
 import argparse
 import json
-import os
 from collections.abc import Sequence
 
 from foretouch.cli.dataset import print_result
 from foretouch.cli.output import progress_bar, warn
 from foretouch.dataset.samples import open_samples
-from foretouch_lab.dataset.chunks import ReadOnRay, chunks_folder, remove_chunks
-from foretouch_lab.dataset.store_writer import ReadSamples, build_store, read_samples
+from foretouch_lab.dataset.store_writer import build_store
 from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
 
 
@@ -32,18 +30,13 @@ def _warn_of_other_hands(paths: Sequence[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 0; a dataset that cannot be read is an error."""
     _warn_of_other_hands(arguments.sources)
-    read: ReadSamples = read_samples
-    if arguments.address is not None:
-        read = ReadOnRay(chunks_folder(arguments.out.absolute()), arguments.address, len(os.sched_getaffinity(0)))
     with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(
             arguments.sources,
             arguments.out,
             attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
             progress=advance,
-            read=read,
         )
-    remove_chunks(arguments.out)
     splits = json.loads(make_splits(result.samples, arguments.seed))
     record = {
         "out": str(arguments.out),

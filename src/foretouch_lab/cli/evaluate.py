@@ -11,7 +11,7 @@ from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.models.registry import load_model
-from foretouch.tactile.description import require_same
+from foretouch.tactile.description import named_taxels, require_same
 from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model, own_samples
 from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
@@ -79,6 +79,8 @@ def _printed(arguments: argparse.Namespace, data: Dataset, record: Mapping[str, 
         warn(f"{arguments.model}: its card does not list its training samples: whether these are among them is unknown")
     elif record["excluded"]:
         warn(f"left out: {record['excluded']} samples that the model was trained on")
+    if not arguments.json and record.get("not_scored"):
+        warn(f"not scored, since dead in the training data or not read: taxels {named_taxels(record['not_scored'])}")
     return bool(arguments.json)
 
 
@@ -95,9 +97,9 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         raise DatasetError(
             f"{arguments.model}: was trained on all samples of {data.name}, so that none is held out; --training-scores scores them"
         )
-    samples = [data.samples[k] for k in index[~excluded]]
-    history = [sample for one in earlier for sample in one.samples if sample.touch is not None]
-    history += [data.samples[k] for k in index[excluded]]
+    samples = [data.masked[k] for k in index[~excluded]]
+    history = [sample for one in earlier for sample in one.masked if sample.touch is not None]
+    history += [data.masked[k] for k in index[excluded]]
     facts = {"same_data": None if own is None else bool(own.any()), "excluded": int(excluded.sum())}
     result = facts | evaluate_prequential(model, samples, history)
     if _printed(arguments, data, result):

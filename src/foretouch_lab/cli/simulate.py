@@ -204,10 +204,11 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "path": str(arguments.out),
         })  # fmt: skip
         return
-    ran = [(plan, t) for plan, t in timed if t.calls]
-    rows = [[plan.name, str(t.calls), f"{1e3 * t.seconds / count:.2f}", plan.reason] for plan, t in ran]
-    title = f"effects that ran; --explain lists the other {len(timed) - len(ran)}"
-    print_table(title, ["effect", "calls", "ms each", "for"], rows)
+    ran = sorted((t.seconds / count, plan.name) for plan, t in timed if t.calls)
+    slowest = ", ".join(f"{name} {1e3 * seconds:.1f}" for seconds, name in reversed(ran[-3:]))
+    print(
+        f"{len(ran)} of {len(timed)} effects ran, as the scene needs them (--explain lists all); slowest: {slowest} ms a sample"
+    )
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")
     print(f"sha256 {sha256}")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.errors import ConfigError
+from foretouch.tactile.description import named_taxels
 from foretouch_lab.cli.evaluate import show_scores
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> i
     last = records[-1]
     epochs = f"{last['epochs']} epochs" if last["epochs"] else "fitted"
     print(f"{card}: {epochs} on {data.name}, sha256 {data.sha256[:12]}")
+    if last["dead_taxels"]:
+        warn(f"dead, so that their predictions are not valid: taxels {named_taxels(last['dead_taxels'])}")
     if not last["calibrated"]:
         warn(f"the model gives no intervals and does not adapt to readings: {last['limits'][0]}")
     if "scores" in last:

@@ -14,21 +14,16 @@ import shutil
 import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
-from itertools import repeat
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch import __version__
-from foretouch.dataset.files import disk_errors
-from foretouch.dataset.samples import SampleSet, open_samples
 from foretouch.dataset.store import Store
 from foretouch.errors import DatasetError, FileError, ForetouchError
-from foretouch.files import read_json, require_schema, write_text
+from foretouch.files import read_json, system_errors, write_text
 from foretouch.tactile.description import Sensor
 from foretouch.types import GraspSample
-from foretouch_lab.dataset.store_writer import StoreWriter, usable_sample
+from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.ray_cluster import ray_results
 
 CHUNK_SAMPLES: Final = 512
@@ -67,11 +62,11 @@ def made_in_chunks(
     Args:
         folder: Where they are kept; every node must see it at this path. The caller removes it.
         plan: What decides the samples, in plain types; a folder of another plan is refused.
-        count: Number of samples, or of entries to make samples from.
+        count: Number of samples.
         make: A function of a module, or `partial` of one, that depends on the plan alone.
         address: Of the cluster; and cores of a local one (see `ray_results`).
         workers: As of `ray_results`.
-        progress: Called with the number of entries of each chunk that is there.
+        progress: Called with the number of samples of each chunk that is there.
         sensor: Of the readings, as of `StoreWriter`.
 
     Raises:
@@ -109,7 +104,7 @@ def _chunk(folder: Path, number: int) -> Path:
 
 def _require_plan(folder: Path, plan: Mapping[str, Any]) -> None:
     path, wanted = folder / PLAN, json.loads(json.dumps(plan))
-    with disk_errors(folder, "cannot be written"):
+    with system_errors(folder, "cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
         if not path.exists():
             write_text(path, json.dumps(wanted, indent=1))
@@ -132,7 +127,7 @@ def _is_whole(folder: Path, number: int) -> bool:
     with suppress(ForetouchError):
         if Store(path).manifest.get("about", {}).get("chunk") == number:
             return True
-    with disk_errors(path, "is damaged, and cannot be removed"):
+    with system_errors(path, "is damaged, and cannot be removed"):
         shutil.rmtree(path)
     return False
 
@@ -150,47 +145,3 @@ def _make_chunk(folder: Path, make: MakeSamples, chunk: tuple[int, range], senso
         own.rename(path)
     shutil.rmtree(own, ignore_errors=True)
     return path.name
-
-
-@dataclass(frozen=True)
-class ReadOnRay:
-    """A `ReadSamples` whose sources the nodes of a cluster read, from a disk that all of them share."""
-
-    folder: Path  # of the chunks (see `made_in_chunks`)
-    address: str
-    workers: int
-
-    def __call__(self, number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
-        """The samples of a source in order, then one None for each that was discarded."""
-        path = samples.path.absolute()
-        files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
-        stats = [(one, one.stat()) for one in files]
-        plan = {
-            "foretouch": __version__,
-            "source": str(path),
-            "files": [[str(one.relative_to(path)), stat.st_size, stat.st_mtime_ns] for one, stat in stats],
-        }
-        make = partial(_read_chunk, path)
-        for store in made_in_chunks(
-            self.folder / f"source-{number}",
-            plan,
-            len(samples),
-            make,
-            self.address,
-            self.workers,
-            sensor=samples.sensor,
-        ):
-            yield from store
-            about = require_schema(store.path, store.manifest, {"about": {"discarded": int}})["about"]
-            yield from repeat(None, about["discarded"])
-
-
-def _read_chunk(path: Path, entries: range, write: Callable[[GraspSample], None]) -> dict[str, int]:
-    samples, discarded = open_samples(path), 0
-    for k in entries:
-        sample = usable_sample(samples.record(k))
-        if sample is None:
-            discarded += 1
-        else:
-            write(sample)
-    return {"discarded": discarded}

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,12 +19,13 @@ import pyarrow as pa
 
 from foretouch import __version__
 from foretouch.dataset.files import new_folder, sealed
-from foretouch.dataset.record import DISCARDED, SampleRecord, id_number, numbered_id
-from foretouch.dataset.samples import SampleSet, only_finite, open_samples
+from foretouch.dataset.record import DISCARDED, id_number, numbered_id
+from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
 from foretouch.files import file_sha256
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
 from foretouch.types import GraspSample
 
@@ -156,33 +157,18 @@ class BuildResult:
     renumbered: int = 0  # samples whose id a source before had; both ids are in the manifest
 
 
-#: Reads the samples of a source, given its number among the sources: with finite points only, None for a discarded one.
-ReadSamples = Callable[[int, SampleSet], Iterable[GraspSample | None]]
-
-
-def read_samples(_number: int, samples: SampleSet) -> Iterator[GraspSample | None]:
-    """A `ReadSamples` for this process."""
-    yield from map(usable_sample, samples.records(discarded=True))
-
-
-def usable_sample(record: SampleRecord) -> GraspSample | None:
-    """The sample with finite points only; None if the operator discarded it."""
-    return None if DISCARDED in record.flags else only_finite(record.sample)
-
-
 def build_store(
     sources: Sequence[str | Path],
     out: str | Path,
     *,
     attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] = lambda _: {},
     progress: Callable[[], None] = lambda: None,
-    read: ReadSamples = read_samples,
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
     A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
     recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
-    files to add to the store, such as splits, by name, from the samples; `read` reads those of a source, given its number.
+    files to add to the store, such as splits, by name, from the samples.
 
     Raises:
         FileError: If `out` exists, or a source is not a dataset or damaged.
@@ -193,20 +179,20 @@ def build_store(
     about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
     ids = _UniqueIds()
     with StoreWriter(out, about) as writer:
-        for number, source in enumerate(sources):
+        for source in sources:
             renumbered = ids.begin(str(source))
             samples = open_samples(source)
-            if number == 0:
+            if not origins:
                 writer.sensor = samples.sensor
             require_same(samples.sensor.channels, writer.sensor.channels, str(source))
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-            for found in read(number, samples):
+            for record in samples.records(discarded=True):
                 progress()
-                if found is None:
+                if DISCARDED in record.flags:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(found)
+                sample = ids.with_own_id(only_finite(record.sample))
                 writer.write(sample)
                 result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
             if renumbered:
@@ -267,8 +253,8 @@ def _row(sample: GraspSample) -> dict[str, Any]:
             raise DatasetError(f"{sample.id}: extra.{name}: {value} is not finite")
     touches = {"touch": sample.touch, "tare": sample.tare}
     counts = {name: None if touch is None else touch.values for name, touch in touches.items()}
-    for name, vector in counts.items():
-        if vector is not None and not np.isfinite(vector).all():
+    for name, touch in touches.items():
+        if touch is not None and not is_storable(touch.values, touch.channels):
             raise DatasetError(f"{sample.id}: {name}: holds a value that is not finite")
     return {
         "id": sample.id,

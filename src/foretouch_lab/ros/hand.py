@@ -31,7 +31,6 @@ from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rota
 from foretouch.ros.messages.tactile import biotac_all_to_msg, sensor_to_msg, tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch_lab.simulation.scheduled import scheduled_scene
@@ -82,18 +81,7 @@ class HandNodeConfig(NodeConfig):
     course: GraspTimingConfig = field(default_factory=GraspTimingConfig)
     faults: TactileFaultConfig = field(default_factory=TactileFaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
-    biotacs: tuple[str, ...] = setting(
-        ("MF", "TH"),
-        "Fingers with a BioTac, where the scene has any; the others send zeros",
-        choices=FINGER_ORDER,
-        read_only=True,
-    )
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not set(_GRASPING) <= set(self.biotacs):
-            raise ConfigError(f"biotacs: {list(self.biotacs)} lacks TH or MF, which the hand grasps with")
 
 
 class HandNode(ForetouchNode[HandNodeConfig]):
@@ -116,7 +104,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
-        self._resting: list[RestingFingers] = []
+        self._resting: RestingFingers
         self._faults = TactileFaults(TactileFaultConfig())
         super().__init__(name, HandNodeConfig, **options)
 
@@ -128,10 +116,9 @@ class HandNode(ForetouchNode[HandNodeConfig]):
             self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)
         at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._sensor = sensor = self._hand.sensor
-        self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING and sensor.is_biotac]
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
-        self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
-        self._solver: Worker[_Command] = Worker("hand-contact", 1, self._solve, lambda _, why: self._drop(why))
+        self._resting = RestingFingers(at_rest)
+        self._solver: Worker[_Command] = Worker("hand-contact", 4, self._solve, lambda _, why: self._drop(why))
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
@@ -157,7 +144,6 @@ class HandNode(ForetouchNode[HandNodeConfig]):
 
     def _teardown(self) -> None:
         self._hand = self._newest = None
-        self._resting.clear()
 
     def _config_changed(self, config: HandNodeConfig) -> None:
         self._faults.config = config.faults
@@ -298,7 +284,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         if self._current is None and self._ready is not None:
             self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
-        grasping, *idle = [fingers.read(elapsed_s) for fingers in self._resting]
+        grasping = self._resting.read(elapsed_s)
         current = self._current
         if current is not None:
             row = min(number - current.first, len(current.trajectory.counts) - 1)
@@ -306,11 +292,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         if self._pressed is not None and time.monotonic() < self._pressed[1]:
             grasping = grasping.copy()
             grasping[:, : self._pressed[0].shape[1]] += self._pressed[0]
-        # A finger that does not grasp reads as a middle finger at rest.
-        return {
-            **dict(zip(_GRASPING, grasping, strict=True)),
-            **{name: pair[1] for name, pair in zip(self._idle_fingers, idle, strict=True)},
-        }
+        return dict(zip(_GRASPING, grasping, strict=True))
 
     def _finish(self, running: _RunningGrasp, first_ns: int, period_ns: int) -> None:
         """Report the grasp and become idle."""

@@ -202,12 +202,11 @@ class RestingFingers:
 
     Args:
         hand: Whose fingers; nobody else may use it at the same time.
-        stream: Two with another number have noise of their own.
     """
 
-    def __init__(self, hand: SimulatedHand, stream: int = 0) -> None:
+    def __init__(self, hand: SimulatedHand) -> None:
         self._hand = hand
-        self._repeat = _STREAMS * (stream + 1)
+        self._repeat = _STREAMS
         self._rows: Counts = np.empty((0, 2, 0))
         self._next = 0
 

@@ -64,7 +64,7 @@ def test_forces_may_be_zero_for_any_time_but_a_finger_that_is_not_read_is_named(
 
 def test_contacts_of_any_sensor_begin_and_end(rng: np.random.Generator) -> None:
     channels = packaged_sensor("xela_uskin_4x4").channels
-    episodes = ContactEpisodes(None, channels)
+    episodes = ContactEpisodes(channels)
     pressed = np.zeros(channels.size)
     pressed[channels.columns(("Z_TH", "Z_FF"))] = 60.0
     found = []

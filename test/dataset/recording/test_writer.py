@@ -263,7 +263,7 @@ def test_a_failing_write_ends_the_session_with_what_was_acknowledged(tmp_path: P
         writer.receive(TACTILE)
         writer.write(TACTILE, MESSAGE, 0)
         acknowledged = [writer.append(record(number)) for number in range(3)]
-        rule = rf"{os.strerror(code)} \(errno {code}\): the session has ended, its 3 samples"
+        rule = rf"{os.strerror(code)}: the session has ended, its 3 samples"
         with monkeypatch.context() as patch:
             fail_writes(patch, 2, code, part=50)
             with pytest.raises(FileError, match=rule):
@@ -277,7 +277,7 @@ def test_a_failing_write_ends_the_session_with_what_was_acknowledged(tmp_path: P
 def test_a_disk_that_fails_at_the_start_or_when_waited_for_is_named(tmp_path: Path, monkeypatch) -> None:
     with monkeypatch.context() as patch:
         fail_writes(patch, 2, errno.ENOSPC)  # magic and header, then the metadata
-        with pytest.raises(FileError, match=r"session-0001.mcap: No space left on device \(errno 28\)"):
+        with pytest.raises(FileError, match=r"session-0001.mcap: No space left on device"):
             RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
     writer = RecordingWriter(tmp_path / "ds", IDENTITY, RecordingConfig(min_free_mb=0.0))
 
@@ -317,7 +317,7 @@ def test_a_limit_on_the_size_of_files_and_a_full_disk_lose_nothing_acknowledged(
     """And a disk that is read-only is named."""
     acknowledged, error = fill(tmp_path / "ds", 200_000)
     assert error.startswith("FileError")
-    assert "File too large (errno 27): the session has ended" in error
+    assert "File too large: the session has ended" in error
     assert len(acknowledged) > 5
     for _ in range(2):
         assert ids(tmp_path / "ds") == acknowledged
@@ -331,7 +331,7 @@ def test_a_limit_on_the_size_of_files_and_a_full_disk_lose_nothing_acknowledged(
             return  # a disk cannot be mounted here
         try:
             if name == "read-only":
-                with pytest.raises(FileError, match=r"Read-only file system \(errno 30\)"):
+                with pytest.raises(FileError, match=r"Read-only file system"):
                     RecordingWriter(disk / "ds", IDENTITY)
                 return
             acknowledged, error = fill(disk / "ds", 0)

@@ -4,6 +4,7 @@
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import grey_closing
 
 Array = np.ndarray[Any, Any]
 
@@ -11,19 +12,32 @@ HEIGHT_M, ALONG_M = float(np.float32(0.001)), float(np.float32(0.0005))  # of a 
 HEIGHTS, ALONGS = 640, 2560
 
 
-def hidden_points(points, n: int, depth: float, camera, nearest, rows: int, columns: int, hidden) -> None:
+def outline(points, n: int, grid, rows: int, columns: int, nearest, inside) -> None:
     """See the kernel, whose arguments these are."""
-    behind = np.minimum(_behind(points[:n], camera, nearest if rows * columns else np.zeros((0, 0))), 1.0)
-    hidden[:n] = _smooth(behind, 0.5 * depth, 1.5 * depth)
+    at = (points[:n, :2] / points[:n, 2:] - grid[:2]) / grid[2]
+    nearest[:] = np.inf
+    np.minimum.at(nearest, tuple(np.floor(at[:, ::-1]).astype(int).T), points[:n, 2].astype(np.float32))
+    tents = [
+        np.maximum(1.0 - np.abs(at[:, k, None] - 0.5 - np.arange(size)), 0.0) for k, size in ((1, rows), (0, columns))
+    ]
+    filled = np.minimum(tents[0].T @ tents[1], 1.0)
+    inside[:] = grey_closing(filled, size=(5, 5), mode="constant")
 
 
-def closing_lines(points, weights, n, turns, angles, lines, settings, camera, nearest, rows, columns, others, m, found):
+def hidden_points(points, n, depth, camera, nearest, inside, rows: int, columns: int, hidden) -> None:
+    """See the kernel, whose arguments these are."""
+    hidden[:n] = _hidden(points[:n], depth, camera, nearest, inside) if rows * columns else 0.0
+
+
+def closing_lines(
+    points, weights, n, turns, angles, lines, settings, camera, nearest, inside, rows, columns, others, m, found
+):
     """See the kernel, whose arguments these are."""
     step, tip, floor_m, share, horizontal, shift, way = settings
     found[:] = np.nan
     points, weights = points[weights > 0.0], weights[weights > 0.0]
     level = np.clip(points[:, 2] / HEIGHT_M, 0.0, HEIGHTS - 1.0)
-    for angle, (turn, beside_m) in enumerate(turns):
+    for angle, (turn, beside_m) in enumerate(turns[:, :2]):
         along_line = np.array([np.cos(turn), np.sin(turn), 0.0])
         beside_line = np.array([-np.sin(turn), np.cos(turn), 0.0])
         place = np.clip(points @ along_line / ALONG_M + ALONGS / 2, 0.0, ALONGS - 1.0)
@@ -37,14 +51,21 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, camera, ne
             one = _Strip(place[strip], level[strip], weights[strip] * tent[strip], share)
             low, high, _ = one.ends(-np.inf)
             top, lowest = (_quantile(one.level, one.weight, q) * HEIGHT_M for q in (0.95, 0.03))
-            middle = ((low + high) / 2.0 - ALONGS / 2) * ALONG_M * along_line + offset * beside_line
-            levels = top * (1.0 - np.arange(2, 25) / 24)
-            free = _behind(middle + levels[:, None] * [0.0, 0.0, 1.0], camera, nearest) < -0.003
-            under = levels[free.argmax()] if rows and free.any() else 0.0
+            under = 0.0
+            for beside in (-tip / 2.0, 0.0, tip / 2.0) if rows else ():
+                along_m = ((low + high) / 2.0 - ALONGS / 2) * ALONG_M + beside
+                column = (
+                    along_m * along_line
+                    + offset * beside_line
+                    + np.outer(top * (1.0 - np.arange(2, 17) / 16), [0.0, 0.0, 1.0])
+                )
+                hidden = np.minimum.accumulate(_hidden(column, -0.003, camera, nearest, inside))
+                under += float(np.sum(1.0 - hidden)) * top / 16 / 3.0
             width = (high - low) * ALONG_M
             if horizontal < 0.5 and top > 1.2 * width and width > 0.0:
                 under = max(under, _round_underside(one, top, lowest, low, high, horizontal))
-            z = max(min((top + under) / 2.0 + shift, top - tip / 2.0), under, floor_m)
+            z = (top + under) / 2.0 + shift if np.isnan(turns[angle, 2]) else turns[angle, 2]
+            z = max(min(z, top - tip / 2.0), under, floor_m)
             low, high, total = one.ends((z - tip) / HEIGHT_M)
             if total < 3.0:
                 continue
@@ -52,7 +73,7 @@ def closing_lines(points, weights, n, turns, angles, lines, settings, camera, ne
             x, y, height = others[:m] @ along_line, others[:m] @ beside_line, others[:m, 2]
             outside = ((x > ends[0] - way) & (x < ends[0])) | ((x > ends[1]) & (x < ends[1] + way))
             blocking = np.flatnonzero((np.abs(y - offset) < tip) & (height > z - tip) & outside)
-            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1, total)
+            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1)
 
 
 class _Strip:
@@ -60,10 +81,22 @@ class _Strip:
         self.place, self.level, self.weight, self._share = place, level, weight, share
 
     def ends(self, above: float) -> tuple[float, float, float]:
-        """Quantiles along the line [bins] of the points above a height, which fade out over four bins; their weight."""
+        """Ends along the line [bins] of the points above a height, which fade out over four bins; their weight."""
         weight = self.weight * np.clip((self.level - above) / 4.0 + 0.5, 0.0, 1.0)
-        low, high = (_quantile(self.place, weight, q) for q in (self._share, 1.0 - self._share))
-        return low, high, weight.sum()
+        low, last = (_mean_quantile(bins, weight, self._share) for bins in (self.place, ALONGS - self.place))
+        high = ALONGS - last
+        beyond = 0.75 * self._share * (high - low)
+        return max(low - beyond, 0.0), min(high + beyond, ALONGS - 1.0), weight.sum()
+
+
+def _mean_quantile(values: Array, weight: Array, share: float) -> float:
+    """Mean of the quantiles from half of a share to two and a half of it, each point spread over its bin of width 1."""
+    reached = np.concatenate([[0.0], np.cumsum(np.bincount(np.ceil(values).astype(np.int64) - 1, weight))])
+    total = reached[-1]
+    if total == 0.0:
+        return 0.0
+    grid = np.linspace(0.5 * share, 2.5 * share, 4001)
+    return float(np.interp(grid[:-1] + np.diff(grid) / 2.0, reached / total, np.arange(len(reached))).mean())
 
 
 def _quantile(values: Array, weight: Array, share: float) -> float:
@@ -77,16 +110,17 @@ def _quantile(values: Array, weight: Array, share: float) -> float:
     return float(k + (share * reached[-1] - reached[k] + bins[k]) / bins[k])
 
 
-def _behind(points: Array, camera: Array, nearest: Array) -> Array:
-    """Depth behind the nearest point of the cell of the image; infinite in a gap, -infinite outside of the outline."""
-    inside = points @ camera[:9].reshape(3, 3).T + camera[9:12]
+def _hidden(points: Array, depth: float, camera: Array, nearest: Array, inside: Array) -> Array:
+    """How certainly the object hides places: inside of its outline, and behind the nearest point of the cell of the image."""
+    seen = points @ camera[:9].reshape(3, 3).T + camera[9:12]
     with np.errstate(divide="ignore", invalid="ignore"):
-        cell = np.floor((inside[:, :2] / inside[:, 2:] - camera[12:14]) / camera[14])
+        cell = np.floor((seen[:, :2] / seen[:, 2:] - camera[12:14]) / camera[14])
     rows, columns = nearest.shape
-    seen = (inside[:, 2] > 0.0) & (cell >= 0.0).all(axis=1) & (cell < [columns, rows]).all(axis=1)
-    found = np.full(len(points), -np.inf)
-    depth = nearest[cell[seen, 1].astype(int), cell[seen, 0].astype(int)].astype(np.float64)
-    found[seen] = np.where(depth == 0.0, -np.inf, np.where(np.isinf(depth), np.inf, inside[seen, 2] - depth))
+    met = (seen[:, 2] > 0.0) & (cell >= 0.0).all(axis=1) & (cell < [columns, rows]).all(axis=1)
+    at = cell[met, 1].astype(int), cell[met, 0].astype(int)
+    found = np.zeros(len(points))
+    behind = np.where(np.isinf(nearest[at]), 1.0, seen[met, 2] - nearest[at].astype(np.float64))
+    found[met] = inside[at] * _smooth(behind, depth - 0.002, depth + 0.002)
     return found
 
 
@@ -96,16 +130,18 @@ def _smooth(values, low: float, high: float):
 
 
 def _round_underside(one: _Strip, top: float, lowest: float, low: float, high: float, horizontal: float) -> float:
-    at_end = 0.003 / ALONG_M
+    at_end = 0.004 / ALONG_M
     width = (high - low) * ALONG_M
-    sides = one.place < low + at_end, one.place > high - at_end
-    end = max(_quantile(one.level[side], one.weight[side], 0.5) for side in sides) * HEIGHT_M
+    shares = (
+        np.clip(far / at_end, 0.0, 1.0) * one.weight for far in (low + at_end - one.place, one.place - high + at_end)
+    )
+    end = max(share @ one.level / (share.sum() + 1e-9) for share in shares) * HEIGHT_M
     radius = width / 2.0
     below = lowest - (top - radius - radius * horizontal)
     evidence = (
         _smooth(top / width, 1.2, 1.5)
-        * _smooth(below, -0.4 * radius, -0.2 * radius)
-        * _smooth(top - end, 0.25 * radius, 0.5 * radius)
+        * _smooth(below, -0.4 * radius, -0.1 * radius)
+        * _smooth(top - end, 0.2 * radius, 0.6 * radius)
         * (1.0 - _smooth(horizontal, 0.3, 0.5))
     )
     return max(top - width, 0.0) * evidence

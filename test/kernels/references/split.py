@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 Array = np.ndarray[Any, Any]
-_STEP, _FULL, _REACH, _SLOPE, _BRIDGE, _TOUCH, _LIKE = 2.0, 0.7, 2, 4.0, 3, 0.03, 0.005
+_STEP, _FULL, _REACH, _SLOPE, _LIKE = 2.0, 0.7, 2, 4.0, 0.005
 
 
 class Split:
@@ -136,22 +136,15 @@ class Split:
         part[left] = part.max() + 1 + np.arange(np.count_nonzero(left))
         return part.reshape(h, w)
 
-    def borders(self, part: Array) -> dict[tuple[int, int], tuple[float, int, float]]:
-        """Of each pair of fragments: sum of bends, number of edges, smallest difference in depth."""
-        found: dict[tuple[int, int], tuple[float, int, float]] = {}
-        for i, j, axis in np.ndindex(*part.shape, 2):
-            for t in range(1, _BRIDGE + 1):
-                other = (i + t * axis, j + t * (1 - axis))
-                if not part[i, j] or other[0] >= part.shape[0] or other[1] >= part.shape[1]:
-                    break
-                if self.cluster[other]:
-                    if part[other] != part[i, j]:
-                        bend = _STEP if t > 1 else self.bends[i, j, axis]
-                        pair = (min(part[i, j], part[other]), max(part[i, j], part[other]))
-                        total, length, near = found.get(pair, (0.0, 0, np.inf))
-                        by = abs(self.p[i, j, 2] - self.p[other][2])
-                        found[pair] = (total + min(max(bend, 0.0), _FULL), length + 1, min(near, by))
-                    break
+    def borders(self, part: Array) -> dict[tuple[int, int], tuple[float, int]]:
+        """Of each pair of fragments: sum of bends, number of edges."""
+        found: dict[tuple[int, int], tuple[float, int]] = {}
+        for i, j, axis in np.argwhere(np.isfinite(self.bends)):
+            one, other = part[i, j], part[i + axis, j + 1 - axis]
+            if one != other:
+                pair = (min(one, other), max(one, other))
+                total, length = found.get(pair, (0.0, 0))
+                found[pair] = (total + min(max(self.bends[i, j, axis], 0.0), _FULL), length + 1)
         return found
 
     def joined(self, part: Array) -> Array:
@@ -159,9 +152,8 @@ class Split:
         while True:
             area = {k: ((self.pitch * self.p[part == k][:, 2]) ** 2).sum() for k in np.unique(part[part > 0])}
             rated = {
-                pair: total / length
-                - (10.0 if min(area[pair[0]], area[pair[1]]) < self.least_m2 and near < _TOUCH else 0.0)
-                for pair, (total, length, near) in self.borders(part).items()
+                pair: total / length - (10.0 if min(area[pair[0]], area[pair[1]]) < self.least_m2 else 0.0)
+                for pair, (total, length) in self.borders(part).items()
             }
             best = min(rated, key=lambda pair: rated[pair], default=None)
             if best is None or rated[best] >= self.angle:

@@ -128,20 +128,6 @@ def test_a_chunk_that_cannot_be_made_is_named_and_the_others_are_kept(here, tmp_
         chunks._make_chunk(folder, partial(make, trace, 0.0, -1), (0, range(4)))
 
 
-def test_a_store_built_in_chunks_is_that_of_one_process(here, tmp_path) -> None:
-    sources = [tmp_path / "a", tmp_path / "b"]
-    write_dataset(sources[0], 10, points=20)
-    write_dataset(sources[1], 3, points=20, first=10)
-    assert main(["dataset", "edit", str(sources[0]), "--drop", "--id", "ball/000002", "--json"]) == 0
-    words = ["dataset", "build", *map(str, sources), "--json", "-o"]
-    assert main([*words, str(tmp_path / "one")]) == 0
-    assert main([*words, str(tmp_path / "many"), "--address", "local"]) == 0
-    one, many = Store(tmp_path / "one"), Store(tmp_path / "many")
-    assert len(one) == 12
-    assert one.manifest == many.manifest
-    assert not (tmp_path / "many.chunks").exists()
-
-
 def test_simulated_in_chunks_is_as_simulated_in_one_process(here, tmp_path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("objects: [{name: can, shape: can, size_m: [0.07, 0.07, 0.1], pose: {rest: side}}]\n")

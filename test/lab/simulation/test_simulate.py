@@ -93,7 +93,8 @@ def test_switching_an_effect_leaves_the_other_outputs_alone() -> None:
 
 
 def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name() -> None:
-    config = scene(CAN | {"friction": 0.35, "pose": {"rest": "any"}}, max_attempts=100)
+    above = {"geograsp": {"method": "original"}}  # meets a lying can above its middle
+    config = scene(CAN | {"friction": 0.35, "pose": {"rest": "any"}}, grasps=above, max_attempts=100)
     simulation = Simulation(config)
     samples = list(simulation.samples(3))
     assert len(samples) == 3
@@ -106,13 +107,13 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
     last = samples[-1]
     again = replay(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
     np.testing.assert_array_equal(again.touch["E_TH"], last.touch["E_TH"])  # type: ignore[union-attr]
-    simulation = Simulation(scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, max_attempts=3))
+    simulation = Simulation(scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, grasps=above, max_attempts=3))
     with pytest.raises(SimulationError, match=r"slot 0: given up after 3 attempts \(3 slips\); the last: can: the"):
         list(simulation.samples(2))
     assert simulation.failures_by_reason == {"slips": 3}
     long = CAN | {"size_m": [0.12, 0.3, 0.1], "shape": "box", "pose": {"rest": "upright"}}
     with pytest.raises(SimulationError, match=r"2 too_wide.*the hand opens 0.1 m"):
-        list(Simulation(scene(long, grasps={"max_width_m": 0.1}, max_attempts=2)).samples(1))
+        list(Simulation(scene(long, grasps=above | {"max_width_m": 0.1}, max_attempts=2)).samples(1))
 
 
 def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:

@@ -22,7 +22,7 @@ from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.touch.config import COSTS
 from foretouch.ros.touch.grasp_actions import cost_of, planner_action_class, planner_feedback
-from foretouch.tactile import Ranges, TactileRanges, biotac_touch
+from foretouch.tactile import Ranges, TactileRanges
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import Touch
 from foretouch_msgs.action import SampleGrasps
@@ -96,10 +96,10 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     for k, (name, share) in enumerate((("PDC_TH", 0.25), ("PDC_MF", 0.75))):
         low, high = ranges.of(name)
         touch[k] = low + share * (high - low)
-    pressed = TaxelView(BIOTAC_SP).pressures(biotac_touch(touch), None, ranges)
+    pressed = TaxelView(BIOTAC_SP).pressures(touch, None, ranges)
     costs = {rule: cost_of(rule, Grasp(score=4.0), pressed) for rule in COSTS}
     assert costs == pytest.approx({"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}, rel=1e-3)
-    assert np.isposinf([cost_of(rule, Grasp(score=math.nan), None) for rule in COSTS]).all()
+    assert np.isposinf([cost_of(rule, Grasp(score=math.nan), np.full(2, np.nan)) for rule in COSTS]).all()
 
 
 def test_a_sensor_without_a_pressure_presses_by_how_far_its_valid_taxels_moved():
@@ -112,4 +112,4 @@ def test_a_sensor_without_a_pressure_presses_by_how_far_its_valid_taxels_moved()
     values = rest.values.copy()
     values[sensor.taxel_columns[0, :, 2]] += (65_535 - 30_000) / 2  # Z of the first finger, half of its way
     values[sensor.taxel_columns[0, 5, 2]] = 65_535  # of the dead taxel
-    np.testing.assert_allclose(view.pressures(Touch(values, sensor.channels), rest, ranges), [0.5, 0.0])
+    np.testing.assert_allclose(view.pressures(values, rest, ranges), [0.5, 0.0])

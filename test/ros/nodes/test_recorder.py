@@ -13,7 +13,9 @@ from foretouch.dataset.record import HOLD
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.errors import ConfigError
 from foretouch.ros.messages.tactile import biotac_all_to_msg
+from foretouch.ros.nodes.recorder import RecorderConfig
 from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
@@ -61,7 +63,7 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
 
 
 def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
-    node, robot, _ = start(graph, tmp_path / "set", contact__window_s=0.1, contact__lag_s=0.05, pairing__settle_s=0.02)
+    node, robot, _ = start(graph, tmp_path / "set")
     graph.until(lambda: node.recording)
     robot.see("g-0")
     graph.until(lambda: accounts(node.status())["grasps"].written)
@@ -69,7 +71,7 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     answer = graph.call(LabelGrasp, "label_grasp", request)
     assert (answer.success, answer.grasp_id, answer.message) == (True, "g-0", "waits for its contact")
     robot.now += MS
-    for counts, readings in ((REST, 60), (level(1), 30), (REST, 20)):
+    for counts, readings in ((REST, 120), (level(1), 80), (REST, 20)):
         robot.feel(counts, readings)
     graph.until(lambda: node.status().samples == 1)
     late = graph.call(LabelGrasp, "label_grasp", LabelGrasp.Request(grasp_id="g-0"))
@@ -172,3 +174,9 @@ def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(grap
     node.end()
     assert tactile().received == robot.sent["/rh/tactile"]
     assert len(stored(tmp_path / "set")) == 1
+
+
+@pytest.mark.parametrize("name", ["hand", "camera"])
+def test_an_empty_name_of_hand_or_camera_is_refused(name):
+    with pytest.raises(ConfigError, match=rf"identity\.{name}: is empty; a dataset names the model of its {name}"):
+        RecorderConfig.from_mapping({f"identity.{name}": " "})

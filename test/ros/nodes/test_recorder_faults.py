@@ -78,11 +78,11 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_line(graph, tmp_path)
     (node,) = graph.add("recorder", folder=str(tmp_path), **QUICK)
     (tmp_path / "file").write_bytes(b"")
     answer = begin(graph, "file/set")
-    assert (answer.success, answer.message) == (False, f"{tmp_path}/file/set: Not a directory (errno 20)")
+    assert (answer.success, answer.message) == (False, f"{tmp_path}/file/set: Not a directory")
     assert not node.recording
     with pytest.raises(FileError, match="File name too long"):
         node.begin("x" * 5000)
-    with pytest.raises(FileError, match=r"\(errno \d+\)"):
+    with pytest.raises(FileError, match="set: "):
         node.begin("/proc/set")  # a file system that takes no folders
     assert begin(graph, "set").success
 
@@ -171,7 +171,7 @@ def test_a_removed_folder_is_named_within_a_second_and_its_loss_counted(graph, t
     assert begin(graph, tmp_path / "set").success
     graph.remove(node)
     node, *_ = removed_during_a_recording(graph, tmp_path / "other", fallback_folder="/proc/none")
-    assert re.search(r"2 samples and .* messages are lost: /proc/none: .* \(errno \d+\)$", node.reason)
+    assert re.search(r"2 samples and .* messages are lost: /proc/none: .*$", node.reason)
 
 
 def test_a_removed_folder_is_written_to_the_fallback_folder(graph, tmp_path):

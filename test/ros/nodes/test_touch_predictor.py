@@ -2,6 +2,8 @@
 """The service, the action, and a model that cannot be loaded."""
 
 import math
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from calibrated_models import save_calibrated_network
 from diagnostic_msgs.msg import DiagnosticStatus
 from every_case import every_case
 from geometry_msgs.msg import Point, Quaternion
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
@@ -277,9 +280,29 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(graph, planner
     share = ((reading(first)["PDC"][0] - 2500) / 900 + (reading(first)["PDC"][1] - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
+    assert not any("equal_pressure" in one.flags for one in result.predictions)  # this model has no intervals
     by_score = planner.sample(planner.goal(cost=SampleGrasps.Goal.SCORE))
     plan = Pipeline(PipelineConfig(grasp=GeoGraspConfig(count=5))).plan(target)
     np.testing.assert_allclose(by_score.costs, [-grasp.score for grasp in plan.grasps], rtol=1e-6)
+
+
+def test_costs_within_the_interval_of_the_lowest_are_equal_and_ordered_by_score(graph, target, grasps):
+    planner = Planner(graph, target, grasps, model="default")
+    result = planner.sample()
+    scores = [one.score for one in result.grasps]
+    assert (len(set(result.costs)), scores) == (1, sorted(scores, reverse=True))
+    assert all("equal_pressure" in one.flags for one in result.predictions)
+    pdc = np.array([reading(one)["PDC"] for one in result.predictions])
+    shares = ((pdc - (2500.0, 1600.0)) / (900.0, 700.0)).mean(axis=1)
+    assert result.costs[0] == pytest.approx(shares.min())
+    assert sorted(planner.feedback[0].costs) == pytest.approx(sorted(shares))  # as they are predicted
+    request = planner.request(5)
+    asked = planner.ask(request).predictions
+    assert all("equal_pressure" in one.flags for one in asked)
+    contacts = np.array([[*one.g1, *one.g2] for one in planner.grasps[:5]]).ravel()
+    batch = planner.ask(PredictTouch.Request(cloud=request.cloud, table=request.table, contacts=contacts), "batch")
+    assert np.reshape(batch.flagged, (5, -1))[:, batch.flags.index("equal_pressure")].all()
+    assert "equal_pressure" not in planner.ask(planner.request(1)).predictions[0].flags
 
 
 def test_a_goal_that_cannot_be_met_and_too_many_grasps_are_refused_with_the_reason(graph, planner):
@@ -391,6 +414,48 @@ def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(
     model = node._predictor.model.name
     assert line.startswith(f"model {model} is made for the simulated hand only, but /other/tactile comes from ")
     del sender
+
+
+CROWD = """
+import sys, time
+import rclpy
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from foretouch_msgs.srv import PredictTouch
+rclpy.init()
+node = rclpy.create_node("crowd", namespace="/foretouch")
+client = node.create_client(PredictTouch, "predict_touch", qos_profile=QoSProfile(depth=5000))
+assert client.wait_for_service(20.0)
+request = deserialize_message(sys.stdin.buffer.read(), PredictTouch.Request)
+answers = [client.call_async(request) for _ in range(2000)]
+end = time.monotonic() + 100.0
+while time.monotonic() < end and not all(one.done() for one in answers):
+    rclpy.spin_once(node, timeout_sec=0.1)
+touches = [one.result().touch for one in answers if one.done()]
+assert all(bool(one.predictions) is (one.reason == "") for one in touches)
+print(sum(not one.reason for one in touches), sum(one.reason.startswith("busy: ") for one in touches))
+"""
+
+
+def test_a_request_that_has_waited_for_too_long_is_refused_and_counted(planner, monkeypatch):
+    monkeypatch.setattr("foretouch.ros.runtime.workers.PATIENCE_S", -1.0)
+    answer = planner.ask()
+    assert (answer.status, answer.reason.partition(" behind")[0]) == (Status.BUSY, "busy: waited for -1 s")
+    assert planner.node.notes()["requests.predict_touch.busy"] == "1"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(200)
+def test_each_of_two_thousand_requests_at_once_is_answered_or_refused_and_counted(planner):
+    environment = planner.graph.environment()
+    crowd = subprocess.run(
+        [sys.executable, "-c", CROWD], input=serialize_message(planner.request()), env=environment, capture_output=True,
+        timeout=150, check=False,
+    )  # fmt: skip
+    answered, refused = map(int, crowd.stdout.split())
+    counted = {name: int(count) for name, count in planner.node.notes().items() if name.startswith("requests.")}
+    assert counted == {"requests.predict_touch.ok": answered, "requests.predict_touch.busy": refused}
+    assert (answered + refused, answered > 100) == (2000, True)
 
 
 def test_each_of_two_hundred_requests_and_a_hundred_goals_at_once_is_answered_or_refused_and_counted(planner):

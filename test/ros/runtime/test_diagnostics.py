@@ -9,7 +9,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from foretouch.ros.runtime.diagnostics import InputStatistics, Losses, diagnostic_status
-from foretouch.ros.runtime.direct import SUPPORTED
 from foretouch_msgs.msg import TablePlane
 
 pytestmark = pytest.mark.ros
@@ -77,7 +76,6 @@ def test_a_publisher_that_numbers_anew_has_lost_one_message_and_is_heard_on():
     assert losses.count == 4  # one at each of three jumps, and that between 3 and 5
 
 
-@pytest.mark.skipif(not SUPPORTED, reason="rclpy does not pass the publisher of a message before Kilted")
 def test_a_message_that_is_replaced_in_the_queue_is_counted(graph):
     (node,) = graph.add("grasp", diagnostics_period_s=0.1)
     reports, tables = graph.reports("grasp"), graph.talk_matched(TablePlane, "table")

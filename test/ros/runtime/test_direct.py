@@ -2,6 +2,7 @@
 """Messages handed over within a process: the same answers and counts as over DDS."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -16,15 +17,14 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.executables import PERCEPTION, make_nodes
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.runtime.direct import SUPPORTED
+from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.runtime.direct import DirectInput
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, TablePlane, TouchPredictionArray
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.skipif(not SUPPORTED, reason="rclpy does not pass the publisher of a message before Kilted"),
-]
+pytestmark = pytest.mark.ros
 
 OUTPUTS = {"objects": ObjectArray, "table": TablePlane, "object_cloud": PointCloud2, "grasps": GraspArray,
            "touch": TouchPredictionArray}  # fmt: skip
@@ -200,6 +200,43 @@ def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cl
     graph.until(lambda: len(heard) == 4)
     assert settle(graph, nodes, 2) == [(2, 2, {}, 0), (4, 4, {}, 0), (4, 4, {}, 0)]
     assert sorted(message.header.stamp.nanosec for message in heard) == [1, 2, 10, 11]
+
+
+def test_a_copy_is_recognised_once_by_what_it_carries_and_nothing_else_is():
+    one = DirectInput(None, print)
+    made = lambda stamp, frame="cam": TablePlane(header=header_to_msg(frame, stamp))  # noqa: E731
+    assert not one.is_copy(made(1))
+    for stamp in (1, 2, 2, 3):
+        one.expect_copy(made(stamp))
+    found = [one.is_copy(made(*case)) for case in ((2,), (1, "other"), (4,), (1,), (1,), (2,), (2,), (3,))]
+    assert found == [True, False, False, True, False, True, False, True]
+    for stamp in range(5000):  # whose copies never come
+        one.expect_copy(made(stamp))
+    assert [one.is_copy(made(stamp)) for stamp in (3999, 4000, 4999)] == [False, True, True]
+
+
+def test_a_message_of_the_same_stamp_from_elsewhere_is_received_beside_the_one_that_is_handed_over(graph, outsider):
+    """Each of both comes once, whatever the order."""
+    first, second = (ForetouchNode(name, NodeConfig) for name in ("first", "second"))
+    graph.serve(first, second)
+    heard = []
+    second.subscribe(TablePlane, "table", lambda message: heard.append((message.header.stamp.nanosec, message.reason)))
+    own = first.advertise(TablePlane, "table", keep=True)
+    foreign = outsider.node.create_publisher(TablePlane, "table", RELIABLE)
+    for node in (first, second):
+        node.trigger_configure()
+        node.trigger_activate()
+    graph.until(lambda: foreign.get_subscription_count() == 1 and own.get_subscription_count() == 1)
+    graph.until(lambda: graph.probe.count_publishers("/foretouch/table") == 2)
+    for stamp in range(1, 21):
+        for publisher, name in ((own, "own"), (foreign, "foreign"))[:: 1 if stamp % 2 else -1]:
+            publisher.publish(TablePlane(header=header_to_msg("cam", stamp), reason=name))
+        graph.until(lambda stamp=stamp: len(heard) >= 2 * stamp)
+    time.sleep(0.3)
+    stamps = [stamp for stamp, _ in heard]
+    assert sorted(stamps) == sorted([*range(1, 21)] * 2)
+    assert [stamp for stamp, name in heard if name == "own"][:1] == [1]
+    assert not second._direct_inputs[0]._copies
 
 
 def test_graphs_of_two_namespaces_do_not_mix(graph, scene_cloud, model_card):

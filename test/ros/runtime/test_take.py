@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cloud that is taken as its bytes is the one that rclpy takes, and its points live as long as they are used."""
+"""What is taken through rcl is what rclpy takes, and the points of a cloud live as long as they are used."""
 
 import array
 import gc
@@ -18,6 +18,7 @@ from foretouch.ros.messages.requests import read_cloud
 from foretouch.ros.runtime import take as module
 from foretouch.ros.runtime.take import take
 from foretouch.types import Cloud
+from foretouch_msgs.msg import Grasp, GraspArray
 from test.every_case import every_case
 from test.ros.conftest import open_domain
 
@@ -32,6 +33,7 @@ def ends():
     node = Node("take")
     profile = QoSProfile(depth=10)
     publisher = node.create_publisher(PointCloud2, "cloud", profile)
+    publisher.node = node
     ours, theirs = (node.create_subscription(PointCloud2, "cloud", print, profile) for _ in range(2))
     yield publisher, ours, theirs
     node.destroy_node()
@@ -76,11 +78,41 @@ def test_it_is_the_message_and_the_information_that_rclpy_gives(ends, rng):
             deserialize_message(serialize_message(each), PointCloud2) for each in (got, expected)
         )
         assert ours_again == theirs_again == message
-        assert info["publication_sequence_number"] == known["publication_sequence_number"]
-        assert info["publisher_gid"]["data"] == known["publisher_gid"]["data"]
+        same_information(publisher, info, known)
 
     every_case(cases, check)
     assert take(ours) is None
+
+
+def same_information(publisher, info, known):
+    """What rclpy passes beside the message that another subscription takes, and the publisher that discovery lists."""
+    listed = publisher.node.get_publishers_info_by_topic(publisher.topic_name)
+    assert [bytes(end.endpoint_gid)[:16] for end in listed] == [info["publisher_gid"]["data"]]
+    same = ("source_timestamp", "publication_sequence_number")
+    assert [info[key] for key in same] == [known[key] for key in same]
+    assert 0 < info["received_timestamp"] - info["source_timestamp"] < 60e9
+
+
+def test_other_messages_and_serialised_ones_are_taken_too():
+    open_domain(new=False)
+    node = Node("take_others")
+    publisher = node.create_publisher(GraspArray, "grasps", QoSProfile(depth=10))
+    publisher.node = node
+    ours, theirs, raw = (
+        node.create_subscription(GraspArray, "grasps", print, QoSProfile(depth=10), raw=raw)
+        for raw in (False, False, True)
+    )
+    message = GraspArray(grasps=[Grasp(id=str(number), score=number / 4.0) for number in range(3)], reason="none")
+    publisher.publish(message)
+    got, info = taken(lambda: take(ours))
+    expected, known = taken(lambda: theirs.handle.take_message(GraspArray, False))
+    assert got == expected == message
+    same_information(publisher, info, known)
+    content, of_raw = taken(lambda: take(raw))
+    assert isinstance(content, bytes)
+    assert deserialize_message(content, GraspArray) == message
+    assert of_raw["publication_sequence_number"] == 1
+    node.destroy_node()
 
 
 def test_the_points_stay_as_long_as_they_are_used_and_rclpy_takes_where_rcl_is_not_found(ends, rng, monkeypatch):
@@ -100,10 +132,13 @@ def test_the_points_stay_as_long_as_they_are_used_and_rclpy_takes_where_rcl_is_n
 def test_an_error_of_rcl_is_one_and_damaged_bytes_are_no_message(ends, rng, monkeypatch):
     _, ours, _ = ends
     monkeypatch.setattr(module, "_rcl", SimpleNamespace(rcl_take_serialized_message=lambda *_: 1))
-    with pytest.raises(RuntimeError, match="/cloud: a cloud cannot be taken: rcl's error 1"):
+    with pytest.raises(RuntimeError, match="/cloud: a message cannot be taken: rcl's error 1"):
         take(ours)
     whole = np.frombuffer(serialize_message(made(rng, (2, 3), "camera")), np.uint8)
     for end in range(len(whole) - 4):  # of the padding
-        assert module._read(whole[:end]) is None
+        assert module._read(whole[:end], PointCloud2) is None
     for at in range(len(whole)):
-        module._read(np.concatenate([whole[:at], rng.integers(0, 256, 1, np.uint8), whole[at + 1 :]]))  # no error
+        damaged = np.concatenate([whole[:at], rng.integers(0, 256, 1, np.uint8), whole[at + 1 :]])
+        module._read(damaged, PointCloud2)  # no error
+    whole = np.frombuffer(serialize_message(GraspArray(grasps=[Grasp(id="one")])), np.uint8)
+    assert [module._read(whole[:end], GraspArray) for end in range(4, len(whole) - 16)] == [None] * (len(whole) - 20)

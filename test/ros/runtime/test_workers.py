@@ -42,7 +42,6 @@ def test_items_are_worked_on_in_order_in_another_thread_and_a_full_queue_drops_i
     assert begun.wait(5.0)
     for item in (1, 2, 3, 4):
         worker.put(item)
-        time.sleep(0.15)  # longer than a pause
     assert worker.dropped == [(1, "superseded"), (2, "superseded")]
     go.set()
     until(lambda: len(worker.done) == 3)

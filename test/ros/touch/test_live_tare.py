@@ -5,7 +5,6 @@ import numpy as np
 from pair_builders import PERIOD, REST, T0, interval, stream, true_counts
 
 from foretouch.ros.touch.live_tare import LiveTare
-from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.description import packaged_sensor
 
 MS = 1_000_000
@@ -18,7 +17,7 @@ def follow(tare, until_ns):
 
 
 def test_it_is_renewed_after_the_release_and_follows_drift():
-    tare = LiveTare(ContactConfig())
+    tare = LiveTare()
     follow(tare, T0 + 3000 * MS)
     for k in range(300):
         stamp = T0 + 3000 * MS + k * PERIOD
@@ -29,7 +28,7 @@ def test_it_is_renewed_after_the_release_and_follows_drift():
 
 
 def test_it_ages_is_none_of_a_stream_that_began_in_contact_and_repeated_stamps_fill_no_memory():
-    tare = LiveTare(ContactConfig())
+    tare = LiveTare()
     assert tare.tare(0.0, 60.0) is None
     hold = interval(0)
     for reading in stream(1):
@@ -40,7 +39,7 @@ def test_it_ages_is_none_of_a_stream_that_began_in_contact_and_repeated_stamps_f
         tare.update(stamp, true_counts(hold.contact, 1), stamp * 1e-9)
     tare.exclude(hold.contact, stamp)
     assert tare.tare(stamp * 1e-9, 60.0) is None
-    tare = LiveTare(ContactConfig(window_s=0.05, lag_s=0.0))
+    tare = LiveTare()
     for k in range(30_000):
         tare.update(T0, REST, k * 0.01)
     assert len(tare._recent) == 20_000
@@ -50,7 +49,7 @@ def test_it_ages_is_none_of_a_stream_that_began_in_contact_and_repeated_stamps_f
 def test_channels_that_rest_at_zero_have_no_tare_and_others_are_those_of_the_sensor(rng):
     for name, rest in (("xela_uskin_4x4", 30_000.0), ("tacsl_20x25", 0.01)):
         channels = packaged_sensor(name).channels
-        tare = LiveTare(ContactConfig(), channels)
+        tare = LiveTare(channels)
         for k in range(400):
             noisy = rest + rng.normal(0.0, 0.3, channels.size) * channels.resolution
             tare.update(T0 + k * PERIOD, noisy.astype(np.float32), k * 1e-9 * PERIOD)

@@ -262,6 +262,21 @@ def test_a_dead_sensor_is_refused_counted_and_named(card):
     assert (hand.reference(), "pdc_th: -22072" in hand.notes()["tare.fault"]) == ("none", True)
 
 
+def test_a_dead_electrode_of_the_hand_leaves_the_others_as_they_are(card):
+    def predicted(dead):
+        hand = DirectHand(card, use_tare=True)
+        honest = hand.feel
+        hand.feel = lambda counts, readings: honest(np.r_[counts[:7], dead or counts[7], counts[8:]], readings)
+        hand.feel(REST, 250)
+        hand.grasp("good", 0)
+        found = hand.ask()[0]
+        assert (found.reference, hand.counts()) == ("touches", {"taken_in": 1})
+        return found.value.values
+
+    whole, broken = predicted(None), predicted(5000.0)  # which no converter of 12 bits sends
+    np.testing.assert_allclose(np.delete(broken, 7), np.delete(whole, 7), atol=15.0)  # by noise and the drift meanwhile
+
+
 def test_what_cannot_be_paired_is_counted_and_changes_nothing(card):
     hand = DirectHand(card, pairing={**PAIRING, "wait_s": 0.2})
     times = hand.grasp("a", 0)
@@ -461,6 +476,11 @@ def test_a_named_hand_remembers_across_a_restart(graph, card, tmp_path):
     assert (after.reference, after.touches, after.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
     assert reading(after)["PDC"][0] == pytest.approx(reading(before)["PDC"][0], abs=1.0)
     assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")
+
+
+def test_an_empty_name_of_the_hand_is_named(graph, card):
+    (node,) = graph.add("touch_predictor", model=card, hand="")
+    assert node.notes()["history.file"] == "none: hand is empty, so that readings are forgotten when the node ends"
 
 
 def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(graph, card, model_card):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The objects on the table: extracted from the clusters, and the selection of those that get grasps."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -25,7 +25,9 @@ AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a 
 _SAME_PLACE_M = 0.03  # an object that moves less between two clouds is the same
 _SAME_ANGLE = float(np.radians(1.0))  # objects whose angles to the optical axis differ less are equally central
 
-TargetMode = Literal["nearest", "largest", "point", "all"]
+TargetMode = Literal["nearest", "largest", "point", "free", "all"]
+
+_FREE = 0.2  # of the score that others may cost the best grasp of a free object: a turn by 45 degrees costs as much
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +130,16 @@ class TargetConfig(Settings):
     """Which objects get grasps."""
 
     mode: TargetMode = setting(
-        "nearest", "nearest to the camera, largest in points, the one at a point, or all", choices=get_args(TargetMode)
+        "nearest",
+        "nearest to the camera, largest in points, the one at a point, the nearest whose best grasp no other object blocks, or all",
+        choices=get_args(TargetMode),
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
     tolerance_m: float = setting(
         0.03, "Maximum distance of the object's nearest point from the point", bounds=(0.0, 1.0)
     )
     margin_m: float = setting(0.005, "Two objects whose distances differ less are ambiguous", bounds=(0.0, 1.0))
-    max_objects: int = setting(16, "Most objects of mode all, nearest first", bounds=(1, 10_000))
+    max_objects: int = setting(16, "Most objects of modes all and free, nearest first", bounds=(1, 10_000))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -193,6 +197,43 @@ def select_targets(
         near = near[:1]
     tied = [objects[i] for i in near]
     return _one_of(tied, previous, f"equally near to {where}", [f"{distances[i]:.3f}" for i in near], "m")
+
+
+def select_free(
+    objects: Sequence[ObjectSegment],
+    config: TargetConfig,
+    loss: Callable[[ObjectSegment], tuple[float, str]],
+    previous: Float64 | None = None,
+) -> tuple[list[ObjectSegment], str]:
+    """Select the nearest object whose best grasp is not blocked by another object, for mode `free`.
+
+    If there is none, the one that other objects cost least; of several that have no grasp at all, the nearest.
+
+    Args:
+        objects: In order of id, at least one; at most `max_objects` are looked at, and none beyond the first free one.
+        config: Its margin decides which free objects are equally near (see `select_targets`).
+        loss: The score that other objects cost the best grasp of an object, infinite if it has none, and why.
+        previous: (3,) float64 [m], centroid of the target of the previous cloud in a stream.
+
+    Returns:
+        The object, and why: which nearer ones are not free, or that none is; "" if the nearest is free.
+    """
+    free: list[ObjectSegment] = []
+    blocked: list[tuple[float, ObjectSegment, str]] = []
+    for obj in sorted(objects, key=lambda one: one.distance_m)[: config.max_objects]:
+        if free and obj.distance_m - free[0].distance_m >= config.margin_m:
+            break
+        lost, why = loss(obj)
+        if lost <= _FREE:
+            free.append(obj)
+        else:
+            blocked.append((lost, obj, f"object {obj.id} {why}"))
+    notes = [note for *_, note in blocked]
+    if not free:
+        least = min(blocked, key=lambda one: one[0])[1]
+        return [least], f"no object is free: {'; '.join(notes)}; object {least.id} is hindered least"
+    chosen, tie = select_targets(free, config.updated({"mode": "nearest"}), previous)
+    return chosen, "; ".join([tie] * bool(tie) + notes)
 
 
 def _one_of(

@@ -25,17 +25,17 @@ import numpy as np
 from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
-from foretouch.types import Float32
+from foretouch.types import Float32, Int64
 
 _split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64, np.uint8, np.int32, np.int64)
 _concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden", "joined_concentric")
-_CELL_M = 0.005  # side of a cell at the median depth of the clusters, as the noise of a stereo camera it grows with depth² beyond 1 m
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
-_STRIDE = 4  # pixels between the points that are looked at
+_LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per depth, and points in each that is not empty
+_STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
 _FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
 
 
@@ -45,10 +45,15 @@ class SplitConfig(Settings):
 
     angle_deg: float = setting(
         34.0,
-        "A border that is concave by more than this on average separates two objects; 180 does not split at all",
+        "A border that is concave by more than this on average separates two objects; from 40 on all that touches is joined, 180 does not split at all",
         bounds=(5.0, 180.0),
     )
     step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
+    cell_m: float = setting(
+        0.005,
+        "Side of the squares over which the surface is averaged; as the noise of a stereo camera it grows with depth² beyond 1 m",
+        bounds=(0.002, 0.02),
+    )
     min_part_m: float = setting(
         0.03, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
     )
@@ -83,10 +88,11 @@ def split_clusters(
     depth = float(np.median(depths))
     side = pitch * depth  # of a pixel [m]
     arm, found = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS) - 1, np.int64)
-    _concave(first, xyz.shape[1], h, w, _STRIDE, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
+    stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
+    _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
-    cell = min(max(round(_CELL_M * max(1.0, depth**2) / side), 1), _MAX_CELL)
+    cell = min(max(round(config.cell_m * max(1.0, depth**2) / side), 1), _MAX_CELL)
     settings = [
         np.radians(config.angle_deg),
         config.step_m,
@@ -102,6 +108,50 @@ def split_clusters(
     clusters = sum(len(np.unique(window.labels[window.labels > 0])) for window in windows)
     counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
     return [Clusters(labels, one.solid & (labels > 0), parts, one.rows, one.columns)], counts
+
+
+def split_list(
+    xyz: Float32, windows: Sequence[Clusters], threshold: HeightThreshold, config: SplitConfig
+) -> tuple[list[Clusters], dict[str, int]]:
+    """Split clusters of a list of points (N, 3) that is no image: on an image of the points nearest to the camera.
+
+    Its pixels are so large that few are empty. Points that it does not show, as those of a second view, belong to the part
+    of the nearest point that it shows. Arguments and results are those of `split_clusters`, for a window of one row.
+    """
+    counts = dict.fromkeys(SPLIT_COUNTS, 0)
+    if config.angle_deg >= 180.0 or not windows:
+        return list(windows), counts
+    rows = np.flatnonzero(windows[0].labels[0])
+    points, clusters = xyz[rows], windows[0].labels[0, rows]
+    pitch, at = _filled_pixels(points[:, :2] / points[:, 2:])
+    order = np.argsort(-points[:, 2], kind="stable")
+    shown = np.full(at.max(axis=0) + 1, -1, np.int64)
+    shown[tuple(at[order].T)] = order  # the nearest point of each pixel is the last
+    image = np.where(shown[..., None] >= 0, points[shown], np.float32(np.nan))
+    labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
+    found, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, config)
+    if not counts["parts"]:
+        return list(windows), counts
+    parts, front = found[0].labels[tuple(at.T)], shown[tuple(at.T)]
+    hidden = (np.abs(points[:, 2] - points[front, 2]) > config.step_m) | (clusters != clusters[front]) | (parts == 0)
+    if hidden.any():
+        from scipy.spatial import cKDTree
+
+        parts[hidden] = parts[~hidden][cKDTree(points[~hidden]).query(points[hidden])[1]]
+    every = np.zeros((1, len(xyz)), np.int32)
+    every[0, rows] = parts
+    return [Clusters(every, every > 0, found[0].n_labels)], counts
+
+
+def _filled_pixels(place: Float32) -> tuple[float, Int64]:
+    """A pitch of pixels that few leave empty, and the (N, 2) row and column of points, by their (N, 2) place at a depth of 1."""
+    low, size, pitch = place.min(axis=0), float(np.ptp(place, axis=0).max()), _LEAST_PITCH
+    while True:
+        at = ((place - low) / pitch).astype(np.int64)[:, ::-1]
+        width = int(at[:, 1].max()) + 1
+        if size < 2.0 * pitch or len(place) >= _PER_PIXEL * len(np.unique(at[:, 0] * width + at[:, 1])):
+            return pitch, at
+        pitch *= 1.25
 
 
 def _in_one_window(windows: Sequence[Clusters]) -> Clusters:

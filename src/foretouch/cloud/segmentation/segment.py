@@ -22,7 +22,7 @@ from foretouch.cloud.segmentation.clusters import (
     pixel_pitch,
 )
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
-from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters
+from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.cloud.timing import timed
@@ -41,6 +41,7 @@ _MIN_POINTS = 100  # in range
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _HIGHEST_M = 0.6  # above the table: no object reaches it
 _LARGEST_LIST = 4_000_000  # points: two images of 1920x1080
+_CONNECTED = 0.8  # of the points of a list have another one in the next pixel, where it is processed as an image
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
 
@@ -134,6 +135,10 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
         return _segment(cloud, config, counts, ms)
     place = np.full(grid.height * grid.width, -1, np.intp)
     place[grid.row * grid.width + grid.column] = rows
+    if np.count_nonzero((place[1:] >= 0) & (place[:-1] >= 0)) < _CONNECTED * len(
+        rows
+    ):  # thinned: clusters would fall apart
+        return _segment(cloud, config, counts, ms)
     xyz = np.full((grid.height, grid.width, 3), np.nan, np.float32)
     xyz[grid.row, grid.column] = points
     status, reason, plane, found, image = _segment(Cloud(xyz), config, counts, ms)
@@ -188,9 +193,10 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
             windows, parts = split_clusters(xyz, windows, threshold, pixel_pitch(coarse) / stride, config.split)
-            counts |= parts
         else:
             windows = label_unorganised(xyz, config.crop, threshold)
+            windows, parts = split_list(xyz, windows, threshold, config.split)
+        counts |= parts
         if rays is not None:
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):

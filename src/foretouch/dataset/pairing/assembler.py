@@ -27,13 +27,13 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
-from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
 from foretouch.types import Cloud, Float32, Grasp, GraspSample
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
 _TACTILE_TIMEOUT_S: Final = 1.0
+_KEPT_MB: Final = 300.0  # of clouds, for grasps that are reported later
 _CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
 
 
@@ -42,7 +42,6 @@ class AssemblerConfig:
     """How samples are assembled."""
 
     pairing: PairingConfig = PairingConfig()
-    contact: ContactConfig = ContactConfig()
     object: str = ""  # label of the object on the table; "" becomes `unknown`
     note: str = ""  # for every sample
     unlabelled_s: float | None = None  # minimum time between two samples without a touch, by stamps of clouds [s]
@@ -70,7 +69,7 @@ class SampleAssembler:
         self.clouds_without_grasps = 0  # that left the buffer without a plan
         self._reader = reader
         self.readings = TouchBuffer(config.pairing.kept_s, channels=reader.channels)
-        self._episodes = ContactEpisodes(config.contact, reader.channels)
+        self._episodes = ContactEpisodes(reader.channels)
         self._health = SensorHealth(reader.channels)
         self._last_unlabelled_ns: int | None = None
         self._last_tactile_s = self._last_cloud_s = float("-inf")
@@ -83,12 +82,11 @@ class SampleAssembler:
     def reset_grasps(self) -> None:
         """Forget clouds and all grasps, planned or executed; tactile readings are kept."""
         pairing = self.config.pairing
-        self.clouds = CloudBuffer(pairing.kept_s, pairing.kept_mb)
+        self.clouds = CloudBuffer(pairing.kept_s, _KEPT_MB)
         self.matcher = GraspTouchMatcher(
             self.readings,
             self.clouds,
             pairing,
-            self.config.contact,
             assume=self.config.assume_grasps,
             successes_only=self.config.successes_only,
         )

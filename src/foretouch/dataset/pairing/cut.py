@@ -17,13 +17,14 @@ from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
 from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
-from foretouch.tactile.contact_detector import ContactConfig, contact_scores, find_contact
+from foretouch.tactile.contact_detector import contact_scores, find_contact
 from foretouch.tactile.readings import rest_of
 from foretouch.types import SECOND_NS, Bool, Float32, Int64, Touch, UInt8
 from foretouch.types.channels import Channels
 
 _FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
 _MIN_TARE_S = 0.1
+_HOLD_LEAST_S = 0.05  # shortest steady contact, without the margins
 _MIN_TARE_READINGS = 5
 
 
@@ -39,18 +40,12 @@ class PairingConfig(Settings):
     )
     clock_s: float = setting(0.25, "Difference of the clocks above which grasps are rejected", bounds=(0.001, 60.0))
     tare_s: float = setting(0.5, "Longest time over which the tare is taken", bounds=(0.01, 60.0))
-    hold_least_s: float = setting(0.05, "Shortest steady contact, without the margins", bounds=(0.0, 60.0))
-    settle_s: float = setting(
-        0.3, "Time from first to steady contact, where the contact detector gives the interval", bounds=(0.0, 60.0)
-    )
     kept_s: float = setting(
         60.0, "How long clouds, grasps and readings are kept for a grasp that is reported later", bounds=(1.0, 3600.0)
     )
-    kept_mb: float = setting(300.0, "Maximum memory of the cloud buffer", bounds=(1.0, 1e5))
     wait_s: float = setting(
         2.0, "How long a grasp waits for readings, clouds and labels that are still to come", bounds=(0.0, 60.0)
     )
-    label_wait_s: float = setting(0.0, "How long a complete grasp waits for its label", bounds=(0.0, 600.0))
 
 
 class PairingError(DatasetError):
@@ -91,11 +86,7 @@ class TouchCut:
 
 
 def cut_touch(
-    buffer: TouchBuffer,
-    interval: Interval,
-    config: PairingConfig,
-    contact: ContactConfig | None = None,
-    not_before_ns: int | None = None,
+    buffer: TouchBuffer, interval: Interval, config: PairingConfig, not_before_ns: int | None = None
 ) -> TouchCut:
     """Cut the touch of one grasp out of the stream.
 
@@ -103,7 +94,6 @@ def cut_touch(
         buffer: The readings.
         interval: When the grasp was executed.
         config: Settings.
-        contact: Settings of the contact detector.
         not_before_ns: End of the previous grasp; the tare begins after it.
 
     Raises:
@@ -114,7 +104,7 @@ def cut_touch(
     if not 0 < interval.start <= interval.contact < interval.release:
         raise PairingError("bad_interval", f"start, contact and release are not in this order: {interval}")
     low, high = interval.contact + guard, interval.release - guard
-    if high - low < _ns(config.hold_least_s):
+    if high - low < _ns(_HOLD_LEAST_S):
         length = _s(interval.release - interval.contact)
         raise PairingError("short_hold", f"{length} of contact is too short for the margins and the shortest contact")
     tare_end = interval.start - guard
@@ -126,14 +116,14 @@ def cut_touch(
     if not len(hold):
         raise PairingError("no_tactile", "no reading within the contact")
     channels = buffer.channels
-    _require_tare(rest, tare_end - tare_start, contact, channels)
+    _require_tare(rest, tare_end - tare_start, channels)
     error = max(_longest_gap_ns(hold, low, high), _longest_gap_ns(rest, tare_start, tare_end))
     if error > tolerance:
         raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
     clock = _clock_offset_ns(window, config)
     touch, tare = (Touch(np.median(part.counts, axis=0), channels) for part in (hold, rest))
     _require_working(window, touch, tare)
-    onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact, channels)
+    onsets = find_contact(window.stamps_ns, window.counts, rest.counts, channels)
     phases = np.full(len(window), REST, np.uint8)
     phases[window.stamps_ns >= interval.start] = APPROACH
     phases[window.stamps_ns >= interval.contact] = HOLD
@@ -169,11 +159,11 @@ def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
     return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
 
 
-def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | None, channels: Channels) -> None:
+def _require_tare(rest: TouchWindow, length_ns: int, channels: Channels) -> None:
     if length_ns < _ns(_MIN_TARE_S) or len(rest) < _MIN_TARE_READINGS:
         raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
     half = len(rest) // 2
-    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], contact, channels), axis=0) > 1.0).any():
+    if (np.median(contact_scores(rest.counts[half:], rest.counts[:half], channels), axis=0) > 1.0).any():
         raise PairingError("restless_tare", "something was touched before the grasp")
 
 

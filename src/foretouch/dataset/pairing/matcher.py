@@ -14,11 +14,11 @@ from typing import Any, NamedTuple, Self
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
 from foretouch.dataset.record import Outcome
-from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import SECOND_NS
 
 _MAX_PLANS = 10_000
+_SETTLE_S = 0.3  # from first to steady contact, where the contact detector gives the interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,6 @@ class GraspTouchMatcher:
         buffer: TouchBuffer,
         clouds: CloudBuffer,
         config: PairingConfig,
-        contact: ContactConfig | None = None,
         *,
         assume: bool = False,
         successes_only: bool = False,
@@ -105,7 +104,6 @@ class GraspTouchMatcher:
         self.config = config
         self._buffer = buffer
         self._clouds = clouds
-        self._contact = contact
         self._assume = assume
         self._successes_only = successes_only
         self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()  # by the stamp of their cloud [ns], until forgotten
@@ -209,7 +207,7 @@ class GraspTouchMatcher:
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
                 flags = ("detected_interval", "assumed_grasp")
             if name is not None:
-                contact = min(episode.contact + round(self.config.settle_s * SECOND_NS), episode.release - 1)
+                contact = min(episode.contact + round(_SETTLE_S * SECOND_NS), episode.release - 1)
                 interval = replace(episode, contact=contact)
                 self.add_executed(ExecutedGrasp(grasp_id=name, interval=interval, flags=flags), now_s)
             elif now_s - since_s < self.config.kept_s:
@@ -217,8 +215,6 @@ class GraspTouchMatcher:
 
     def _is_ready(self, one: _Pending, now_s: float) -> bool:
         waited = now_s - one.since_s
-        if one.label is None and waited < self.config.label_wait_s:
-            return False
         interval = one.executed.interval
         if waited >= self.config.wait_s or interval is None:
             return True
@@ -266,5 +262,5 @@ class GraspTouchMatcher:
                 text = f"grasp {other} was reported for that time already"
                 raise PairingError("told_twice" if other == name else "overlap", text)
         ends = [before.release for _, before in intervals if before.release <= interval.start]
-        cut = cut_touch(self._buffer, interval, self.config, self._contact, max(ends, default=None))
+        cut = cut_touch(self._buffer, interval, self.config, max(ends, default=None))
         return MatchedGrasp(plan, cloud, cut, executed, one.label)

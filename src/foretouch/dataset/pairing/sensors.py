@@ -5,7 +5,7 @@ import numpy as np
 
 from foretouch.dataset.pairing.cut import Interval, may_freeze
 from foretouch.tactile import BIOTAC, touch_faults
-from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
+from foretouch.tactile.contact_detector import ContactDetector
 from foretouch.types import Float32, Touch
 from foretouch.types.channels import Channels
 
@@ -18,8 +18,8 @@ _FROZEN_SAMPLES = 200  # the same noisy values over and over: the driver repeats
 class ContactEpisodes:
     """Finds episodes in which both fingers are in contact. Not thread-safe."""
 
-    def __init__(self, config: ContactConfig | None = None, channels: Channels = BIOTAC) -> None:
-        self._detector = ContactDetector(config, channels)
+    def __init__(self, channels: Channels = BIOTAC) -> None:
+        self._detector = ContactDetector(channels)
         self._onset: dict[str, int] = {}
         self._holding = False
 

@@ -19,7 +19,7 @@ from typing import BinaryIO
 
 from mcap.records import Metadata
 
-from foretouch.dataset.files import disk_errors, new_folder, sync_folder
+from foretouch.dataset.files import new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.folder import opened_to_write, read_listed, session_files, write_listed
 from foretouch.dataset.recording.records import (
@@ -35,7 +35,7 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import ABOUT
 from foretouch.errors import FileError
-from foretouch.files import FileBytes
+from foretouch.files import FileBytes, system_errors
 from foretouch.tactile.description import Sensor
 
 SESSIONS = "sessions"
@@ -85,7 +85,7 @@ def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity,
     Returns:
         The dataset: its name is that of `file`'s folder, or that name with a number.
     """
-    with disk_errors(folder):
+    with system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     name = file.parent.absolute().name
     names = (name if number == 1 else f"{name}-{number}" for number in count(1))
@@ -98,7 +98,7 @@ def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity,
             os.fsync(copy.fileno())
         list_sessions(part)
         sync_folder(part)
-    with disk_errors(folder):
+    with system_errors(folder):
         sync_folder(folder)
     return path
 

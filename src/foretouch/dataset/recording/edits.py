@@ -20,18 +20,27 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
-from foretouch.dataset.files import disk_errors, require_version, sync_folder
+from foretouch.dataset.files import require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import TEXT_LIMIT, free_name, open_own, parse_json, read_bytes, require_schema
+from foretouch.files import (
+    COUNT,
+    TEXT_LIMIT,
+    free_name,
+    open_own,
+    parse_json,
+    read_bytes,
+    require_schema,
+    system_errors,
+)
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
 _FIRST: Final = ("relabel", "drop", "undo")  # in version 1
 _ACTIONS: Final = (*_FIRST, "outcome", "note", "object", "pause")
 _VERSION: Final = 2
-_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": int}
+_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": COUNT}
 _ADDED: Final = {"text": "", "stamp_ns": 0}  # left out of a line where they are these
 
 
@@ -135,7 +144,7 @@ def append_edit(path: Path, edit: Edit) -> int:
             del body[name]
     digest = _digest(digest, body)
     line = (json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n").encode()
-    with disk_errors(file):
+    with system_errors(file):
         with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab", buffering=0) as log:
             log.truncate(size)  # remove a line that a crash cut off
             try:
@@ -161,7 +170,7 @@ def forget_edits(path: Path) -> str:
         try:
             _list(path, _read(file)[1])
         except FileError:
-            with disk_errors(file):
+            with system_errors(file):
                 file.rename(free_name(file, "before-repair"))
             _list(path, [])
     return lost
@@ -216,7 +225,7 @@ def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
     if content["action"] not in _ACTIONS:
         raise DatasetError(f"action {content['action']!r} is not one of {', '.join(_ACTIONS)}")
     added = {**_ADDED, **{name: content[name] for name in _ADDED if name in content}}
-    require_schema(file, added, {"text": str, "stamp_ns": int}, f"line {known + 1}")
+    require_schema(file, added, {"text": str, "stamp_ns": COUNT}, f"line {known + 1}")
     edit = Edit(**{name: content[name] for name in ("action", "object", "edit")}, ids=tuple(content["ids"]), **added)
     if edit.action in ("relabel", "object") or (edit.action == "undo" and edit.ids):
         check_name(edit.object, "object")

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.dataset.files import disk_errors, read_manifest, sealed, sync_folder
+from foretouch.dataset.files import read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
-from foretouch.files import open_own, open_regular, replace_files, require_schema
+from foretouch.files import open_own, open_regular, replace_files, require_schema, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in, with_sensor
 
@@ -107,7 +107,7 @@ def recorded_sensor(path: Path) -> Sensor:
 def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None) -> Iterator[None]:
     """Lock a dataset of this hand, camera and sensor for writing (see `lock`); it is created if it does not exist."""
     sensor = sensor or BIOTAC_SP
-    with disk_errors(path):  # such as a name that is too long
+    with system_errors(path):  # such as a name that is too long
         is_other = path.exists() and not (path / _MANIFEST).exists()
         # A process that is killed before it has written the manifest leaves these two.
         if is_other and not (path.is_dir() and all(entry.name in {_LOCK, _PART} for entry in path.iterdir())):
@@ -152,7 +152,7 @@ def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:
 def _write_manifest(path: Path, content: Mapping[str, Any]) -> None:
     """Write the manifest, which appears complete or not at all."""
     replace_files({path / _MANIFEST: sealed(content, _SEAL).encode()})
-    with disk_errors(path / _MANIFEST):
+    with system_errors(path / _MANIFEST):
         sync_folder(path)
 
 

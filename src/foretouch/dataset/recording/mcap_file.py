@@ -21,8 +21,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from foretouch import __version__
-from foretouch.dataset.files import disk_errors
 from foretouch.errors import DatasetError, FileError
+from foretouch.files import system_errors
 
 LIBRARY: Final = f"foretouch {__version__}"
 
@@ -59,7 +59,7 @@ class McapFile:
         self.path = Path(path)
         self.types: dict[str, str] = {}  # of the messages, by declared topic
         self.size = 0  # so far [bytes]
-        with disk_errors(self.path):
+        with system_errors(self.path):
             self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         self._parts: list[bytes] = []  # made by the writer, and not in the file yet
         self._schemas: dict[str, int] = {}
@@ -112,20 +112,20 @@ class McapFile:
         """Space on the disk that holds the open file, for this user [bytes]; 0 once it is closed."""
         if self._fd < 0:
             return 0
-        with disk_errors(self.path):
+        with system_errors(self.path):
             space = os.fstatvfs(self._fd)
         return space.f_bavail * space.f_frsize
 
     def reopen(self) -> BinaryIO:
         """The open file at its start, for reading, even if it was removed; stays open after `finish`."""
-        with disk_errors(self.path):
+        with system_errors(self.path):
             file = os.fdopen(os.dup(self._fd), "rb")
         file.seek(0)
         return file
 
     def sync(self) -> None:
         """Wait until everything written is on the disk; if this fails, the content of the disk is unknown."""
-        with disk_errors(self.path, "cannot be synchronised"):
+        with system_errors(self.path, "cannot be synchronised"):
             os.fdatasync(self._fd)
 
     def finish(self) -> None:
@@ -167,7 +167,7 @@ class McapFile:
         self._parts.clear()
         rest = memoryview(content)
         try:
-            with disk_errors(self.path):
+            with system_errors(self.path):
                 while rest:
                     rest = rest[os.write(self._fd, rest) :]
         except FileError:
@@ -181,7 +181,7 @@ class McapFile:
 
     def _repeat(self) -> None:
         """Pass the file to a new writer, since the index of the old one holds what could not be written."""
-        with disk_errors(self.path), self.reopen() as file, suppress(EndOfFile):
+        with system_errors(self.path), self.reopen() as file, suppress(EndOfFile):
             self.size = 0
             self._writer = self._new_writer()
             for record in StreamReader(file, emit_chunks=True).records:

@@ -26,7 +26,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPES
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import FileBytes, parse_json
+from foretouch.files import COUNT, FileBytes, parse_json, require_schema
 
 MAGIC: Final[bytes] = MCAP0_MAGIC
 
@@ -228,6 +228,9 @@ def _content(data: FileBytes | bytes, opcode: int, start: int, end: int) -> Any:
     return content if stream.count == end - start else f"extra bytes after a {name}"
 
 
+_COUNTED: Final = ("received", "written", "lost")
+
+
 @dataclass
 class TopicCounts:
     """Counts of one topic."""
@@ -285,9 +288,10 @@ class MessageCounts:
         for name, text in mapping.items():
             try:
                 counts = parse_json(text)
-                dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
-                received, written, lost = (int(counts[key]) for key in ("received", "written", "lost"))
-            except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as err:
+                require_schema("", counts, {**dict.fromkeys(_COUNTED, COUNT), "dropped": {"*": COUNT}})
+                received, written, lost = (counts[key] for key in _COUNTED)
+                dropped = Counter(counts["dropped"])
+            except (ValueError, FileError) as err:
                 raise DatasetError(f"message counts: {name}: {text[:80]!r} holds no counts") from err
             result.topics[name] = TopicCounts(received, written, dropped, lost)
         return result

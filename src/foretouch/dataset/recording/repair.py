@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repairs an unfinished or damaged recording, and keeps the original.
 
-Everything that can be verified is kept: every chunk with a valid checksum, and every sample with a valid checksum in a
-damaged part. Losses are reported with their offsets. The repaired file replaces the original in one step, and the
-original is kept beside it as `<name>.before-repair`.
+Every chunk with a valid checksum is kept, and each sample has a chunk of its own. Losses are reported with their offsets.
+The repaired file replaces the original in one step, and the original is kept beside it as `<name>.before-repair`.
 """
 
 import os
-import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +14,7 @@ from typing import Final
 
 from mcap.records import Message
 
-from foretouch.dataset.files import disk_errors, sync_folder
+from foretouch.dataset.files import sync_folder
 from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
 from foretouch.dataset.recording.folder import lock, recorded_files
@@ -41,19 +39,13 @@ from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TYPE,
     StoredSample,
     decode_sample,
-    id_in,
     sample_types,
 )
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import DatasetError, FileError, VersionError
-from foretouch.files import FileBytes, free_name
+from foretouch.files import FileBytes, free_name, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
-_HEAD: Final = 31  # bytes of a message record before its CDR
-_LARGEST: Final = 256_000_000  # bytes of a sample; an image of 1280 x 720 points has 15 million
-_TRIED: Final = 8  # times the bytes of a damaged part that are hashed in search of samples
-_MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4}.{22}\x00\x01\x00\x00)", re.DOTALL)  # up to the CDR's header
-_BEGINNING: Final = 4096  # of `HEAD_SIZE`, enough for any id in use: it is read at each possible start
 
 
 @dataclass(eq=False)
@@ -100,7 +92,7 @@ def _replaced_sessions(path: Path) -> list[RepairReport]:
             if file not in listed or not verify_file(file).clean:
                 continue  # it was added, or is damaged and what remains is saved
             report.original = free_name(file, "before-repair")
-            with disk_errors(file, "cannot be renamed"):
+            with system_errors(file, "cannot be renamed"):
                 file.rename(report.original)
         reports.append(report)
     return reports
@@ -131,7 +123,7 @@ def _repair_file(path: Path) -> RepairReport:
 def _replace(path: Path, repaired: Path) -> Path:
     """Replace the original by the repaired file; the original gets its second name before it loses the first."""
     kept = free_name(path, "before-repair")
-    with disk_errors(path, "cannot be replaced"):
+    with system_errors(path, "cannot be replaced"):
         try:
             os.link(path, kept)
         except OSError:
@@ -212,57 +204,18 @@ class _Repair:
 
 
 def salvaged(data: FileBytes, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:
-    """From offset `start` on, the messages of intact chunks, the samples in damaged parts, and the damage itself."""
+    """From offset `start` on, the messages of intact chunks, and the damage."""
     for item in walk_on(data, start):
         if isinstance(item, Damage):
             yield item
-            yield from _samples_in(data, item.offset, next_chunk(data, item.offset + 1))
-        elif isinstance(chunk := item.content, Chunk) and chunk.intact(data):
+        elif isinstance(chunk := item.content, Chunk) and not chunk.intact(data):
+            yield Damage(item.offset, "damaged: a chunk that does not match its checksum")
+        elif isinstance(chunk, Chunk):
             for inner in walk(data, chunk.start, chunk.end, IN_CHUNK):
                 if isinstance(inner, Damage):
                     yield inner
                 elif isinstance(inner.content, RecordedMessage):
                     yield inner.content
-        elif isinstance(chunk, Chunk):
-            yield Damage(item.offset, "damaged: a chunk that does not match its checksum")
-            yield from _samples_in(data, chunk.start, chunk.end)
-
-
-def _samples_in(data: FileBytes, start: int, end: int) -> Iterator[RecordedMessage]:
-    """The intact samples between two offsets, verified by their own checksums, as messages of channel 0."""
-    at, left = start, _TRIED * (end - start) + _CHUNK_BYTES
-    for head, stop in _message_heads(data, start, end):
-        if head < at or not _begins_sample(data, head + _HEAD):
-            continue
-        for last in sorted({stop, end}):
-            one = RecordedMessage(0, 0, 0, 0, head + _HEAD, last)
-            if not head < last <= min(end, head + _LARGEST, head + left):
-                continue
-            left -= last - head
-            if (stored := readable(data, one)) is not None:
-                stamp_ns = stored.record.sample.stamp_ns
-                yield one._replace(log_time_ns=stamp_ns, publish_time_ns=stamp_ns)
-                at = last
-                break
-
-
-def _begins_sample(data: FileBytes, start: int) -> bool:
-    """Whether the bytes from an offset on may be a sample, by its id."""
-    try:
-        object_name, _, number = id_in(data[start : start + _BEGINNING]).partition("/")
-    except ValueError:
-        return False
-    return bool(object_name and number)
-
-
-def _message_heads(data: FileBytes, start: int, end: int) -> list[tuple[int, int]]:
-    """Possible start and end offsets of messages: from the records before the damage, and from byte patterns."""
-    heads: dict[int, int] = {}
-    for at in data.find_all(_MESSAGE_START, 40, start, end):
-        heads[at] = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-    for record in walk(data, start, end, IN_CHUNK):
-        heads[record.offset] = end if isinstance(record, Damage) else record.end
-    return sorted(heads.items())
 
 
 def readable(data: FileBytes, message: RecordedMessage) -> StoredSample | None:

@@ -37,6 +37,7 @@ from foretouch.errors import DatasetError, ForetouchError, VersionError, describ
 from foretouch.files import parse_json
 from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, GraspSample, Touch
@@ -58,7 +59,8 @@ _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
 OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _OLD_TYPE: Final = f"{SAMPLE_TYPE}1"  # version 1
-_FINITE: Final = ("touch", "tare", "series", "others", "extra_values")
+_READINGS: Final = ("touch", "tare", "series")
+_FINITE: Final = (*_READINGS, "others", "extra_values")
 
 
 class StoredSample(NamedTuple):
@@ -124,7 +126,13 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
     for name in _FINITE:
-        if not np.isfinite(getattr(message, name, 0.0)).all():
+        values = np.asarray(getattr(message, name, 0.0))
+        read = name in _READINGS and values.size
+        if not (
+            is_storable(values.reshape(-1, sensor.channels.size), sensor.channels)
+            if read
+            else np.isfinite(values).all()
+        ):
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
     body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()

@@ -68,14 +68,16 @@ class RecordingConfig(Settings):
 
     fsync_samples: int = setting(
         1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a "
-        "minute", minimum=0,
+        "minute", bounds=(0, 1_000_000),
     )  # fmt: skip
     fsync_s: float = setting(
-        5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", minimum=0.0
+        5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", bounds=(0.0, 3600.0)
     )
-    chunk_s: float = setting(0.5, "Longest time that messages are collected before they are written", minimum=0.0)
-    min_free_mb: float = setting(500.0, "Free disk space at which the recording ends", minimum=0.0)
-    accounts_s: float = setting(5.0, "Time between message counts in the file", minimum=0.1)
+    chunk_s: float = setting(
+        0.5, "Longest time that messages are collected before they are written", bounds=(0.0, 3600.0)
+    )
+    min_free_mb: float = setting(500.0, "Free disk space at which the recording ends", bounds=(0.0, 1e9))
+    accounts_s: float = setting(5.0, "Time between message counts in the file", bounds=(0.1, 3600.0))
 
 
 class RecordingWriter:

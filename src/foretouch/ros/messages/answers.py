@@ -13,12 +13,12 @@ from std_msgs.msg import Header
 
 from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields
 from foretouch.tactile.description import Sensor
-from foretouch.types import Evidence, Float32, Float64, Grasp, Index, TouchPrediction, TouchPredictions
+from foretouch.types import Evidence, Float32, Float64, Grasp, Index, TouchPrediction, TouchPredictions, prediction_rows
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatch
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
-_ENDS = {"value": ("values", "scalars"), "lower": ("lower", "scalars_lower"), "upper": ("upper", "scalars_upper")}
+_ENDS = (("values", "scalars"), ("lower", "scalars_lower"), ("upper", "scalars_upper"))  # of `prediction_rows`
 
 
 class Refusal(NamedTuple):
@@ -122,17 +122,10 @@ class TouchAnswer:
         """(K, F N C) and (K, F S) float32 by field: values, scalars and their bounds; NaN where there is none."""
         if self.sensor is None or not self.outcomes:
             return {}
-        shape = (len(self.outcomes), self.sensor.channels.size)
-        if isinstance(self.outcomes, TouchPredictions):
-            rows = np.array([self.outcomes.values, *(self.outcomes.bounds or [np.full(shape, np.nan)] * 2)])
-        else:
-            none = np.full(shape[1], np.nan)
-            touches = [getattr(one, end, None) for end in _ENDS for one in self.outcomes]
-            rows = np.concatenate([none if touch is None else touch.values for touch in touches])
         with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
-            table = rows.astype(np.float32).reshape(len(_ENDS), *shape)
+            table = prediction_rows(self.outcomes, self.sensor.channels.size).astype(np.float32)
         taxels, scalars = (table[..., columns] for columns in _columns(self.sensor))
-        ends = zip(_ENDS.values(), taxels, scalars, strict=True)
+        ends = zip(_ENDS, taxels, scalars, strict=True)
         return {name: part for names, *parts in ends for name, part in zip(names, parts, strict=True)}
 
 

@@ -85,7 +85,7 @@ def touch_markers(
         markers.append(arrow)
     ends = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
     for k, contact in enumerate(ends):
-        markers.append(_taxels(header, view, k, grasp, contact, view.shares(value, rest, ranges, k)))
+        markers.append(_taxels(header, view, k, grasp, contact, view.shares(value.values, rest, ranges, k)))
     above = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
     based = evidence_text(prediction.reference, prediction.evidence.touches, prediction.evidence.readings)
     text = "\n".join([f"{_scalars(view, value, prediction)}({based})", *prediction.flags])

@@ -109,7 +109,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self.synthetic = None
 
     def _config_changed(self, config: CameraNodeConfig) -> None:
-        """Apply new filters, timeouts and message faults while it streams."""
+        """Apply new timeouts and message faults while it streams."""
         if self._faults is not None:
             self._faults.config = config.faults
         if (camera := self._camera) is not None:

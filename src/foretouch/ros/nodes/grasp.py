@@ -2,7 +2,7 @@
 """`object_cloud` + `table` -> `grasps`: where two fingers can grasp each target."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
@@ -18,6 +18,9 @@ from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch_msgs.msg import GraspArray, TablePlane
 
+HOLD_TOLERANCE_M: Final = 0.005
+"""Change of position or size that makes it another object, whose grasp is not kept."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
@@ -31,9 +34,6 @@ class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
         "The last grasp of an object is kept until another is better by this score on three clouds in a row; "
         "0 disables it, as grasp.method original",
         bounds=(0.0, 1000.0),
-    )
-    grasp_hold_tolerance_m: float = setting(
-        0.005, "Change of position or size that makes it another object", bounds=(0.0, 1.0)
     )
 
 
@@ -65,7 +65,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     def _config_changed(self, config: GraspNodeConfig) -> None:
         self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, hand=config.hand, limits=config.limits))
         holds = config.grasp_hold > 0.0 and config.grasp.method == "completed"
-        self._held = GraspHold(config.grasp_hold_tolerance_m) if holds else None
+        self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
 
     def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         transform = self._frame.transform(header) if self._frame else None

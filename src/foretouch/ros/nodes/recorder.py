@@ -37,7 +37,6 @@ from foretouch.ros.recorder.subscriptions import (
     viewer_topics,
 )
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch_msgs.msg import RecorderStatus
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
@@ -53,6 +52,12 @@ class IdentityConfig(Settings, read_only=True):
     hand_serial: str = setting("", "Serial number of the hand")
     camera: str = setting("realsense", "Model of the camera")
     camera_serial: str = setting("", "Serial number of the camera")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("hand", "camera"):
+            if not getattr(self, name).strip():
+                raise ConfigError(f"{name}: is empty; a dataset names the model of its {name}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +91,6 @@ class RecorderConfig(NodeConfig, TactileInput):
     queue_mb: int = setting(500, "Memory for messages that wait for the disk", bounds=(10, 100_000), read_only=True)
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
-    contact: ContactConfig = field(default_factory=ContactConfig)
     writing: RecordingConfig = field(default_factory=RecordingConfig)
 
 
@@ -251,7 +255,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             writer.add_topic(name, one.topic.type_name)
         assembling = AssemblerConfig(
             pairing=config.pairing,
-            contact=config.contact,
             object=label,
             note=note,
             unlabelled_s=config.unlabelled_s if config.unlabelled else None,

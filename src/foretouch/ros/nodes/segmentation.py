@@ -14,6 +14,7 @@ from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.dataset.topics import CLOUD_TOPIC
+from foretouch.grasp import HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
 from foretouch.ros.messages.clouds import TargetCloud, object_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
@@ -30,6 +31,7 @@ class SegmentationNodeConfig(ProcessingConfig):
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
+    hand: HandConfig = HandConfig()  # with which `target.mode` free plans grasps; as that of the grasp node
     frames: tuple[str, ...] = setting((), "Accepted frames of the clouds; if empty, every frame that has a name")
 
 
@@ -51,7 +53,9 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         super()._setup()
 
     def _config_changed(self, config: SegmentationNodeConfig) -> None:
-        self._pipeline = Pipeline(PipelineConfig(segmentation=config.segmentation, target=config.target))
+        self._pipeline = Pipeline(
+            PipelineConfig(segmentation=config.segmentation, target=config.target, hand=config.hand)
+        )
         self._identity = ObjectIdentity()
         self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
         self._frames: dict[str, float] = {}  # when a cloud in each frame came last (`time.monotonic`) [s]

@@ -25,6 +25,7 @@ from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import PointCloud2
@@ -36,8 +37,8 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import TactileError, quoted
 from foretouch.grasp import GeoGraspConfig
-from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import FoundObject
+from foretouch.report.equal_pressure import predicted_pressures, scale_of
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
@@ -71,10 +72,9 @@ from foretouch.ros.touch.grasp_actions import (
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME, Float64, Touch
+from foretouch.types import ASSUMED_TABLE, UNKNOWN_FRAME
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -246,16 +246,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         first, model = answer.outcomes[0], _configured(self._predictor).model
         markers = MarkerArray()
         if model is not None and not isinstance(first, Refusal):
-            rest, ranges = self._scale(model)
+            rest, ranges = scale_of(model)
             shown, view = replace(first, flags=(*first.flags, *answer.flags)), TaxelView(model.sensor)
             first_at_g1 = self.config.thumb_takes_g1
             markers = touch_markers(shown, answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
         self._markers.publish(markers if transform is None else transform.markers(markers))
-
-    def _scale(self, model: TouchModel) -> tuple[Touch | None, Ranges]:
-        """The reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
-        rest = None if model.calibration is None else Touch(model.calibration.rest, model.sensor.channels)
-        return rest, self.config.ranges.ranges if model.sensor.is_biotac else model.ranges
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
@@ -447,14 +442,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _predict_candidates(self, target: FoundObject, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
-        predictor = _configured(self._predictor)
-        pressed = [None if isinstance(one, Refusal) else self._pressures(one.value) for one in message.outcomes]
-        return list(zip(predictor.end(message, answer).predictions, pressed, strict=True))
-
-    def _pressures(self, touch: Touch | None) -> Float64 | None:
-        """How hard each finger presses in a prediction of the model."""
-        model = _configured(self._predictor).model
-        return None if touch is None or model is None else TaxelView(model.sensor).pressures(touch, *self._scale(model))
+        predictor, pressed = _configured(self._predictor), np.full((3, len(grasps), 1), np.nan)
+        if (model := predictor.model) is not None:
+            pressed = predicted_pressures(message.outcomes, model)
+        return list(zip(predictor.end(message, answer).predictions, pressed.swapaxes(0, 1), strict=True))
 
 
 def _aborted(failure: Callable[[RefusalError], Any], arguments: tuple[Any, ...], reason: str) -> Any:

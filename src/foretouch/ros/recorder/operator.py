@@ -93,10 +93,10 @@ class Operator:
             self._tared |= rested_s is not None and now_s - max(rested_s, since_s) >= TARE_S
             found = edited({**self._earlier, **self._grasps}, self._log)
             visited = sum(found[recorded].counts for recorded in self._touched[before:])
-            grasps, label = list(found.values()), self._object
-            steps = suggest(grasps, self._plan, label, visited, tared=self._tared)
+            grasps, label = count_outcomes(found.values(), self._plan), self._object
             self._known = known
-            self._state = OperatorState(label, bool(self.paused), count_outcomes(grasps, self._plan), steps)
+            steps = suggest(grasps, label, visited, tared=self._tared)
+            self._state = OperatorState(label, bool(self.paused), grasps, steps)
         return replace(self._state, replies=tuple(self._replies))
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:

@@ -18,7 +18,6 @@ from functools import cached_property, partial
 from importlib import import_module
 from typing import Any, Final
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
@@ -31,6 +30,7 @@ from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
+from foretouch.ros.runtime.executor import InputGroup
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
 _RECENT = 100  # messages that the offset of a clock is determined from
@@ -112,7 +112,6 @@ class SerializedInput:
         self._forward, self._mismatch = receive, mismatch
         override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
         self._overridden = override in getattr(node, "_parameter_overrides", {})
-        self._group = MutuallyExclusiveCallbackGroup()
         self._subscription = self._subscribe()
 
     def adapt(self) -> bool:
@@ -147,7 +146,7 @@ class SerializedInput:
             self.topic.name,
             self._receive,
             profile,
-            callback_group=self._group,
+            callback_group=InputGroup(),
             qos_overriding_options=QoSOverridingOptions(overridden),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=self._report_mismatch,

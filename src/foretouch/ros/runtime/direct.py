@@ -4,39 +4,35 @@
 The subscription stays, for publishers of other processes and so that tools show the graph as it is. A publisher of this
 process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers, or keeps its
 last messages for late ones.
-The subscriptions recognise such messages by the id of their publisher and leave them. rclpy passes that id since Kilted: on
-Jazzy nothing is handed over.
+The subscriptions recognise the copies that then come through the middleware by their stamp and frame, and leave out as many as
+were handed over. So messages without a header are not handed over.
 """
 
 import threading
 import weakref
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any, Final
 
-from rclpy import subscription as rclpy_subscription
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, qos_check_compatible
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.runtime.workers import WorkerThread
 
-SUPPORTED: Final = hasattr(rclpy_subscription, "MessageInfo")
-"""Whether rclpy passes the publisher of a message."""
-
-ID_BYTES = 16  # of a publisher; some versions of ROS pad them
+_COPIES: Final = 1000  # at most, on their way to a subscription: more than its queue holds
 
 
-class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not generic before Kilted
+class DirectPublisher(LifecyclePublisher):
     """A publisher that knows the subscriptions of its process."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self.receivers: tuple[Callable[[Any], None], ...] = ()  # called with each message; empty without hand-over
-        self.id = b""  # as subscribers see it; empty if the middleware has none
+        self.receivers: tuple[DirectInput, ...] = ()  # given each message; empty without hand-over
         # Whether a late subscriber gets the last messages.
         self.keeps = self.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
@@ -46,7 +42,7 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
         return self.keeps or bool(self.get_subscription_count())
 
     def publish(self, message: Any) -> None:
-        """Publish a message, a `TargetCloud` or a serialised message while the node is active.
+        """Publish a message or a `TargetCloud` while the node is active; without hand-over also a serialised message.
 
         Nothing is serialised for subscriptions of this process alone, unless it is kept for late ones.
         """
@@ -54,11 +50,11 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
             return
         receivers = self.receivers
         if not receivers or self.keeps or self.get_subscription_count() > len(receivers):
+            for one in receivers:
+                one.expect_copy(message)
             super().publish(message.message if isinstance(message, TargetCloud) else message)
-        if receivers and isinstance(message, bytes):
-            message = deserialize_message(message, self.msg_type)
-        for receive in receivers:
-            receive(message)
+        for one in receivers:
+            one.receive(message)
 
 
 @dataclass(eq=False)
@@ -67,18 +63,34 @@ class DirectInput:
 
     subscription: "Subscription[Any]"
     receive: Callable[[Any], None]  # called with each message, in the thread of the publisher
-    ids: frozenset[bytes] = frozenset()  # of the publishers that call it or did: what they have sent may be on its way
+    _copies: deque[tuple[int, int, str]] = field(default_factory=lambda: deque(maxlen=_COPIES))
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def has_received(self, info: Any) -> bool:
-        """Whether a message from the middleware was handed over; `info` is what rclpy passes beside the message."""
-        publisher = info.get("publisher_gid")
-        return publisher is not None and publisher["data"][:ID_BYTES] in self.ids
+    def expect_copy(self, message: Any) -> None:
+        """Call this before a message that is handed over is also sent through the middleware."""
+        with self._lock:
+            self._copies.append(_key(message))
+
+    def is_copy(self, message: Any) -> bool:
+        """Whether a message from the middleware is the copy of one that is handed over; True once for each."""
+        if not self._copies:
+            return False
+        with self._lock, suppress(ValueError):
+            self._copies.remove(_key(message))
+            return True
+        return False
+
+
+def _key(message: Any) -> tuple[int, int, str]:
+    """What a message and its copy have in common."""
+    header = message.header
+    return header.stamp.sec, header.stamp.nanosec, header.frame_id
 
 
 def _matches(publisher: DirectPublisher, one: "Subscription[Any]") -> bool:
     """Whether the middleware would deliver the messages."""
     return (
-        bool(publisher.id)
+        "header" in publisher.msg_type.get_fields_and_field_types()
         and (publisher.topic_name, publisher.msg_type) == (one.topic_name, one.msg_type)
         and qos_check_compatible(publisher.qos_profile, one.qos_profile)[0] != QoSCompatibility.ERROR
     )
@@ -114,9 +126,7 @@ class _DirectTopics:
 
     def _connect(self) -> None:
         for publisher in self._publishers:
-            publisher.receivers = tuple(one.receive for one in self._inputs if _matches(publisher, one.subscription))
-        for one in self._inputs:
-            one.ids |= {publisher.id for publisher in self._publishers if _matches(publisher, one.subscription)}
+            publisher.receivers = tuple(one for one in self._inputs if _matches(publisher, one.subscription))
 
 
 _of_context: weakref.WeakKeyDictionary[Context, _DirectTopics] = weakref.WeakKeyDictionary()

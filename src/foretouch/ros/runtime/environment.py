@@ -14,7 +14,7 @@ from tempfile import mkdtemp
 from foretouch.errors import ConfigError
 from foretouch.interrupts import uninterrupted
 from foretouch.processes import ONE_THREAD
-from foretouch.ros.runtime.shared_memory import stale_bytes
+from foretouch.ros.runtime.shared_memory import large_clouds, stale_bytes
 
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 """Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""
@@ -45,11 +45,15 @@ def profile_variable() -> str:
 
 
 def start_rclpy(arguments: Sequence[str]) -> None:
-    """Prepare the environment and call `rclpy.init`, without signal handlers; a `ConfigError` if an argument is malformed."""
+    """Prepare the environment and call `rclpy.init`, without signal handlers; a `ConfigError` if an argument is malformed.
+
+    Where large clouds may be lost between processes, a warning says so once.
+    """
     prepare_environment()
     stale_bytes(free=True)
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+    from rclpy.logging import get_logger
     from rclpy.signals import SignalHandlerOptions
 
     with uninterrupted():
@@ -60,6 +64,9 @@ def start_rclpy(arguments: Sequence[str]) -> None:
             rclpy.try_shutdown()
             rule = "unknown: " if isinstance(err, UnknownROSArgsError) else ""
             raise ConfigError(f"ROS arguments: {rule}{' '.join(str(err).split())}") from err
+        text, pass_on = large_clouds(rclpy.utilities.get_rmw_implementation_identifier())
+        if not pass_on:
+            get_logger("foretouch").warning(f"{text}; foretouch doctor names a fix")
 
 
 def _name_log_folder() -> None:

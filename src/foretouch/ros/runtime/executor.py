@@ -146,8 +146,7 @@ class _Inputs:
             with suppress(InvalidHandle):
                 taken = take(one)
                 if taken is not None:
-                    callback: Any = one.callback  # of a message and what is known of it
-                    callback(*taken)
+                    one.callback(*taken)  # with a message and what is known of it
 
     def _find(self) -> None:
         with self._lock:
@@ -155,20 +154,19 @@ class _Inputs:
         if nodes is not None:
             self._subscriptions = [one for node in nodes for one in node.subscriptions if _is_input(one)]
             self._events = [one for node in nodes for one in node.waitables if _is_input(one)]
-            context: Any = self._context.handle
-            self._wait_set = _rclpy.WaitSet(len(self._subscriptions), 1, 0, 0, 0, len(self._events), context)
+            counts = len(self._subscriptions), 1, 0, 0, 0, len(self._events)
+            self._wait_set = _rclpy.WaitSet(*counts, self._context.handle)
 
     def _wait(self) -> "tuple[list[Subscription[Any]], list[Any]]":
         """The inputs that have a message, and events that have happened."""
         guard, wait_set = self._guard, self._wait_set
         if guard is None:
             return [], []
-        context: Any = self._context.handle
         with ExitStack() as used:  # until the end, nothing of it is destroyed
             inputs: dict[int, Subscription[Any]] = {}
             events = []
             wait_set.clear_entities()
-            used.enter_context(context)
+            used.enter_context(self._context.handle)
             used.enter_context(guard.handle)
             wait_set.add_guard_condition(guard.handle)
             for one in self._subscriptions:

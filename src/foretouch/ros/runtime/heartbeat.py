@@ -93,7 +93,7 @@ class Heartbeat:
 
     def _hear(self, message: KeyValue, info: Any) -> None:
         now, name, (state, _, process) = time.monotonic(), message.key, message.value.partition(" ")
-        key = name, bytes((info.get("publisher_gid") or {"data": b""})["data"][:_PARTICIPANT])  # none on Jazzy
+        key = name, bytes((info.get("publisher_gid") or {"data": b""})["data"][:_PARTICIPANT])
         if state == FINALIZED:
             self._heard.pop(key, None)
         else:

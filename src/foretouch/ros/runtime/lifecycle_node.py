@@ -30,7 +30,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status, gone_status
-from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, DirectPublisher, direct_topics
+from foretouch.ros.runtime.direct import DirectInput, DirectPublisher, direct_topics
 from foretouch.ros.runtime.discovery import UPTIME, find_conflicts, matched_ends
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.heartbeat import FINALIZED, Heartbeat
@@ -38,8 +38,8 @@ from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
 
 _C = TypeVar("_C", bound="NodeConfig")
-REQUESTS = QoSProfile(depth=1000)
-"""Of services: with rclpy's depth of 10, of 200 requests at once 190 are lost without a trace."""
+REQUESTS = QoSProfile(depth=5000)
+"""Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.has_failed = False  # whether the process ends with exit status 1
         self.last_failure = ""  # why the latest step that failed did
-        self.is_direct = self.config.direct and SUPPORTED  # whether messages are handed over within the process
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
         self._inputs: list[Subscription[Any]] = []
@@ -154,8 +153,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
         overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]
-        known = self._ids_of_publishers(topic)
-        publisher = self.create_publisher(
+        publisher: DirectPublisher = self.create_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
@@ -167,12 +165,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
             publisher_class=DirectPublisher,
         )
-        assert isinstance(publisher, DirectPublisher)  # noqa: S101  rclpy declares only its own class
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
-        if direct and self.is_direct:
-            fresh = self._ids_of_publishers(topic) - known
-            publisher.id = fresh.pop() if len(fresh) == 1 else b""
+        if direct and self.config.direct:
             self.direct_topics.add(publisher)
         return publisher
 
@@ -185,7 +180,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 callback(content)
 
         def _take(content: Any, info: Any) -> None:
-            if direct is None or not direct.has_received(info):
+            if direct is None or not direct.is_copy(content):
                 losses.arrived(info)
                 _receive(content)
 
@@ -204,7 +199,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
         )
         self._inputs.append(subscription)
-        if self.is_direct:
+        if self.config.direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, _receive))
             self._direct_inputs.append(direct)
             self.direct_topics.add(direct)
@@ -213,12 +208,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Offer a service until the node is cleaned up."""
         service = self.create_service(kind, name, callback, callback_group=group, qos_profile=REQUESTS)
         self._closing.callback(self.destroy_service, service)
-
-    def _ids_of_publishers(self, topic: str) -> set[bytes]:
-        """Ids of the node's publishers of a topic."""
-        own = self.get_name(), self.get_namespace()
-        ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-        return {bytes(end.endpoint_gid)[:ID_BYTES] for end in ends if (end.node_name, end.node_namespace) == own}
 
     def _look(self) -> None:
         """What is done every second."""

@@ -7,8 +7,8 @@ dropped, `no_grasps` where these are missing; while that lasts, it is an error i
 
 Threads: callbacks only sort messages by stamp and queue them. A worker, whose thread the nodes of a process share unless
 `direct` is unset, computes and publishes, in the thread that took the messages or in its own (see `executor`), so that
-services, parameters, lifecycle and diagnostics respond meanwhile. The queue is bounded and drops its oldest input,
-counted as `superseded`.
+services, parameters, lifecycle and diagnostics respond meanwhile. The queue is bounded; where a node does not keep up, it
+answers the newest cloud next. What is dropped is counted as `superseded`.
 """
 
 import threading
@@ -97,8 +97,8 @@ class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
     queue_depth: int = setting(
-        8,
-        "Number of inputs that may wait for longer than 0.25 s; the oldest is dropped",
+        32,
+        "Number of inputs that may wait; only the newest where one has waited for 0.25 s, or some for 0.5 s without a pause",
         bounds=(1, 10_000),
         read_only=True,
     )
@@ -128,7 +128,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.config.queue_depth,
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
             lambda _, reason: self.statistics.drop(reason),
-            self.direct_topics.thread(self.get_namespace()) if self.is_direct else None,
+            self.direct_topics.thread(self.get_namespace()) if self.config.direct else None,
         )
         self._arrived = 0.0  # of the set that is being answered, `time.monotonic` [s]
         self._lacking: Counter[str] = Counter()  # sets that were given up since the last complete one, by missing topic

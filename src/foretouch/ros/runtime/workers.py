@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slow work beside callbacks.
 
-`Worker` serves topics: callbacks only store, and when the work does not keep up, the oldest input is dropped, so
-that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
+`Worker` serves topics: callbacks only store, and when the work does not keep up, the newest input comes next and older ones are
+dropped, so that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
 spares the wait for another thread (see `helping`). `ThreadPool` serves services and actions, whose callbacks await it as
 coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
-message. rclpy's events executor (9.1) has no callback groups, blocks while a coroutine waits, and stopped for good when
-another thread published to a subscription of the same process.
+message. rclpy's `EventsExecutor` has no callback groups, and raises an error where a callback asks for what is known of a message.
 """
 
+import asyncio
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Final, Generic, TypeVar
@@ -21,7 +22,10 @@ from rclpy.node import Node
 from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.ros.messages.requests import RefusalError, status_code
 
-_PATIENCE_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some
+PATIENCE_S: Final = 10.0
+"""How long a request waits for a thread until it is refused [s]."""
+
+_CATCH_UP_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some
 
 _T = TypeVar("_T")
 
@@ -138,7 +142,7 @@ class WorkerThread:
 class Worker(Generic[_T]):
     """Calls `work`, which must not raise, with each item, in order, in one thread.
 
-    At most `depth` items wait, or four times as many for a quarter of a second. `on_drop` is called with each dropped item and the reason, `superseded` or `stopped` (see
+    At most `depth` items wait, and only the newest where the work does not keep up. `on_drop` is called with each dropped item and the reason, `superseded` or `stopped` (see
     `BoundedQueue`). The thread may be shared with other workers; None makes one of that name.
     """
 
@@ -151,7 +155,7 @@ class Worker(Generic[_T]):
         thread: WorkerThread | None = None,
     ) -> None:
         self._work = work
-        self._queue = BoundedQueue[_T](depth, patience_s=_PATIENCE_S, on_drop=on_drop)
+        self._queue = BoundedQueue[_T](depth, patience_s=_CATCH_UP_S, on_drop=on_drop)
         self._thread = WorkerThread(name) if thread is None else thread
 
     def start(self) -> None:
@@ -160,7 +164,7 @@ class Worker(Generic[_T]):
         self._thread.start(self)
 
     def put(self, item: _T) -> None:
-        """Queue an item; the oldest is dropped where the queue is full."""
+        """Queue an item; older ones are dropped where the queue is full or the work does not keep up."""
         if self._queue.put(item):
             self._thread.call(self)
 
@@ -178,7 +182,7 @@ class Worker(Generic[_T]):
 class ThreadPool:
     """So many threads for the requests of one node, whose executor is woken when work is done.
 
-    At most `limit` requests wait; further ones are refused, as `busy`.
+    At most `limit` requests wait, for `PATIENCE_S` each; others are refused, as `busy`.
     """
 
     def __init__(self, node: Node, threads: int, limit: int) -> None:
@@ -195,10 +199,10 @@ class ThreadPool:
             raise RefusalError(status_code("busy"), f"busy: {self._limit} requests wait already: ask again later")
         self._waiting += 1
         try:
-            future = self._pool.submit(work)
+            future = self._pool.submit(_in_time, work, time.monotonic() + PATIENCE_S)
             future.add_done_callback(self._wake)
-            while not future.done():
-                await _Pause()
+            while not future.done():  # noqa: ASYNC110  the executor goes on below when it is woken
+                await asyncio.sleep(0)
             return future.result()
         finally:
             self._waiting -= 1
@@ -212,8 +216,10 @@ class ThreadPool:
             self._node.executor.wake()
 
 
-class _Pause:
-    """Returns control to the executor, which continues here when it is woken."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        yield
+def _in_time(work: Callable[[], _T], end_s: float) -> _T:
+    """Do work that has waited until a time at most [s], or refuse it."""
+    if time.monotonic() > end_s:
+        raise RefusalError(
+            status_code("busy"), f"busy: waited for {PATIENCE_S:g} s behind other requests: ask again later"
+        )
+    return work()

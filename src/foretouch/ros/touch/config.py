@@ -12,8 +12,6 @@ from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.runtime.output_frame import OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
-from foretouch.tactile import TactileRanges
-from foretouch.tactile.contact_detector import ContactConfig
 from foretouch_msgs.action import SampleGrasps
 
 PRESSURE: Final = SampleGrasps.Goal.PRESSURE
@@ -73,7 +71,5 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, Tac
         20, "Maximum number of grasps in an answer of sample_grasp_poses", bounds=(1, 10_000)
     )
     pairing: PairingConfig = field(default_factory=PairingConfig)
-    contact: ContactConfig = field(default_factory=ContactConfig)
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
-    ranges: TactileRanges = TactileRanges()

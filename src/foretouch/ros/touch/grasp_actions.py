@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 
 from foretouch.errors import ConfigError
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.output_frame import Latest, no_latest_cloud
@@ -29,8 +30,8 @@ from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
 PLANNER_ACTION = "sample_grasp_poses"
 """Name of the action; one name cannot have two types."""
 
-Predicted: TypeAlias = tuple[TouchPrediction, Float64 | None]
-"""The prediction of a grasp, and (F,) how hard each finger presses (`TaxelView.pressures`); None without a prediction."""
+Predicted: TypeAlias = tuple[TouchPrediction, Float64]
+"""The prediction of a grasp, and (3, F) how hard each finger presses (`TaxelView.pressures`): values and bounds, NaN for none."""
 
 Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[Predicted]]
 
@@ -39,6 +40,7 @@ _BATCH = 100  # grasps that are predicted between two looks for a cancel; predic
 
 class _Candidate(NamedTuple):
     cost: float
+    half: float  # half width of the interval of the cost; NaN without one
     grasp: Grasp
     prediction: TouchPrediction
 
@@ -54,6 +56,7 @@ def sample_grasps(
 ) -> Any:
     """Plan, predict and sort: a `SampleGrasps.Result`, lowest cost first; grasps without a prediction come last.
 
+    Costs that differ by less than the half width of the interval of the lowest of them are equal; the best score is first then.
     A goal without a cloud is for the `latest` one; its `name` distinguishes its grasps from others on the same cloud. Before
     each object and after every 100 grasps, `feedback` is called with a `SampleGrasps.Feedback`, and if `cancelled` is then
     true, the result holds what is predicted so far. A `RefusalError` if there is nothing to grasp, nothing can be predicted,
@@ -80,7 +83,7 @@ def sample_grasps(
                 break
             grasps = plan.grasps[first : first + _BATCH]
             pairs = zip(grasps, predict(target, grasps, header), strict=True)
-            fresh = [_Candidate(cost_of(cost, grasp, pressed), grasp, touch) for grasp, (touch, pressed) in pairs]
+            fresh = [_candidate(cost, grasp, *predicted) for grasp, predicted in pairs]
             feedback(SampleGrasps.Feedback(**_fields(fresh, header)))
             candidates += fresh
     if cost != SCORE and candidates and all(math.isinf(c.cost) for c in candidates):
@@ -89,13 +92,31 @@ def sample_grasps(
         if cancelled():
             raise RefusalError(Status.NO_GRASP, "cancelled before the first prediction")
         raise RefusalError(plan.status, plan.reason)
-    candidates.sort(key=lambda c: c.cost)
+    candidates = _levelled(candidates)
     return SampleGrasps.Result(
         grasp_state="success",
         status=Status.OK,
         predictions=[c.prediction for c in candidates],
         **_fields(candidates, header),
     )
+
+
+def _candidate(rule: str, grasp: Grasp, touch: TouchPrediction, pressed: Float64) -> _Candidate:
+    cost, lower, upper = (cost_of(rule, grasp, one) for one in pressed)
+    return _Candidate(cost, abs(upper - lower) / 2.0, grasp, touch)
+
+
+def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Candidates by group of equal costs, which get the lowest of their group, then by score; the first group is flagged."""
+    groups = equal_groups([one.cost for one in candidates], [one.half for one in candidates])
+    lowest = np.full(len(candidates), math.inf)
+    np.minimum.at(lowest, groups, [one.cost for one in candidates])
+    alike = np.count_nonzero(groups == 0) > 1
+    for one, group in zip(candidates, groups, strict=True):  # flags were given in batches
+        others = [flag for flag in one.prediction.flags if flag != EQUAL_PRESSURE]
+        one.prediction.flags = [*others, *(EQUAL_PRESSURE,) * bool(alike and group == 0)]
+    scores = np.nan_to_num([one.grasp.score for one in candidates], nan=-math.inf)
+    return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
 
 def _targets(goal: Any, latest: Latest | None, config: TouchPredictorConfig) -> tuple[Header, tuple[FoundObject, ...]]:
@@ -124,17 +145,13 @@ def refused_goal(refusal: RefusalError) -> Any:
     return SampleGrasps.Result(grasp_state=f"{requests.status_name(refusal.status)}: {refusal}", status=refusal.status)
 
 
-def cost_of(rule: str, grasp: Grasp, pressed: Float64 | None) -> float:
-    """The cost of a grasp by a rule; infinity for what is not finite, or needs a prediction that there is not.
+def cost_of(rule: str, grasp: Grasp, pressed: Float64) -> float:
+    """The cost of a grasp by a rule and (F,) how hard each finger presses; infinity for what is not finite.
 
     Rules: `pressure`, the mean of how hard both fingers press (`TaxelView.pressures`); `harder_finger`, the larger of the two;
     `score`, the negative score of GeoGrasp.
     """
-    cost = math.inf
-    if rule == SCORE:
-        cost = -grasp.score
-    elif pressed is not None:
-        cost = float(np.max(pressed) if rule == HARDER_FINGER else np.mean(pressed))
+    cost = -grasp.score if rule == SCORE else float(np.max(pressed) if rule == HARDER_FINGER else np.mean(pressed))
     return cost if math.isfinite(cost) else math.inf
 
 

@@ -63,7 +63,8 @@ class HistoryKeeper:
         found = {"history.readings": str(read.readings), "history.age_s": age}
         found |= {"history.set_aside": str(aside)} if (aside := self.history.tracker.set_aside) else {}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
-        found |= {"history.file": str(self._file.path)} if self._file else {}
+        kept = self.fault or "none: hand is empty, so that readings are forgotten when the node ends"
+        found["history.file"] = str(self._file.path) if self._file else kept
         return found | ({"history.fault": self.fault} if self.fault else {})
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tare of a hand: its readings while it touches nothing. No node, no thread.
 
-A reading is at rest if neither finger is in contact, by the contact detector, nor will be within `lag_s`: a contact is
-detected a moment after it has begun. The tare is the median over the last `window_s` of rest, and 0 for channels whose rest level is zero; during a grasp, the tare
+A reading is at rest if neither finger is in contact, by the contact detector, nor will be within `LAG_S`: a contact is
+detected a moment after it has begun. The tare is the median over the last `WINDOW_S` of rest, and 0 for channels whose rest level is zero; during a grasp, the tare
 from before is kept, and ages.
 """
 
@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from foretouch.tactile import BIOTAC, touch_faults
-from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
+from foretouch.tactile.contact_detector import LAG_S, WINDOW_S, ContactDetector
 from foretouch.tactile.readings import rest_of
 from foretouch.types import SECOND_NS, Float32, Touch
 from foretouch.types.channels import Channels
@@ -20,13 +20,12 @@ from foretouch.types.channels import Channels
 class LiveTare:
     """The tare of a stream of readings of a sensor. Not thread-safe."""
 
-    def __init__(self, config: ContactConfig, channels: Channels = BIOTAC) -> None:
+    def __init__(self, channels: Channels = BIOTAC) -> None:
         self.fault = ""  # why the last rest gives no tare, such as a dead sensor
         self._channels = channels
-        self._detector = ContactDetector(config, channels)
-        self._lag_ns = round(config.lag_s * SECOND_NS)
-        self._window_ns = round(config.window_s * SECOND_NS)
-        # More than the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory.
+        self._detector = ContactDetector(channels)
+        self._lag_ns, self._window_ns = round(LAG_S * SECOND_NS), round(WINDOW_S * SECOND_NS)
+        # Far more than the window and the lag hold at any rate; stamps that repeat would fill the memory.
         self._recent: deque[tuple[int, Float32]] = deque(maxlen=20_000)
         self._rest: list[Float32] = []
         self._rest_ns = 0

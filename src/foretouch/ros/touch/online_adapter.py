@@ -34,6 +34,7 @@ from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
+from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
 from foretouch.types import Cloud, Float32, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
@@ -65,11 +66,10 @@ class OnlineAdapter:
         self._warn = warn
         # Of what callbacks store; taken after that of the history, and never while the model works.
         self._input_lock = threading.Lock()
-        self._assembler = SampleAssembler(
-            AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
-        )
-        self._tare = LiveTare(settings.contact, reader.channels)
+        self._assembler = SampleAssembler(AssemblerConfig(pairing=settings.pairing, successes_only=True), reader)
+        self._tare = LiveTare(reader.channels)
         self._channels = reader.others
+        self._valid = reader.sensor.valid_values
         self._others: Float32 | None = None  # of the newest reading, by channel
         self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
@@ -225,12 +225,17 @@ class OnlineAdapter:
         if not config.use_tare:
             return None
         with self._input_lock:
-            return self._tare.tare(time.monotonic(), config.tare_max_age_s)
+            tare = self._tare.tare(time.monotonic(), config.tare_max_age_s)
+            return None if tare is None else self._usable(tare)
+
+    def _usable(self, reading: Touch) -> Touch:
+        """The reading without taxels that the hand's description declares dead, which have the mean of others."""
+        return Touch(usable(reading.values, reading.channels, self._valid), reading.channels)
 
     def _add_touch(self, assembled: AssembledSample, config: TouchPredictorConfig) -> None:
         sample, cut = assembled.record.sample, assembled.cut
         assert cut is not None  # noqa: S101  samples without a touch are not asked for
-        tare = cut.tare if config.use_tare else None
+        touch, tare = self._usable(cut.touch), self._usable(cut.tare) if config.use_tare else None
         try:
             now_ns = self._now_ns()
             extra = sample.extra
@@ -241,10 +246,10 @@ class OnlineAdapter:
                 now_ns,
                 sample.cloud,
                 sample.grasp,
-                cut.touch,
+                touch,
                 new_object=new,
                 limits=config.limits,
-                tdc=tdc_of(extra, cut.touch.channels),
+                tdc=tdc_of(extra, touch.channels),
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}

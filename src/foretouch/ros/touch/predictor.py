@@ -15,6 +15,7 @@ from foretouch.grasp import GeoGraspConfig, check_closing, surely_closing
 from foretouch.grasp.messages import has_orientation
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
 from foretouch.ros.messages.requests import GraspArrays, RefusalError
@@ -201,7 +202,7 @@ class Predictor:
                 found = model.predict(cloud, usable, **options)
         except (CloudError, ModelError) as err:
             return [one if isinstance(one, Refusal) else refusal_of(err) for one in posed]
-        outcomes = _outcomes(found)
+        outcomes = _outcomes(flag_equal_pressures(found, model))
         if len(usable) == len(posed):
             return outcomes
         predicted = iter(outcomes)

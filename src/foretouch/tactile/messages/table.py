@@ -15,7 +15,7 @@ from typing import Any, Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.tactile.description import Sensor, load_sensor
+from foretouch.tactile.description import Sensor, load_sensor, require_two
 from foretouch.types import SECOND_NS, Float32
 from foretouch.types.channels import Channels
 
@@ -54,7 +54,7 @@ class TactileConfig(Settings, read_only=True):
         """The sensor (raises as `load_sensor`)."""
         if not self.sensor:
             return BIOTAC_SP
-        return load_sensor(self.sensor)
+        return require_two(load_sensor(self.sensor))
 
     @property
     def message_type(self) -> str:

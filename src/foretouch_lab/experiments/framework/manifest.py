@@ -28,9 +28,8 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.config import Settings, flattened
-from foretouch.dataset.files import disk_errors
 from foretouch.errors import ConfigError, FileError
-from foretouch.files import TEXT_LIMIT, read_bytes, read_json, require_schema, write_text
+from foretouch.files import COUNT, TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
 from foretouch.models.timing import cpu_name
 from foretouch_lab.experiments.framework.executors import CellResult
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
@@ -83,12 +82,12 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
     if not file.exists():
         if out.exists() and {path.name for path in out.iterdir()} - {_CELLS}:
             raise FileError(out, f"already exists and contains no {MANIFEST_FILE}")
-        with disk_errors(cells):
+        with system_errors(cells):
             cells.mkdir(parents=True, exist_ok=True)
         return {**fixed, "sessions": []}
     manifest = _read_manifest(file)
     _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
-    with disk_errors(cells):
+    with system_errors(cells):
         cells.mkdir(exist_ok=True)
     return {**manifest, **fixed}
 
@@ -258,7 +257,7 @@ def _read_manifest(file: Path) -> dict[str, Any]:
     """A manifest whose sessions can be continued and whose cells, if it was once written to the end, are counted."""
     manifest: dict[str, Any] = require_schema(file, read_json(file), _SCHEMA)
     if manifest.get("cells", {}) != {}:
-        require_schema(file, manifest["cells"], {"all": int, "finished": int, "failed": dict}, "cells")
+        require_schema(file, manifest["cells"], {"all": COUNT, "finished": COUNT, "failed": dict}, "cells")
     return manifest
 
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.dataset.files import disk_errors
-from foretouch.files import open_regular
+from foretouch.files import open_regular, system_errors
 from foretouch.types import Float32
 
 
@@ -26,7 +25,7 @@ class CloudFile(Sequence[Float32]):
     """
 
     def __init__(self) -> None:
-        with disk_errors(Path("TMPDIR"), "names no folder that can be written"):
+        with system_errors(Path("TMPDIR"), "names no folder that can be written"):
             self._folder = Path(tempfile.gettempdir())
             self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  open as long as this object
         weakref.finalize(self, self._file.close)
@@ -35,7 +34,7 @@ class CloudFile(Sequence[Float32]):
 
     def append(self, cloud: Float32) -> None:
         """Write one more cloud, of the same C."""
-        with disk_errors(self._folder, "cannot hold the prepared clouds; set TMPDIR to a folder with more space"):
+        with system_errors(self._folder, "cannot hold the prepared clouds; set TMPDIR to a folder with more space"):
             rest = np.ascontiguousarray(cloud).data.cast("B")
             while rest:
                 rest = rest[self._file.write(rest) :]

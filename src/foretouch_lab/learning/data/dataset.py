@@ -2,8 +2,9 @@
 """A dataset: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -13,9 +14,11 @@ from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
+from foretouch.models.prequential import with_readings
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import GraspSample
+from foretouch.types import Float64, GraspSample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
@@ -57,7 +60,7 @@ class Dataset:
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
         origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
-        sensor: That was read.
+        sensor: That was read; taxels that the samples show to be dead are declared so.
     """
 
     name: str
@@ -68,6 +71,26 @@ class Dataset:
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
     sensor: Sensor = BIOTAC_SP
+
+    @cached_property
+    def masked(self) -> tuple[GraspSample, ...]:
+        """The samples with NaN in touches and tares where a taxel is dead, was not read or is out of its range."""
+        return self._with(lambda values: usable(values, self.sensor.channels, self.sensor.valid_values))
+
+    @cached_property
+    def filled(self) -> tuple[GraspSample, ...]:
+        """The samples with `filled` touches and tares."""
+        return self._with(lambda values: filled(values, self.sensor))
+
+    def _with(self, change: Callable[[Float64], Float64]) -> tuple[GraspSample, ...]:
+        samples = list(self.samples)
+        for name in ("touch", "tare"):
+            read = [(k, touch) for k, one in enumerate(samples) if (touch := getattr(one, name)) is not None]
+            values = np.array([touch.values for _, touch in read]).reshape(len(read), self.sensor.channels.size)
+            for (k, touch), old, new in zip(read, values, change(values), strict=True):
+                if not np.array_equal(old, new):
+                    samples[k] = with_readings(samples[k], **{name: Touch(new, touch.channels)})
+        return tuple(samples)
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -196,7 +219,10 @@ def load_dataset(path: str | Path) -> Dataset:
     public = opened.kind == "vision2tactile"
     origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
     aliases = (folder_sha256(path),) if public else ()
-    hashed, sensor = content.hexdigest(), opened.sensor
+    labels = [
+        one.touch.values for one in samples if one.touch is not None and one.touch.channels == opened.sensor.channels
+    ]
+    hashed, sensor = content.hexdigest(), with_dead_taxels(opened.sensor, np.array(labels)) if labels else opened.sensor
     return Dataset(path.name, tuple(samples), hashed, splits.parts, aliases, splits.omitted, origin, sensor)
 
 

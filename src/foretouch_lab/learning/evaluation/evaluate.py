@@ -41,6 +41,7 @@ def cross_validate(
     seed: int = 0,
     workers: int = 1,
     baselines: Mapping[str, Baseline] = BASELINES,
+    valid: Bool | None = None,
 ) -> tuple[dict[str, dict[str, Score]], Float64]:
     """Score a model and the baselines on the same folds.
 
@@ -53,6 +54,7 @@ def cross_validate(
         seed: Seed of the baselines.
         workers: Number of processes; the scores do not depend on it.
         baselines: By name.
+        valid: (D,) values to score, by default all.
 
     Returns:
         Scores of `MODEL` and of each baseline, by modality; (S, D) held-out predictions of the model [counts].
@@ -62,7 +64,8 @@ def cross_validate(
     with fold_workers(workers) as run:
         predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
     reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
-    return {name: score(values, labels, reference, ranges) for name, values in predicted.items()}, predicted[MODEL]
+    scores = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
+    return scores, predicted[MODEL]
 
 
 def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
@@ -95,7 +98,8 @@ def evaluate_model(
         without intervals). `split`. `samples`: how many were scored. `scored`: `held_out`, `training_samples` (among others) or
         `cross_validation`. `unfamiliar`: how many of them the model flags as out of distribution, None of cross-validated ones. `excluded`: how many
         were left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None
-        if its card does not list their hashes. `fitted_to_training`: whether the baselines were fitted to nothing else
+        if its card does not list their hashes. `not_scored`: indices of the taxels that are dead in the training data or were not
+        read in all of these samples, by finger. `fitted_to_training`: whether the baselines were fitted to nothing else
         than samples that it was trained on.
 
     Raises:
@@ -109,11 +113,12 @@ def evaluate_model(
         raise DatasetError(f"{data.name}: the split tests no sample")
     path = find_card(model)
     card = read_card(path)
-    require_same(data.sensor.channels, card_sensor(card, path).channels, data.name)
+    sensor = card_sensor(card, path)
+    require_same(data.sensor.channels, sensor.channels, data.name)
     own = own_samples(card, data, chosen)
     fitted = own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
-    facts = {
+    facts: dict[str, Any] = {
         "split": split,
         "scored": "training_samples" if training_scores and own is not None and own.any() else "held_out",
         "excluded": int((~kept).sum()),
@@ -122,22 +127,26 @@ def evaluate_model(
     }
     if not kept.any():
         return {**facts, **_stored(card, str(model), split, parts[0].name)}
-    tested = [data.samples[k] for k in chosen[kept]]
+    tested = [data.masked[k] for k in chosen[kept]]
     plain_network = card["kind"] == "network" and card.get("calibration") is None
     found = (_by_network if plain_network else _by_model)(path, tested)
     labels = labels_of(tested)
+    valid = sensor.valid_values & ~np.isnan(labels).any(axis=0)
+    labels = np.nan_to_num(labels)  # of taxels that are not scored
     reference = _fitted(data, parts, training_mean, seed)[kept]
     # The columns that the model does not predict are not scored, but must be finite.
     values = {MODEL: np.where(np.isnan(found.counts), reference, found.counts)}
     values |= {name: _fitted(data, parts, baseline, seed)[kept] for name, baseline in baselines.items()}
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
-        scored = score(value, labels, reference, found.ranges, found.modalities)
+        scored = score(value, labels, reference, found.ranges, found.modalities, valid)
         scores[name] = {key: {**asdict(one), "coverage90": None} for key, one in scored.items()}
     if found.half_width is not None:
         inside = np.abs(labels - found.counts) <= found.half_width
         for key, row in scores[MODEL].items():
-            row["coverage90"] = float(inside[:, found.ranges.channels.columns([key])].mean())
+            columns = found.ranges.channels.columns([key])
+            row["coverage90"] = float(inside[:, columns[valid[columns]]].mean())
+    facts["not_scored"] = sensor.taxels_of(~valid)
     return {"scores": scores, "samples": len(tested), "unfamiliar": found.unfamiliar, **facts}
 
 
@@ -214,6 +223,6 @@ def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed:
     """(S, D) predictions of a baseline for the test samples of each part, in order."""
     rows = []
     for part in parts:
-        train, test = ([data.samples[k] for k in data.index(ids)] for ids in (part.train, part.test))
+        train, test = ([data.filled[k] for k in data.index(ids)] for ids in (part.train, part.test))
         rows.append(baseline(train, labels_of(train), test, seed))
     return np.concatenate(rows)

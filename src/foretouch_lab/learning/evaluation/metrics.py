@@ -40,7 +40,7 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.tactile import Ranges
-from foretouch.types import Float64
+from foretouch.types import Bool, Float64
 from foretouch.types.channels import Channels
 
 _MOST: Final = 1e12  # far beyond any reading
@@ -56,7 +56,12 @@ class Score:
 
 
 def score(
-    predicted: Float64, actual: Float64, reference: Float64, ranges: Ranges, modalities: Sequence[str] | None = None
+    predicted: Float64,
+    actual: Float64,
+    reference: Float64,
+    ranges: Ranges,
+    modalities: Sequence[str] | None = None,
+    valid: Bool | None = None,
 ) -> dict[str, Score]:
     """Score predictions.
 
@@ -66,6 +71,7 @@ def score(
         reference: (S, D) mean of the training labels of each sample's model [counts].
         ranges: Ranges for `nrmse`, and the channels.
         modalities: Modalities to score, by default all; the other columns must be finite, too.
+        valid: (D,) values to score, such as those of taxels that are not dead; by default all.
 
     Raises:
         DatasetError: If a shape is wrong, there is no sample, a value is not finite or beyond 1e12, or the training
@@ -78,6 +84,7 @@ def score(
     result = {}
     for name in modalities or channels.modalities:
         column = channels.columns([name])
+        column = column if valid is None else column[valid[column]]
         scored = column[(baseline[column] > 0.0) | channels.tared[column]]  # without taxels that never read a force
         if not len(scored) or not np.all(baseline[scored] > 0.0):
             raise DatasetError(f"{name}: the training mean is exact, so the skill is undefined")

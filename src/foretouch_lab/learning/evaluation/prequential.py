@@ -88,20 +88,25 @@ def evaluate_prequential(
     Returns:
         `touches`: by name from `BINS` (those without a grasp are left out), `grasps` and by method and modality `rmse`,
         `skill` against the mean of the other objects, and `coverage90` and `half_width` (None without intervals).
-        `samples`; `history`; `restarted`: ids of samples whose reading restarted a finger, with its name.
+        `samples`; `history`; `restarted`: ids of samples whose reading restarted a finger, with its name; `not_scored`: indices of
+        the taxels that are dead in the training data or were not always read, by finger.
 
     Raises:
         DatasetError: As `replay_model`, or if all samples are of one object.
     """
     done = replay_model(model, samples, history)
     assert model.calibration is not None  # noqa: S101  checked by replay_model
-    reference = other_objects_mean(done.recording)
+    readings = done.recording.readings
+    valid = model.sensor.valid_values & ~np.isnan(readings).any(axis=0)
+    readings = np.nan_to_num(readings)  # of taxels that are not scored
+    recording = replace(done.recording, readings=readings)
+    reference = other_objects_mean(recording)
     forgetful = SensorTracker(replace(model.calibration, tracker=None).tracker_parameters)
     memory = replay(forgetful, done.recording, keep_sensors=False)
     counts = {"tracker": done.played.counts, "memory": memory.counts, "sight": done.recording.expected}
-    counts |= baselines(done.recording, reference)
+    counts |= baselines(recording, reference)
     half = {"tracker": done.played.half, "memory": memory.half}
-    touches, readings = done.recording.touches(), done.recording.readings
+    touches = recording.touches()
     found: dict[str, Any] = {}
     for name, (low, high) in BINS.items():
         chosen = done.scored & (touches >= low) & (touches <= high)
@@ -109,13 +114,14 @@ def evaluate_prequential(
             continue
         scores: dict[str, Any] = {}
         for method, values in counts.items():
-            scored = score(values[chosen], readings[chosen], reference[chosen], model.ranges)
+            scored = score(values[chosen], readings[chosen], reference[chosen], model.ranges, valid=valid)
             scores[method] = {
                 key: {"rmse": one.rmse, "skill": one.skill, "coverage90": None, "half_width": None}
                 for key, one in scored.items()
             }
             for key in model.sensor.channels.modalities if method in half else ():
-                own = np.ix_(chosen, model.sensor.channels.columns([key]))
+                columns = model.sensor.channels.columns([key])
+                own = np.ix_(chosen, columns[valid[columns]])
                 width = half[method][own]
                 inside = np.abs(readings[own] - values[own]) <= width
                 scores[method][key] |= {"coverage90": float(inside.mean()), "half_width": float(width.mean())}
@@ -123,4 +129,5 @@ def evaluate_prequential(
     pairs = zip(done.samples, done.played.restarted, strict=True)
     restarted = {sample.id: list(names) for sample, names in pairs if names}
     count = int(done.scored.sum())
-    return {"touches": found, "samples": count, "history": len(done.samples) - count, "restarted": restarted}
+    facts = {"samples": count, "history": len(done.samples) - count, "restarted": restarted}
+    return {"touches": found, **facts, "not_scored": model.sensor.taxels_of(~valid)}

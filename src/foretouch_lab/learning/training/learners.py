@@ -22,7 +22,6 @@ from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
-from foretouch.tactile.description import with_sensor
 from foretouch.types import Float64
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.dataset import DataSplit
@@ -59,7 +58,7 @@ class Learner(ABC):
         self.config = config
         self.split = split
         self.sensor = data.sensor
-        self.samples = [data.samples[k] for k in split.train]
+        self.samples = [data.filled[k] for k in split.train]
         self.labels = labels_of(self.samples)
         self.where: Float64 | None = None
         self.epochs = 0
@@ -134,7 +133,7 @@ class ContactLearner(Learner):
         config = self.config.contact.to_mapping()
         if self.sensor.channels != BIOTAC:
             del config["ranges"]  # which are of the BioTac SP
-        facts = with_sensor({**facts, "config": config, "limits": limits}, self.sensor)
+        facts = {**facts, "config": config, "limits": limits}
         return save_contact(folder, name, self._estimator, facts, calibration)
 
 
@@ -161,7 +160,7 @@ class NetworkLearner(Learner):
             )
             raise ConfigError(f"method: {rule}; use contact")
         super().__init__(config, data, split)
-        self._prepared = TrainingSet.build(data.samples, config.model, unlabelled=True)
+        self._prepared = TrainingSet.build(data.filled, config.model, unlabelled=True)
         self._best = _Best(-1, float("inf"), {})
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
 

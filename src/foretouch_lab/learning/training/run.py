@@ -12,9 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError, DatasetError, ForetouchError
 from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
+from foretouch.tactile.description import named_taxels, with_sensor
 from foretouch.types import Float64
 from foretouch_lab.learning.data import Dataset, make_folds
 from foretouch_lab.learning.data.folds import SPLITS, Fold
@@ -71,7 +72,11 @@ def train_run(
     # The path of a dataset is no part of its identity.
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
     folder.open(resolved, resume=resume)
-    learner.fit(run=folder)
+    try:
+        learner.fit(run=folder)
+    except ForetouchError:
+        folder.remove_unfinished()
+        raise
     skill, predicted = compare_splits(learner, SPLITS, report, workers) if config.release else ({}, None)
     facts = _facts(learner, data)
     calibration = None
@@ -83,9 +88,14 @@ def train_run(
             facts["limits"] = [f"No calibration: {_missing_grasps(learner) or err}."]
     if calibration is not None and skill:
         facts |= _release_facts(facts, learner, data, skill, calibration[1])
+    if dead := learner.sensor.dead:
+        facts["limits"] = [
+            *facts["limits"],
+            f"Dead in the training data, so that their predictions are not valid: taxels {named_taxels(dead)}.",
+        ]
     card = learner.save(out, config.name, facts, calibration)
     result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": learner.epochs, "data_sha256": data.sha256}
-    result |= {"calibrated": calibration is not None, "limits": facts["limits"]}
+    result |= {"calibrated": calibration is not None, "limits": facts["limits"], "dead_taxels": dead}
     if len(learner.split.test):
         result |= _add_scores(card, config, data)
     report(result)
@@ -112,7 +122,14 @@ def compare_splits(
     for split in splits:
         start, folds = time.monotonic(), _folds(learner, split)
         scores, predicted[split] = cross_validate(
-            learner.samples, learner.labels, learner.predict_fold, folds, ranges, seed=seed, workers=workers
+            learner.samples,
+            learner.labels,
+            learner.predict_fold,
+            folds,
+            ranges,
+            seed=seed,
+            workers=workers,
+            valid=learner.sensor.valid_values,
         )
         for name, one in scores.items():
             skills = {modality: round(score.skill, 3) for modality, score in one.items()}
@@ -149,7 +166,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     """`summary`, `data`, `split`, `limits` and `version` of the card."""
     config, count = learner.config, len(learner.samples)
     duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
-    return {
+    facts = {
         "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
@@ -161,6 +178,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
         "limits": ["Bounds are null: the model was trained with calibrate=false."],
         "version": __version__,
     }  # fmt: skip
+    return with_sensor(facts, learner.sensor)
 
 
 def _release_facts(

@@ -14,6 +14,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -118,6 +119,13 @@ class RunFolder:
             self.resumed = (self.path / STATE_FILE).exists()
             return
         write_text(file, dump_yaml(resolved))
+
+    def remove_unfinished(self) -> None:
+        """Remove the settings of a run that was refused before its first epoch, and the folder if nothing else is in it."""
+        if not any(self.path.glob("*.safetensors")):
+            (self.path / CONFIG_FILE).unlink(missing_ok=True)
+            with suppress(OSError):
+                self.path.rmdir()
 
     def keep_log(self, epochs: int) -> None:
         """Remove the lines after so many epochs: those whose state was not written before a kill."""

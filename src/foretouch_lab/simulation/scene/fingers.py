@@ -8,7 +8,7 @@ from typing import Any, Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import SceneGeoGraspConfig
-from foretouch.tactile.description import Sensor, load_sensor
+from foretouch.tactile.description import Sensor, load_sensor, require_two
 from foretouch_lab.simulation.contact.pad import PadConfig
 from foretouch_lab.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
 from foretouch_lab.simulation.fingertip import SimulatedFingerConfig, ThumbConfig
@@ -137,7 +137,7 @@ class FingersConfig(Settings):
         if not self.sensor:
             return None
         try:
-            sensor = load_sensor(self.sensor)
+            sensor = require_two(load_sensor(self.sensor))
         except ForetouchError as err:
             raise ConfigError(f"sensor: {err}") from err
         return None if sensor.is_biotac else sensor

@@ -7,6 +7,7 @@ from foretouch.errors import SimulationError
 from foretouch_lab.simulation.effects.grasp import _finger_frames
 
 BALL = {"name": "ball", "shape": "ball", "size_m": [0.08, 0.08, 0.08]}
+ABOVE = {"geograsp": {"method": "original"}}  # meets a ball above its middle
 MET = ("fingers", "touches", "pads", "postures", "bodies", "relief", "grasp")
 
 
@@ -23,7 +24,7 @@ def test_fingers_close_towards_each_other_and_point_down() -> None:
 
 def test_pad_and_ball_meet_where_their_normals_are_opposite() -> None:
     """On the upper half of a ball the surface faces up, so it meets the pad behind its middle; the relief is a cap."""
-    state = run(scene(BALL), *MET)
+    state = run(scene(BALL, grasps=ABOVE), *MET)
     centre = state.bodies[0].position
     for touch, pad, (_, tip), behind in zip(state.touches, state.pads, state.postures, state.relief, strict=True):
         assert np.linalg.norm(touch.origin - centre) == pytest.approx(0.04, abs=3e-5)
@@ -67,5 +68,5 @@ def test_a_finger_that_finds_no_hold_is_named() -> None:
         run(scene(BALL, grasps={"insertion_m": 0.12}), "touch")
     assert caught.value.reason == "misses"
     with pytest.raises(SimulationError, match=r"friction holds 0\.05") as caught:
-        run(scene(BALL | {"friction": 0.05}), "touch")
+        run(scene(BALL | {"friction": 0.05}, grasps=ABOVE), "touch")
     assert caught.value.reason == "slips"

@@ -44,7 +44,7 @@ def test_the_scene_that_models_are_trained_on_is_frozen_and_others_are_what_they
 def test_the_hash_covers_every_setting_and_a_scene_survives_the_way_through_plain_data() -> None:
     plain, random = scene(CAN), scene(CAN | {"shape": "random"})
     groups = {"fingers": {"sessions": {}}, "camera": {"holes": {}}, "campaign": {}, "seed": 1}
-    groups["grasps"] = {"geograsp": {"method": "completed"}}
+    groups["grasps"] = {"geograsp": {"method": "original"}}
     others = [scene(CAN, **{name: group}) for name, group in groups.items()]
     others.append(scene(CAN, fingers={"thumb": {"pdc_span": 620.0}}))
     others += [random, scene(CAN | {"shape": "random", "first_variant": 1})]

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sends SIGINT, SIGTERM and SIGHUP at random moments to `run`, `record`, `replay` and the node `hand`, and looks at what is left.
+
+Each must end within 5 s of the signal with its status or that of a regular end, and leave no process, no segment of shared
+memory and no open recording.
+
+    python -m benchmarks.soak.signals [--cases 200] [--seed 0] [--out signals.csv]
+"""
+
+import argparse
+import fcntl
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.common import ROOT, print_rows, write_csv
+from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.errors import FileError
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SCENE = ROOT / "config" / "scenes" / "clean.yaml"
+ALLOWED_S = 5.0
+PATIENCE_S = 60.0
+LATEST_S = 8.0  # after the command catches signals, when all that starts has started also on a busy computer
+FAULTS = ("Traceback", "Exception ignored", "terminate called", "Segmentation fault")
+_CLI = ("-m", "foretouch.cli.main")
+COMMANDS = {
+    "run": (*_CLI, "run", "--source", str(SCENE), "--rate", "10", "--json"),
+    "record": (*_CLI, "record", "-o", "{folder}/set", "--json"),
+    "replay": (*_CLI, "replay", "{scenes}", "--no-wait", "--rate", "2", "--loop", "--json"),
+    "hand": ("-c", "import sys; from foretouch.ros.executables import hand; sys.exit(hand())"),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """What was sent when, and what followed; `fault` is empty if all is as it must be."""
+
+    command: str
+    signal: str
+    after_s: float
+    seconds: float
+    status: int
+    fault: str
+
+
+def draw(rng: np.random.Generator, commands: tuple[str, ...] = tuple(COMMANDS)) -> tuple[str, signal.Signals, float]:
+    """A command, a signal and its moment [s]."""
+    name, number = commands[int(rng.integers(len(commands)))], SIGNALS[int(rng.integers(len(SIGNALS)))]
+    return name, number, float(rng.uniform(0.0, LATEST_S))
+
+
+def run_case(
+    name: str, number: signal.Signals, after_s: float, scenes: Path, domain: int, allowed_s: float = ALLOWED_S
+) -> Case:
+    """Start a command in a session and a DDS domain of its own, send it the signal, and look at what is left."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with tempfile.TemporaryDirectory() as folder:
+        words = [word.format(folder=folder, scenes=scenes) for word in COMMANDS[name]]
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        process = subprocess.Popen([sys.executable, *words], env=environment, cwd=ROOT, start_new_session=True, **pipes)
+        while process.poll() is None and not catches(process.pid):
+            time.sleep(0.002)
+        time.sleep(after_s)
+        segments, began = _segments(process.pid), time.monotonic()
+        process.send_signal(number)
+        try:
+            _, error = process.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            _, error = process.communicate()
+        seconds = time.monotonic() - began
+        found = list(_faults(number, process, error.decode(), segments, Path(folder) / "set"))
+        found += [f"{seconds:.1f} s"] * (seconds > allowed_s)
+    return Case(name, number.name, round(after_s, 2), round(seconds, 2), process.returncode, "; ".join(found))
+
+
+def _faults(
+    number: int, process: "subprocess.Popen[bytes]", error: str, segments: set[Path], dataset: Path
+) -> Iterator[str]:
+    if process.returncode not in {0, 128 + number, -number}:
+        yield f"exit status {process.returncode}: {error[-200:]}"
+    yield from (f"{word}: {error[-300:]}" for word in FAULTS if word in error)
+    left = list(members(process.pid))
+    yield from (f"left: {line}" for line in left)
+    yield from (f"left: {one}" for one in segments if one.exists() and not _locked(one))
+    with suppress(FileError):  # the signal came before there was a dataset
+        for report in verify_dataset(dataset):
+            if not (report.clean and report.finished):
+                yield f"{report.path.name}: is open, or has faults: {report.fault_lines()[:2]}"
+
+
+def _segments(pid: int) -> set[Path]:
+    """Segments of shared memory that a process has mapped, without those of ports, which the next process takes over."""
+    try:
+        maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
+    except OSError:
+        return set()
+    return {
+        Path(one) for one in re.findall(r"(/dev/shm/fast(?:dds|rtps)_\S+)$", maps, re.MULTILINE) if "_port" not in one
+    }
+
+
+def _locked(segment: Path) -> bool:
+    """Whether a segment is of another process, which lives: Fast DDS keeps a lock beside it."""
+    with suppress(OSError), segment.with_name(f"{segment.name}_el").open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def catches(pid: int) -> bool:
+    """Whether a process catches SIGHUP, which Python alone does not: before, a signal ends the interpreter as it likes."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except OSError:
+        return False
+    (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(int(mask, 16) >> (signal.SIGHUP - 1) & 1)
+
+
+def members(session: int) -> Iterator[str]:
+    """Command lines of the processes of a session."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, leader = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(leader) == session and state != "Z":
+                yield (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:  # it has ended meanwhile
+            continue
+
+
+def main() -> int:
+    """Exit status 1 if any case has a fault."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--domain", type=int, default=60, help="first of ten ROS domains that are used in turn")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    rng, cases = np.random.default_rng(arguments.seed), []
+    with tempfile.TemporaryDirectory() as folder:
+        scenes = write_clouds(Path(folder))
+        for k in range(arguments.cases):
+            cases.append(run_case(*draw(rng), scenes, arguments.domain + k % 10))
+            if cases[-1].fault or k % 20 == 0:
+                print_rows([asdict(cases[-1])])
+    rows = []
+    for name in COMMANDS:
+        own = [one for one in cases if one.command == name]
+        longest = max((one.seconds for one in own), default=0.0)
+        rows.append(
+            {"command": name, "cases": len(own), "longest_s": longest, "faults": sum(bool(c.fault) for c in own)}
+        )
+    print_rows(rows)
+    if arguments.out:
+        write_csv(arguments.out, [asdict(one) for one in cases])
+    return int(any(one.fault for one in cases))
+
+
+def write_clouds(folder: Path) -> Path:
+    """Three clouds of a scene, as a folder that can be replayed."""
+    from foretouch.cloud.io.files import read_cloud, write_cloud
+
+    cloud = read_cloud(ROOT / "examples" / "data" / "table.npz")
+    for number in range(3):
+        write_cloud(folder / f"{number}.npz", cloud)
+    return folder
+
+
+if __name__ == "__main__":
+    sys.exit(main())

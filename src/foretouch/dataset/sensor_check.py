@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compares the description of a sensor with what was recorded of it."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.dataset.record import REST, TouchSeries, readings
+from foretouch.dataset.samples import open_samples
+from foretouch.errors import TactileError
+from foretouch.tactile.description import Sensor
+from foretouch.types import SECOND_NS, Float64, Index
+
+_STILL: Final = 20  # readings without change, through which a working taxel shows its noise
+_SATURATED: Final = 0.01  # of a taxel's readings at an end of its range
+
+
+class _Tally:
+    """What the readings of a sensor of D values show."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._channels, size = sensor.channels, sensor.channels.size
+        self._bottom, self._top = self._channels.by_modality(_limits(sensor)).T
+        self.low, self.high = np.full(size, np.inf), np.full(size, -np.inf)
+        self.still, self.ends, self.outside = np.zeros((3, size), np.int64)
+        self.grasps, self.readings, self.repeated = 0, 0, 0
+        self.steps, self.noise, self.rests = list[Float64](), list[Float64](), list[Float64]()
+
+    def add(self, series: TouchSeries) -> None:
+        """Add the readings of a grasp."""
+        values = series.counts.astype(np.float64)
+        self.grasps, self.readings = self.grasps + 1, self.readings + len(values)
+        self.low, self.high = np.minimum(self.low, values.min(axis=0)), np.maximum(self.high, values.max(axis=0))
+        self.outside += ((values < self._channels.low) | (values > self._channels.high)).sum(axis=0)
+        self.ends += ((values <= self._bottom) | (values >= self._top)).sum(axis=0)
+        self.still += (np.ptp(values, axis=0) == 0.0) & (len(values) >= _STILL)
+        self.repeated += int((np.diff(values, axis=0) == 0.0).all(axis=1).sum())
+        self.steps.append(np.diff(series.stamps_ns) / SECOND_NS)
+        if len(rest := values[series.phases == REST]) > 1:
+            self.noise.append(rest.var(axis=0, ddof=1))
+            self.rests.append(np.median(rest, axis=0))
+
+    def modality(self, columns: Index) -> dict[str, Any]:
+        """Row of one modality."""
+        dead = (self.low == self.high) & (self.readings >= _STILL)
+        calm = np.sort(self.noise, axis=0)[: max(1, int(0.9 * len(self.noise)))]  # a tenth was least at rest
+        return {
+            "range": [float(self.low[columns].min()), float(self.high[columns].max())],
+            "outside": int(self.outside[columns].sum()),
+            "noise": _median(np.sqrt(calm.mean(axis=0))[columns]) if self.noise else None,
+            "drift": _median(np.median(np.abs(np.diff(self.rests, axis=0)), axis=0)[columns])
+            if self.rests[1:]
+            else None,
+            "saturated": np.flatnonzero(self.ends[columns] > _SATURATED * self.readings).tolist(),
+            "dead": np.flatnonzero(dead[columns]).tolist(),
+            "stuck": np.flatnonzero(~dead[columns] & (self.still[columns] > 0)).tolist(),
+        }
+
+
+def _limits(sensor: Sensor) -> Float64:
+    """(M, 2) lowest and highest number of each modality that still follows the contact."""
+    return np.array([one.saturation or one.limits for one, _ in sensor.predicted for _ in sensor.channels.fingers])
+
+
+def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
+    """Ranges, noise, drift, rate and failed taxels of a dataset, beside those of a description, in plain types.
+
+    Dead taxels never changed, stuck ones not through at least one grasp. Noise is the standard deviation at rest, drift the change of the
+    rest level from a grasp to the next (medians over taxels). `corrections` lists setting, stated and recorded value.
+
+    Raises:
+        FileError: If there is no dataset.
+        TactileError: If its readings have another number of values, or it holds none.
+    """
+    tally, channels = _Tally(sensor), sensor.channels
+    for record in open_samples(path).records():
+        if (series := readings(record)) is not None and len(series.counts):
+            if series.counts.shape[1] != channels.size:
+                rule = f"{series.counts.shape[1]} values in a reading, and {channels.size} of {channels.sensor}"
+                raise TactileError(f"{path}: {record.sample.id}: {rule}")
+            tally.add(series)
+    if not tally.grasps:
+        raise TactileError(f"{path}: holds no readings")
+    step = float(np.median(np.concatenate(tally.steps))) if any(map(len, tally.steps)) else 0.0
+    rate_hz = 1.0 / step if step > 0.0 else None
+    modalities = {name: tally.modality(columns) for name, columns in channels.modality_columns.items()}
+    return {
+        "grasps": tally.grasps,
+        "readings": tally.readings,
+        "rate_hz": rate_hz,
+        "repeated": tally.repeated / max(1, tally.readings - tally.grasps),
+        "modalities": modalities,
+        "corrections": _corrections(sensor, rate_hz, modalities),
+    }
+
+
+def _corrections(sensor: Sensor, rate_hz: float | None, modalities: dict[str, Any]) -> list[list[str]]:
+    rows, config = [], sensor.config
+    if rate_hz is not None and abs(rate_hz / config.update_rate - 1.0) > 0.05:
+        rows.append(["update_rate", f"{config.update_rate:g}", f"{rate_hz:.3g}"])
+    for one, _ in sensor.predicted:
+        parts = [modalities[f"{one.name}_{finger}"] for finger in sensor.channels.fingers]
+        if any(part["outside"] for part in parts):
+            ends = [min(part["range"][0] for part in parts), max(part["range"][1] for part in parts)]
+            rows.append([f"{one.name}: range", str(list(one.limits)), str(ends)])
+        noises = [part["noise"] for part in parts if part["noise"] is not None]
+        if noises and not (one.noise and 0.5 < np.median(noises) / one.noise < 2.0):
+            rows.append(
+                [f"{one.name}: noise", "none" if one.noise is None else f"{one.noise:g}", f"{np.median(noises):.3g}"]
+            )
+    for finger in config.chosen_fingers():
+        own = [modalities[f"{one.name}_{finger.name}"]["dead"] for one, size in sensor.predicted if size == sensor.size]
+        if (dead := sorted(set.intersection(*map(set, own)))) != sorted(finger.dead):
+            rows.append([f"{finger.name}: dead", str(list(finger.dead)), str(dead)])
+    return rows
+
+
+def _median(values: Float64) -> float:
+    return float(f"{np.median(values):.3g}")

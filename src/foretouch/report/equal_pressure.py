@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which grasps of a request have predicted pressures that differ by less than their intervals.
+
+The error of a prediction has a part that all grasps on an object share and a part of each grasp. For the released models, the
+interval of the difference of two grasps is .5 to 1.03 times as wide as that of one prediction before any touch, so the
+rule here is that of a difference, on the safe side, and can be checked from the bounds of the answer alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from foretouch.models.touch_model import TouchModel
+from foretouch.report.taxel_view import TaxelView
+from foretouch.tactile import Ranges
+from foretouch.types import Float64, Index, Touch, TouchPrediction, TouchPredictions, prediction_rows
+
+EQUAL_PRESSURE: Final = "equal_pressure"
+"""Flag of grasps whose predicted pressure differs from the lowest of the request by less than the half width of its interval."""
+
+
+def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
+    """(K,) number of the group of each of (K,) costs with half widths (K,), group 0 with the lowest cost.
+
+    A group holds all costs that exceed its lowest by less than the half width of that one; NaN and infinity are alone.
+    """
+    costs, half = np.asarray(costs, np.float64), np.asarray(half, np.float64)
+    groups, lowest, number = np.empty(len(costs), np.intp), -1, -1
+    with np.errstate(invalid="ignore"):
+        for k in np.argsort(costs, kind="stable"):
+            if lowest < 0 or not costs[k] - costs[lowest] < half[lowest]:
+                lowest, number = k, number + 1
+            groups[k] = number
+    return groups
+
+
+def scale_of(model: TouchModel) -> tuple[Touch | None, Ranges]:
+    """The reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
+    rest = None if model.calibration is None else Touch(model.calibration.rest, model.sensor.channels)
+    return rest, model.ranges
+
+
+def predicted_pressures(predictions: Sequence[Any], model: TouchModel) -> Float64:
+    """(3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
+    rows = prediction_rows(predictions, model.sensor.channels.size)
+    return TaxelView(model.sensor).pressures(rows, *scale_of(model))
+
+
+def flag_equal_pressures(predictions: Sequence[TouchPrediction], model: TouchModel) -> Sequence[TouchPrediction]:
+    """The predictions for grasps on one object, with `EQUAL_PRESSURE` on each that cannot be ranked before another as the gentlest.
+
+    The pressure is the mean of both fingers; models without intervals get no flag.
+    """
+    if len(predictions) < 2:
+        return predictions
+    value, lower, upper = predicted_pressures(predictions, model).mean(axis=-1)
+    equal = equal_groups(value, np.abs(upper - lower) / 2.0) == 0
+    if np.count_nonzero(equal) < 2:
+        return predictions
+    flags = [(EQUAL_PRESSURE,) if one else () for one in equal.tolist()]
+    if isinstance(predictions, TouchPredictions):
+        return predictions.flagged(flags)
+    return [replace(one, flags=one.flags + more) for one, more in zip(predictions, flags, strict=True)]

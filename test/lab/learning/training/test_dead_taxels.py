@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A dead electrode from a dataset to predictions, scores and the readings of a hand."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_builders import IDENTITY, QUICK
+from run_builders import quiet, run_config, write_store
+
+from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.samples import export_samples, open_samples
+from foretouch.errors import DatasetError
+from foretouch.models.hand_history import HandHistory
+from foretouch.models.registry import load_model
+from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.dead_taxels import with_dead_taxels
+from foretouch.types import GraspSample, Touch
+from foretouch_lab.dataset.store_writer import build_store
+from foretouch_lab.learning.data import Dataset, load_dataset, make_folds
+from foretouch_lab.learning.evaluation.baselines import training_mean
+from foretouch_lab.learning.evaluation.evaluate import cross_validate, evaluate_model
+from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
+from foretouch_lab.learning.training.run import make_learner, train_run
+
+CONTACT = {"method": "contact", "contact": {"trees": 4}}
+FIFTH, ELEVENTH = BIOTAC_SP.taxel_columns[0, [5, 11], 0]
+
+
+def damaged(sample: GraspSample, column: int = FIFTH, value: float = 800.0) -> GraspSample:
+    assert sample.touch is not None
+    values = np.where(np.arange(50) == column, value, sample.touch.values)
+    return replace(sample, touch=Touch(values, sample.touch.channels))
+
+
+@pytest.fixture(scope="module")
+def broken(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("broken")
+    return load_dataset(write_store(folder / "set", (damaged(sample) for sample in data.samples)))
+
+
+@pytest.fixture(scope="module")
+def card(broken: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    said: list[dict] = []
+    card = train_run(run_config(**CONTACT), broken, tmp_path_factory.mktemp("model") / "run", said.append)
+    assert said[-1]["dead_taxels"] == {"TH": [5]}
+    return card
+
+
+def test_the_card_names_it_and_its_predictions_are_not_valid(broken: Dataset, card: Path) -> None:
+    assert broken.sensor.dead == {"TH": [5]}
+    assert (
+        "Dead in the training data, so that their predictions are not valid: taxels TH 5."
+        in json.loads(card.read_text())["limits"]
+    )
+    model = load_model(card)
+    assert model.sensor.dead == {"TH": [5]}
+    sample = broken.samples[0]
+    (one,) = model.predict(sample.cloud, [sample.grasp])
+    assert one.value is not None
+    assert "out_of_range" not in one.flags  # by the mean of the neighbours, not by 800
+
+
+def test_it_is_left_out_of_scores_and_others_score_as_without_it(broken: Dataset, card: Path) -> None:
+    scores = evaluate_model(card, broken, "random", training_scores=True)
+    assert scores["not_scored"] == {"TH": [5]}
+    other = replace(broken, samples=tuple(damaged(damaged(one), ELEVENTH, 0.0) for one in broken.samples))
+    other = replace(other, sensor=with_dead_taxels(other.sensor, np.array([one.touch.values for one in other.samples])))
+    assert other.sensor.dead == {"TH": [5, 11]}
+    result = evaluate_model(card, other, "random", training_scores=True)
+    assert result["not_scored"] == {"TH": [5, 11]}
+    for name in ("PDC_TH", "PDC_MF", "E_MF"):
+        assert result["scores"]["model"][name]["rmse"] == scores["scores"]["model"][name]["rmse"]
+    assert result["scores"]["model"]["E_TH"]["rmse"] != scores["scores"]["model"]["E_TH"]["rmse"]
+    played = evaluate_prequential(load_model(card), other.masked)
+    assert played["not_scored"] == {"TH": [5, 11]}
+
+
+def test_what_a_dead_electrode_reads_does_not_matter_to_a_hand(broken: Dataset, card: Path) -> None:
+    model = load_model(card)
+    asked = broken.samples[1]
+
+    def after(column: int, value: float, tare: bool) -> np.ndarray:
+        hand, sample = HandHistory(model), damaged(broken.samples[0], column, value)
+        assert sample.touch is not None
+        if tare:
+            hand.add_tare(10**9, sample.touch)
+        else:
+            hand.add_touch(10**9, sample.cloud, sample.grasp, sample.touch)
+        (one,) = model.predict(asked.cloud, [asked.grasp], history=hand.snapshot(2 * 10**9, same_object=not tare))
+        assert one.value is not None
+        return one.value.values
+
+    for tare in (False, True):
+        np.testing.assert_array_equal(
+            after(FIFTH, 800.0, tare), after(FIFTH, 4095.0, tare)
+        )  # dead in the training data
+        np.testing.assert_array_equal(after(ELEVENTH, np.nan, tare), after(ELEVENTH, 0.0, tare))  # dead on the hand
+        whole, missing = after(FIFTH, 800.0, tare), after(ELEVENTH, np.nan, tare)
+        others = np.setdiff1d(np.arange(50), [FIFTH, ELEVENTH])
+        assert np.abs(whole - missing)[others].max() < 30.0
+
+
+def test_recordings_stores_and_archives_keep_what_was_not_read(data: Dataset, tmp_path: Path) -> None:
+    samples = [damaged(sample, FIFTH, np.nan) for sample in data.samples[:6]]
+    with RecordingWriter(tmp_path / "recording", IDENTITY, QUICK) as writer:
+        for sample in samples:
+            writer.append(SampleRecord(sample=replace(sample, tare=sample.touch)))
+    build_store([tmp_path / "recording"], tmp_path / "store")
+    export_samples(tmp_path / "recording", tmp_path / "npz", "npz")
+    for name in ("recording", "store", "npz"):
+        read = [record.sample for record in open_samples(tmp_path / name).records()]
+        assert len(read) == len(samples)
+        for one in read:
+            assert one.touch is not None
+            assert one.tare is not None
+            assert np.flatnonzero(np.isnan(one.touch.values)).tolist() == [FIFTH]
+            np.testing.assert_array_equal(one.tare.values, one.touch.values)
+    assert load_dataset(tmp_path / "store").sensor.dead == {"TH": [5]}
+    with (
+        pytest.raises(DatasetError, match="touch: holds a value that is not finite"),
+        RecordingWriter(tmp_path / "infinite", IDENTITY, QUICK) as writer,
+    ):
+        writer.append(SampleRecord(sample=damaged(samples[0], FIFTH, np.inf)))
+
+
+def test_a_training_that_is_refused_leaves_nothing(data: Dataset, tmp_path: Path) -> None:
+    flat = replace(data, samples=tuple(damaged(one, 0, 2000.0) for one in data.samples))
+    with pytest.raises(DatasetError, match="value 0 of the touch is the same in all samples"):
+        train_run(run_config(**CONTACT), flat, tmp_path / "run", quiet)
+    assert not (tmp_path / "run").exists()
+
+
+def test_public_grasps_with_a_dead_electrode_are_predicted_as_well_as_without(real_data: Path) -> None:
+    """The shipped recipe's settings with fewer trees, on the five random folds: all other electrodes, in the same run."""
+    whole = load_dataset(real_data / "vision2tactile")
+    samples = tuple(damaged(one) for one in whole.samples)
+    broken = replace(
+        whole, samples=samples, sensor=with_dead_taxels(whole.sensor, np.array([one.touch.values for one in samples]))
+    )
+    assert broken.sensor.dead == {"TH": [5]}
+    assert whole.sensor.dead == {}
+    skills = []
+    for data in (whole, broken):
+        learner = make_learner(run_config(method="contact", contact={"trees": 20}), data)
+        folds = make_folds(learner.samples, "random", 0)
+        ranges, quick = learner.config.ranges(BIOTAC_SP.channels), {"training_mean": training_mean}
+        scores, _ = cross_validate(
+            learner.samples,
+            learner.labels,
+            learner.predict_fold,
+            folds,
+            ranges,
+            baselines=quick,
+            valid=broken.sensor.valid_values,
+        )
+        skills.append([one.skill for one in scores["model"].values()])
+    np.testing.assert_allclose(skills[1], skills[0], atol=0.02)

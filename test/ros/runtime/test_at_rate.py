@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""More clouds than a graph can answer: the newest comes next, answers stay young, and every cloud is accounted for."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.messages.conversions import stamp_to_msg
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch_msgs.msg import TouchPredictionArray
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+SECONDS = 6.0
+RATE_HZ = 60.0
+
+
+@pytest.fixture
+def busy_core():
+    """Another process that takes all of a core."""
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    yield
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.parametrize("work_ms", [25.0, 80.0])
+def test_beyond_what_it_can_do_the_graph_answers_the_newest_cloud_beside_a_busy_core(
+    graph, scene_cloud, model_card, monkeypatch, busy_core, work_ms
+):
+    nodes = graph.add(*PERCEPTION, model=model_card)
+    predict = nodes[2]._predictor.array
+
+    def slowly(*arguments, **options):
+        time.sleep(work_ms / 1e3)
+        return predict(*arguments, **options)
+
+    monkeypatch.setattr(nodes[2]._predictor, "array", slowly)
+    ages = {}
+    graph.probe.create_subscription(
+        TouchPredictionArray, "touch", lambda m: ages.update({stamp_ns(m.header.stamp): time.time_ns()}), 100
+    )
+    publisher = graph.talk_matched(PointCloud2, "points")
+    graph.matched("touch")
+    message = cloud_to_msg(scene_cloud(width=160))
+    begin, stamps = time.monotonic(), []
+    for number in range(round(RATE_HZ * SECONDS)):
+        time.sleep(max(0.0, begin + number / RATE_HZ - time.monotonic()))
+        stamps.append(time.time_ns())
+        message.header.stamp = stamp_to_msg(stamps[-1])
+        publisher.publish(message)
+    for node in nodes:
+        graph.until(lambda node=node: node.statistics.summary().waiting == 0)
+        time.sleep(0.2)  # what it has handed on
+    graph.until(lambda: len(ages) == nodes[2].statistics.summary().used)
+    first, *others = (node.statistics.summary() for node in nodes)
+    assert first.received + first.lost == len(stamps)
+    assert first.received == first.used + first.dropped["superseded"]
+    assert set(first.dropped) == {"superseded"}
+    assert [(one.received, one.used, dict(one.dropped)) for one in others] == [(first.used, first.used, {})] * 2
+    # It was the newest when the answer before it was done. Whether a period is long depends on what else runs.
+    answered = np.array([(stamp, arrived) for stamp, arrived in sorted(ages.items()) if stamp > stamps[0] + 1e9]) / 1e9
+    waited = (answered[:, 1] - answered[:, 0])[1:] - np.diff(answered[:, 1])
+    assert np.median(waited) <= 1.0 / RATE_HZ + 0.1, np.percentile(waited, (50, 90))
