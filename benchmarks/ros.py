@@ -64,10 +64,13 @@ class Client:
         self._thread.start()
 
     def leave(self) -> None:
-        """Leave the graph."""
+        """Leave the graph; a process that ends while its thread serves is aborted by the middleware of Jazzy now and then."""
+        import rclpy
+
         self._executor.shutdown(timeout_sec=1.0)
         self._thread.join(2.0)
         self.node.destroy_node()
+        rclpy.try_shutdown()
 
     def reported(self, node: str, before: Report | None, now: Report) -> None:
         """Called with each report of a node, and the one before of the same process."""

@@ -377,6 +377,7 @@ def main() -> int:
                 print("  ".join(str(value) for value in row.values()), flush=True)
         finally:
             graph.close()
+            graph.leave()
     if arguments.out:
         write_csv(arguments.out, rows)
     return int(failed)
