@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A package of messages that a test builds as `foretouch_msgs` is built, once for each content and Python, and uses in this process."""
+"""A package of messages that a test builds as `foretouch_msgs` is built, once for each content, Python and release of ROS, and uses in this process."""
 
 import ctypes
 import hashlib
@@ -10,6 +10,8 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -35,7 +37,9 @@ def use_package(definitions: Mapping[str, str], monkeypatch: pytest.MonkeyPatch)
     A skip if they cannot be built here, such as without a compiler or a network.
     """
     package = next(iter(definitions)).partition("/")[0]
-    key = hashlib.sha256(repr((sorted(definitions.items()), sys.implementation.cache_tag)).encode()).hexdigest()[:16]
+    release = [(name, metadata.version(name)) for name in ("ros-fastcdr", "ros-rosidl-generator-py")]  # it is linked to
+    content = (sorted(definitions.items()), sys.implementation.cache_tag, release)
+    key = hashlib.sha256(repr(content).encode()).hexdigest()[:16]
     prefix = _CACHE / f"{package}-{key}"
     if not prefix.is_dir():
         _build(package, definitions, prefix)
@@ -74,5 +78,6 @@ def _build(package: str, definitions: Mapping[str, str], prefix: Path) -> None:
         pytest.skip(f"{package} cannot be built here: {done.stderr.strip().splitlines()[-1:]}")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "wheel")
-    next(folder.glob("wheel/*.data/data")).rename(prefix)
+    with suppress(OSError):  # another process has built it meanwhile
+        next(folder.glob("wheel/*.data/data")).rename(prefix)
     shutil.rmtree(folder)

@@ -60,7 +60,7 @@ def system_errors(path: str | Path, rule: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise FileError(path, f"{rule}: " * bool(rule) + (err.strerror or str(err))) from err
+        raise FileError(path, f"{rule}: " * bool(rule) + (os.strerror(err.errno) if err.errno else str(err))) from err
 
 
 @contextmanager
