@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch.config import Settings, load_yaml, setting
+from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.tables import TableConfig, expanded, read_blocks
 from foretouch.errors import ConfigError, DatasetError, FileError, none_of, quoted, shown
@@ -27,7 +28,6 @@ from foretouch.tactile.readings import rest_of
 from foretouch.types import SECOND_NS, AnyArray, Float64, GraspSample, Int64, Touch
 
 _MOST_CELLS: Final = 10_000_000  # of one grasp, which is held in memory
-_SETTLE_NS: Final = 300_000_000  # from first to steady contact, as `PairingConfig.settle_s`
 _NAME: Final = re.compile(r"\{([^{}]+)\}")
 _Rows = dict[str, AnyArray]  # (n,) of each column by name, and the `_ROW` of each
 _ROW: Final = "#"
@@ -286,7 +286,7 @@ class MappedSource:
         if not onsets:
             return None, tare, phases, None
         touching = (contact_scores(values, rest, channels) >= RELEASE_LEVEL).any(axis=1)
-        held = touching & (stamps >= min(onsets) + _SETTLE_NS) & (phases != REST)
+        held = touching & (stamps >= min(onsets) + SETTLE_NS) & (phases != REST)
         phases[held] = HOLD
         return Touch(np.median(values[held], axis=0), channels) if held.any() else None, tare, phases, min(onsets)
 

@@ -140,9 +140,18 @@ def _joined(path: Path, table: TableConfig) -> bytes:
     return b"\n".join(b",".join(cells[k : k + table.lines]) for k in range(0, len(cells), table.lines))
 
 
+def _numbered(wanted: Mapping[str, pa.DataType]) -> list[tuple[str, str, int | None]]:
+    """Each name with that of its column or array, and the number in it, which `NAME[0]`, `NAME[1]` and so on have."""
+    found: list[tuple[str, str, int | None]] = []
+    for name in wanted:
+        number = re.search(r"\[(\d+)\]$", name)
+        found.append((name, name[: number.start()], int(number[1])) if number else (name, name, None))
+    return found
+
+
 def _parquet(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:
     """Numbers of a column of lists are `NAME[0]`, `NAME[1]` and so on, of lists of lists in the order of all of a row."""
-    parts = [(name, *re.fullmatch(r"(.*?)(?:\[(\d+)\])?", name).groups()) for name in wanted]  # type: ignore[union-attr]
+    parts = _numbered(wanted)
     bases = dict.fromkeys(base for _, base, _ in parts)
     with open_regular(path) as file:
         table = pq.ParquetFile(file)
@@ -150,9 +159,9 @@ def _parquet(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> I
         for batch in table.iter_batches(_ROWS, columns=list(bases)):
             columns = {name: _numbers_of(path, name, batch[name], len(batch)) for name in bases}
             for name, base, k in parts:
-                if (k is None) != (columns[base].ndim == 1) or (k and int(k) >= columns[base].shape[1]):
+                if (k is None) != (columns[base].ndim == 1) or (k is not None and k >= columns[base].shape[1]):
                     raise FileError(path, f"is of a column of shape {columns[base].shape}", field=f"column {name}")
-            yield [pa.array(columns[base] if k is None else columns[base][:, int(k)]) for _, base, k in parts]
+            yield [pa.array(columns[base] if k is None else columns[base][:, k]) for _, base, k in parts]
 
 
 def _numbers_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
@@ -169,18 +178,18 @@ def _numbers_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
 def _arrays(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:
     """Of NPZ and HDF5 files, whose arrays have a row for each first index."""
     with _opened(path) as file:
-        parts = [(name, *re.fullmatch(r"(.*?)(?:\[(\d+)\])?", name).groups()) for name in wanted]  # type: ignore[union-attr]
+        parts = _numbered(wanted)
         _require(path, list(file), dict.fromkeys(base for _, base, _ in parts))
         arrays = {base: file[base] for _, base, _ in parts}
         size = max((array.shape or (0,))[0] for array in arrays.values())
         for name, base, k in parts:
             shape = arrays[base].shape
-            if shape[:1] != (size,) or len(shape) != 1 + (k is not None) or (k and int(k) >= shape[1]):
+            if shape[:1] != (size,) or len(shape) != 1 + (k is not None) or (k is not None and k >= shape[1]):
                 raise FileError(path, f"is of an array of shape {shape}, not {size} rows", field=f"column {name}")
         for start in range(0, size, _ROWS):
             block = {base: array[start : start + _ROWS] for base, array in arrays.items()}
             block = {base: one.astype(str) if one.dtype.kind in "OS" else one for base, one in block.items()}
-            yield [pa.array(block[base] if k is None else block[base][:, int(k)]) for _, base, k in parts]
+            yield [pa.array(block[base] if k is None else block[base][:, k]) for _, base, k in parts]
 
 
 def _opened(path: Path) -> Any:

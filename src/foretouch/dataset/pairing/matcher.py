@@ -9,7 +9,7 @@ interval have come, then its touch is cut out by stamps.
 from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
@@ -18,7 +18,8 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import SECOND_NS
 
 _MAX_PLANS = 10_000
-_SETTLE_S = 0.3  # from first to steady contact, where the contact detector gives the interval
+SETTLE_NS: Final = 300_000_000
+"""From first to steady contact, where the contact detector gives the interval [ns]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +208,7 @@ class GraspTouchMatcher:
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
                 flags = ("detected_interval", "assumed_grasp")
             if name is not None:
-                contact = min(episode.contact + round(_SETTLE_S * SECOND_NS), episode.release - 1)
+                contact = min(episode.contact + SETTLE_NS, episode.release - 1)
                 interval = replace(episode, contact=contact)
                 self.add_executed(ExecutedGrasp(grasp_id=name, interval=interval, flags=flags), now_s)
             elif now_s - since_s < self.config.kept_s:
