@@ -117,11 +117,11 @@ def test_statistics_are_those_of_real_clouds_when_frozen_and_of_labelled_ones_pe
 
 def test_a_few_labels_are_learned_by_heart(samples, small) -> None:
     data = TrainingSet.build(samples, small.replace(outputs=("PDC_TH",), head_widths=(64, 32)))
-    long = QUICK.replace(epochs=250, learning_rate=3e-3, batch_size=10, points=48)
+    long = QUICK.replace(epochs=400, learning_rate=3e-3, batch_size=10, points=48)
     config = long.replace(target_scaling="standardised", loss=SRGAN.replace(weight_unlabeled=1.0))
     trainer = SrganTrainer(data, np.arange(10), UNLABELLED, config)
     first = trainer.run_epoch()["labeled"]
-    steps(trainer, 249)
+    steps(trainer, 399)
     error = predict_set(trainer.net.eval(), data, np.arange(10))[:, 0] - data.labels[:10, 0]
     assert first > 0.7
     assert float(np.sqrt(np.mean(error**2))) < 0.35 * data.labels[:10, 0].std()
