@@ -28,7 +28,7 @@ from benchmarks.references.reference import (
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import KernelRegression
-from foretouch.models.network.batch_norm import batch_affine
+from foretouch.models.network.pointnet import batch_affine
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.object_shape import object_sizes

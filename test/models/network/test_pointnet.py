@@ -7,9 +7,61 @@ import torch
 from foretouch.models.network import pointnet
 from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.pointnet import PointNetFeatures, make_layers, pool
+from foretouch.models.network.pointnet import PointNetFeatures, batch_affine, make_layers, pool, winners
 
 F64 = torch.float64
+
+
+def after_two_batches(way, x: torch.Tensor, momentum: float | None = 0.1) -> list[torch.Tensor]:
+    """Output, gradients and running statistics of a linear map with a batch norm of negative and zero scales."""
+    generator = torch.Generator().manual_seed(3)
+    linear, norm = (one.to(x.dtype) for one in (torch.nn.Linear(x.shape[2], 9), torch.nn.BatchNorm1d(9)))
+    with torch.no_grad():
+        for parameter in (*linear.parameters(), *norm.parameters()):
+            parameter.copy_(torch.randn(parameter.shape, generator=generator, dtype=F64))
+        norm.weight[1] = 0.0
+        norm.momentum = momentum
+        way(x * 0.5 + 1.0, linear, norm)
+    x = x.clone().requires_grad_()
+    y = way(x, linear, norm)
+    slopes = torch.randn(y.shape, generator=generator, dtype=F64).to(x.dtype)
+    gradients = torch.autograd.grad((y * slopes).sum(), [x, *linear.parameters(), *norm.parameters()])
+    assert norm.num_batches_tracked == 2
+    return [y, *gradients, norm.running_mean, norm.running_var]
+
+
+@pytest.mark.parametrize("momentum", [0.1, 0.0, None], ids=str)
+@pytest.mark.parametrize(("dtype", "inputs"), [(F64, 6), (torch.float32, 3), (torch.float32, 128)], ids=str)
+def test_batch_norm_by_moments_is_that_of_torch_in_double(dtype, inputs: int, momentum: float | None) -> None:
+    x = torch.randn(8, 400, inputs, generator=torch.Generator().manual_seed(8), dtype=F64) + 3.0
+    x = x if dtype is F64 else torch.relu(x - 3.0)  # far from zero, or as after a ReLU
+
+    def quick(x, linear, norm):
+        return torch.nn.functional.linear(x, *batch_affine(x, linear, norm))
+
+    def plain(x, linear, norm):
+        return norm(linear(x).flatten(0, 1)).view(*x.shape[:2], -1)
+
+    nearness = 1e-9 if dtype is F64 else 1e-5
+    pairs = zip(after_two_batches(quick, x.to(dtype), momentum), after_two_batches(plain, x, momentum), strict=True)
+    for one, two in pairs:  # the gradient of the bias is zero: nothing to be relative to
+        assert float((one - two).detach().abs().max()) <= nearness * max(1.0, float(two.detach().abs().max()))
+    still = after_two_batches(quick, torch.full((3, 40, 6), 0.7))  # channels that never move
+    assert all(torch.isfinite(value).all() for value in still)
+
+
+@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+def test_the_winner_is_the_largest_and_a_coarse_search_finds_a_near_equal_one(precision: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(1)
+    x, weight = torch.randn(5, 750, 8, generator=generator), torch.randn(33, 8, generator=generator)
+    every = x @ weight.T
+    found = every.gather(1, winners(x, weight, precision)[:, None])[:, 0]
+    short = every.amax(dim=1) - found
+    assert float(short.min()) >= 0.0
+    assert float(short.max()) <= (1e-5 if precision is torch.float32 else 2.0**-6 * float(every.max()))
+    x[2, 31, 0] = torch.nan
+    pooled = pool(make_layers([8, 33], norm=False), x)
+    assert torch.isnan(pooled).all(dim=1).tolist() == [False, False, True, False, False]
 
 
 def layers(*, norm: bool = True) -> torch.nn.Sequential:
