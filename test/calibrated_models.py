@@ -58,7 +58,7 @@ def save_small_network(folder: Path, name: str, mean: np.ndarray, calibration: A
 
     from foretouch.models.network.checkpoint import save_network
     from foretouch.models.network.config import ModelConfig
-    from foretouch.models.network.networks import TouchNet
+    from foretouch_lab.learning.network.networks import TouchNet
 
     torch.manual_seed(0)
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.networks import TouchNet
+from foretouch_lab.learning.network.networks import TouchNet
 
 
 def made_net(config: ModelConfig, seed: int) -> TouchNet:

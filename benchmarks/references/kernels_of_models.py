@@ -28,12 +28,12 @@ from benchmarks.references.reference import (
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import KernelRegression
-from foretouch.models.network.pointnet import batch_affine
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Grasp
+from foretouch_lab.learning.network.pointnet import batch_affine
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
 from foretouch_lab.learning.training.losses import SrganLossConfig, matching_loss
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-from foretouch.models.network import pointnet
-from foretouch.models.network.pointnet import Layer
+from foretouch_lab.learning.network import pointnet
+from foretouch_lab.learning.network.pointnet import Layer
 
 
 def _layer(layer: Layer, x: Tensor) -> Tensor:

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.networks import TouchNet
 from foretouch.types import Cloud, Grasp
+from foretouch_lab.learning.network.networks import TouchNet
 
 torch.set_num_threads(1)  # networks this small only lose time to more
 

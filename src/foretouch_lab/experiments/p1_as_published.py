@@ -37,7 +37,7 @@ from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
 
 if TYPE_CHECKING:
-    from foretouch.models.network.networks import TouchNet
+    from foretouch_lab.learning.network.networks import TouchNet
 
 ACROSS: Final = "across types"
 # P1, sections III and IV: RMSE [counts] and over its divisors, by the closest of our tables.

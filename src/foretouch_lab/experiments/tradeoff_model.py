@@ -50,7 +50,7 @@ from foretouch_lab.learning.training.contact import (
 from foretouch_lab.learning.training.tracker import fit_tracker
 
 if TYPE_CHECKING:
-    from foretouch.models.network.networks import TouchNet
+    from foretouch.models.network.folding import Network
 
 SHIPPED: Final = "contact-v2"
 NETWORK: Final = "touchnet-v1"
@@ -247,7 +247,7 @@ def _with_readings(
 # Networks; torch is imported where one is needed.
 
 
-def _network(values: Mapping[str, Any], net: TouchNet, fallback: Any) -> Estimator:
+def _network(values: Mapping[str, Any], net: Network, fallback: Any) -> Estimator:
     """The estimator of a variant from a network."""
     from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.folding import fold
@@ -287,8 +287,8 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:
     import torch
 
     from foretouch.models.network.config import ModelConfig
-    from foretouch.models.network.networks import TouchNet
     from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
+    from foretouch_lab.learning.network.networks import TouchNet
 
     torch.manual_seed(0)
     configs = [ModelConfig(outputs=(name,)) for name in MODALITIES]

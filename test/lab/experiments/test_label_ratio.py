@@ -13,7 +13,6 @@ from every_case import every_case
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.networks import GeneratorConfig
 from foretouch_lab.experiments import find_experiment, run_sweep
 from foretouch_lab.experiments.framework.manifest import RESULTS_FILE, read_results
 from foretouch_lab.experiments.label_ratio import LabelRatioSettings
@@ -30,6 +29,7 @@ from foretouch_lab.experiments.label_ratio.training import (
 from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch_lab.experiments.shared.tables import select
 from foretouch_lab.learning.data.splits import RATIOS
+from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.simulation.scene import load_scene as read_scene
 

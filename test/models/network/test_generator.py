@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
+from foretouch_lab.learning.network.networks import CloudGenerator, GeneratorConfig, draw_noise
 
 P2 = GeneratorConfig()
 

@@ -4,10 +4,10 @@
 import pytest
 import torch
 
-from foretouch.models.network import pointnet
-from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.pointnet import PointNetFeatures, batch_affine, make_layers, pool, winners
+from foretouch_lab.learning.network import pointnet
+from foretouch_lab.learning.network.batch_norm import freeze
+from foretouch_lab.learning.network.pointnet import PointNetFeatures, batch_affine, make_layers, pool, winners
 
 F64 = torch.float64
 

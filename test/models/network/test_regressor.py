@@ -4,8 +4,8 @@
 import torch
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.networks import TouchNet
-from foretouch.models.network.pointnet import InputTransform
+from foretouch_lab.learning.network.networks import TouchNet
+from foretouch_lab.learning.network.pointnet import InputTransform
 
 
 def inputs(config: ModelConfig, count: int = 4) -> tuple[torch.Tensor, torch.Tensor | None]:

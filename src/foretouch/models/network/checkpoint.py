@@ -13,16 +13,14 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import load
-from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import card_sensor, read_card
 from foretouch.models.files import file_beside, read_tensors
 from foretouch.models.model_files import CardCalibration, load_calibration, save_model
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import FoldedNetwork, fold
+from foretouch.models.network.folding import FoldedNetwork, Network, fold, tensor_shapes
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
-from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
@@ -75,7 +73,7 @@ class NetworkEstimator:
 def save_network(
     folder: str | Path,
     name: str,
-    net: TouchNet,
+    net: Network,
     facts: Mapping[str, Any],
     calibration: CardCalibration | None = None,
     fallback: Fallback | None = None,
@@ -104,8 +102,20 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
         raise ModelError(f"{card_path}: {err}") from err
 
 
-def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
-    """The network of a card, in evaluation mode with all weights checked, and the card.
+@dataclass(frozen=True, eq=False)
+class StoredNetwork:
+    """A network as it is stored: a `Network`."""
+
+    config: ModelConfig
+    tensors: Mapping[str, torch.Tensor]
+
+    def state_dict(self) -> Mapping[str, torch.Tensor]:
+        """The tensors by name."""
+        return self.tensors
+
+
+def load_network(card_path: str | Path) -> tuple[StoredNetwork, dict[str, Any]]:
+    """The network of a card with all weights checked, and the card.
 
     Raises:
         ModelError: Names the file and the field: a card of another kind, or weights that are absent, damaged, with
@@ -121,24 +131,21 @@ def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
         raise ModelError(str(err)) from err
     weights = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(weights, card["sha256"], card_path.name, load)
-    with torch.device("meta"):  # shapes alone: no random numbers are drawn for weights that are replaced at once
-        net = TouchNet(config)
-    _check_tensors(weights, net.state_dict(), tensors)
-    net.load_state_dict(tensors, assign=True)
-    return net.eval(), card
+    _check_tensors(weights, tensor_shapes(config), tensors)
+    return StoredNetwork(config, tensors), card
 
 
-def _check_tensors(path: Path, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
+def _check_tensors(path: Path, shapes: Mapping[str, tuple[int, ...]], found: Mapping[str, torch.Tensor]) -> None:
     """Check names, shapes, dtypes and finiteness, so that an error names the field."""
-    for key in sorted(wanted.keys() | found.keys()):
+    for key in sorted(shapes.keys() | found.keys()):
         if key not in found:
             raise ModelError(f"{path}: {key}: is missing; the card describes another architecture")
-        if key not in wanted:
+        if key not in shapes:
             raise ModelError(f"{path}: {key}: is not part of the card's architecture")
-        if found[key].shape != wanted[key].shape or found[key].dtype != wanted[key].dtype:
+        own, dtype = found[key], torch.int64 if key.endswith("num_batches_tracked") else torch.float32
+        if own.shape != shapes[key] or own.dtype != dtype:
             raise ModelError(
-                f"{path}: {key}: {found[key].dtype} {tuple(found[key].shape)} is not "
-                f"{wanted[key].dtype} {tuple(wanted[key].shape)} of the card's architecture"
+                f"{path}: {key}: {own.dtype} {tuple(own.shape)} is not {dtype} {shapes[key]} of the card's architecture"
             )
-        if found[key].is_floating_point() and not torch.isfinite(found[key]).all():
+        if own.is_floating_point() and not torch.isfinite(own).all():
             raise ModelError(f"{path}: {key}: holds a value that is not finite")

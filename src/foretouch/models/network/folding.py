@@ -15,21 +15,62 @@ bfloat16, with sums in float32: a processor with bfloat16 instructions (AVX-512 
 The head runs in blocks of `BLOCK` rows, the last one padded: all matrix products have the same size, so a
 prediction is equal to the last bit however many grasps are predicted in the same call.
 
+The network as torch's modules, which a robot does not need, is `foretouch_lab.learning.network`.
+
 Shapes: N points, C channels, F features, K grasps, G grasp numbers, M outputs.
 """
 
-import copy
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
 
-from foretouch.models.network.networks import TouchNet
-from foretouch.models.network.pointnet import InputTransform, Layer
+from foretouch.models.network.config import ModelConfig
 
 BLOCK = 16
 """Rows of one pass through the head."""
+
+_NORM = ("weight", "bias", "running_mean", "running_var")
+_EPSILON = 1e-5  # that torch's batch norm adds to the variance
+
+
+class Network(Protocol):
+    """An architecture and its weights: as stored, or as torch's module."""
+
+    @property
+    def config(self) -> ModelConfig:
+        """The architecture."""
+        ...
+
+    def state_dict(self) -> Mapping[str, Any]:
+        """Tensors by name."""
+        ...
+
+
+def tensor_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
+    """Shapes of all tensors of a network by name; all are float32 but `num_batches_tracked`, which are int64."""
+    found: dict[str, tuple[int, ...]] = dict.fromkeys(("target_mean", "target_scale"), (config.output_size,))
+
+    def add(prefix: str, widths: Sequence[int], *, norm: bool = True) -> None:
+        for k, (inputs, outputs) in enumerate(pairwise(widths)):
+            found[f"{prefix}.{k}.linear.weight"], found[f"{prefix}.{k}.linear.bias"] = (outputs, inputs), (outputs,)
+            if norm:
+                found.update({f"{prefix}.{k}.norm.{name}": (outputs,) for name in _NORM})
+                found[f"{prefix}.{k}.norm.num_batches_tracked"] = ()
+
+    last = [config.head_size, *config.head_widths][-1]
+    found["output.weight"], found["output.bias"] = (config.output_size, last), (config.output_size,)
+    add("features.layers", [config.channel_count, *config.trunk_widths])
+    add("head", [config.head_size, *config.head_widths], norm=config.head_norm)
+    if config.tnet:
+        add("features.transform.points", [config.channel_count, *config.tnet_widths[:3]])
+        add("features.transform.cloud", config.tnet_widths[2:])
+        matrix = "features.transform.matrix"
+        found[f"{matrix}.weight"], found[f"{matrix}.bias"] = (9, config.tnet_widths[-1]), (9,)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +134,47 @@ class FoldedNetwork:
         return _chain(self.head, torch.relu_(x)) if self.head else x
 
 
-def fold(net: TouchNet, precision: str | None = None) -> FoldedNetwork:
+def fold(net: Network, precision: str | None = None) -> FoldedNetwork:
     """Fold a trained network; later training of the network does not change the copy.
 
     Args:
-        net: In any mode; batch norm is folded with its running statistics, as in evaluation.
+        net: Batch norm is folded with its running statistics, as in evaluation.
         precision: As `ModelConfig.precision`, which is the default.
     """
     config = net.config
     dtype = getattr(torch, config.precision if precision is None else precision)
-    transform = net.features.transform
-    first, *rest = *_fold_layers(net.head), _fold_output(net)
+    tensors = {name: value.detach().double() for name, value in net.state_dict().items()}
+    transform = None
+    if config.tnet:
+        points = _folded(tensors, "features.transform.points")
+        matrix = _Affine(*(tensors[f"features.transform.matrix.{name}"].float() for name in ("weight", "bias")))
+        transform = _shared(points, dtype), (*_folded(tensors, "features.transform.cloud"), matrix)
+    scale, mean = tensors["target_scale"], tensors["target_mean"]
+    output = (tensors["output.weight"] * scale[:, None]).float().contiguous()
+    bias = (tensors["output.bias"] * scale + mean).float()
+    first, *rest = *_folded(tensors, "head"), _Affine(output, bias)
     return FoldedNetwork(
-        transform=None if transform is None else _fold_transform(transform, dtype),
-        trunk=_shared(_fold_layers(net.features.layers), dtype),
+        transform=transform,
+        trunk=_shared(_folded(tensors, "features.layers"), dtype),
         trunk_relu=config.trunk_relu,
         first=_Affine(first.weight[:, : config.feature_size].contiguous(), first.bias),
         first_grasp=first.weight[:, config.feature_size :].contiguous(),
         head=tuple(rest),
     )
+
+
+def _folded(tensors: Mapping[str, Tensor], prefix: str) -> list[_Affine]:
+    """Consecutive layers, in float32, with their batch norms merged in double precision."""
+    found: list[_Affine] = []
+    while (name := f"{prefix}.{len(found)}.linear.weight") in tensors:
+        weight, bias = tensors[name], tensors[f"{prefix}.{len(found)}.linear.bias"]
+        norm = f"{prefix}.{len(found)}.norm."
+        if f"{norm}weight" in tensors:
+            gain, shift, mean, variance = (tensors[norm + part] for part in _NORM)
+            scale = gain / torch.sqrt(variance + _EPSILON)
+            weight, bias = weight * scale[:, None], (bias - mean) * scale + shift
+        found.append(_Affine(weight.float().contiguous(), bias.float()))
+    return found
 
 
 def _pooled(layers: tuple[_Affine, ...], points: Tensor, *, relu: bool) -> Tensor:
@@ -137,20 +200,3 @@ def _chain(layers: tuple[_Affine, ...], x: Tensor) -> Tensor:
 def _shared(layers: list[_Affine], dtype: torch.dtype) -> tuple[_Affine, ...]:
     """Layers over the points, all but the first in a precision: that one has three inputs, which are positions."""
     return (layers[0], *(_Affine(layer.weight.to(dtype), layer.bias.to(dtype)) for layer in layers[1:]))
-
-
-def _fold_transform(transform: InputTransform, dtype: torch.dtype) -> tuple[tuple[_Affine, ...], tuple[_Affine, ...]]:
-    matrix = _Affine(transform.matrix.weight.detach().clone(), transform.matrix.bias.detach().clone())
-    return _shared(_fold_layers(transform.points), dtype), (*_fold_layers(transform.cloud), matrix)
-
-
-@torch.no_grad()
-def _fold_layers(layers: Iterable[nn.Module]) -> list[_Affine]:
-    found = [copy.deepcopy(layer).double().folded() for layer in layers if isinstance(layer, Layer)]
-    return [_Affine(weight.float().contiguous(), bias.float()) for weight, bias in found]
-
-
-def _fold_output(net: TouchNet) -> _Affine:
-    scale, mean = net.target_scale.double(), net.target_mean.double()
-    weight, bias = net.output.weight.detach().double(), net.output.bias.detach().double()
-    return _Affine((weight * scale[:, None]).float().contiguous(), (bias * scale + mean).float())

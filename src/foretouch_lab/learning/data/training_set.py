@@ -28,7 +28,7 @@ from foretouch_lab.learning.data.cloud_file import CloudFile
 from foretouch_lab.learning.data.folds import Indices
 
 if TYPE_CHECKING:
-    from foretouch.models.network.networks import TouchNet
+    from foretouch_lab.learning.network.networks import TouchNet
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,8 +209,9 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
 def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     """Predict by a network that may cover only some of the modalities, all samples at once."""
     from foretouch.models.network.checkpoint import load_network
+    from foretouch_lab.learning.network.networks import TouchNet
 
-    net, _ = load_network(card_path)
+    net = TouchNet.of(load_network(card_path)[0])
     ranges = net.config.ranges.ranges
     counts = np.full((len(samples), ranges.channels.size), np.nan)
     prepared = TrainingSet.build(samples, net.config)

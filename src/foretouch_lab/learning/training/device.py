@@ -13,7 +13,7 @@ from torch import nn
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.models.network.pointnet import InputTransform, PointNetFeatures
+from foretouch_lab.learning.network.pointnet import InputTransform, PointNetFeatures
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,10 +18,10 @@ from torch import Tensor
 
 from foretouch.config import setting
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
-from foretouch.models.network.networks import TouchNet
 from foretouch.types import Float64
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.network.networks import TouchNet
 from foretouch_lab.learning.training.losses import labeled_loss
 from foretouch_lab.learning.training.trainer import EpochsConfig, Trainer, shuffled_batches
 

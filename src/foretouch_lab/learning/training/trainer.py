@@ -15,11 +15,11 @@ from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
 from foretouch.config import setting
 from foretouch.errors import DatasetError, ModelError
 from foretouch.models.files import under
-from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float64
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.network.networks import TouchNet
 from foretouch_lab.learning.training.device import DeviceConfig, TrainingDevice
 
 _LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero

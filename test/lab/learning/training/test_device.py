@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.models.network.networks import GeneratorConfig
 from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.device import TrainingDevice
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network

@@ -22,14 +22,15 @@ Shapes: B clouds, L length of the noise, N points, C channels that the network u
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, Self
 
 import torch
 from torch import Tensor, nn
 
 from foretouch.config import Settings, setting
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.pointnet import PointNetFeatures, make_layers
+from foretouch.models.network.folding import Network
+from foretouch_lab.learning.network.pointnet import PointNetFeatures, make_layers
 
 
 class TouchNet(nn.Module):
@@ -55,6 +56,14 @@ class TouchNet(nn.Module):
         self.output = nn.Linear([config.head_size, *config.head_widths][-1], config.output_size)
         self.register_buffer("target_mean", torch.zeros(config.output_size))
         self.register_buffer("target_scale", torch.ones(config.output_size))
+
+    @classmethod
+    def of(cls, stored: Network) -> Self:
+        """The network of a checkpoint, in evaluation mode."""
+        with torch.device("meta"):  # no random numbers are drawn for weights that are replaced at once
+            net = cls(stored.config)
+        net.load_state_dict(dict(stored.state_dict()), assign=True)
+        return net.eval()
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
         """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
