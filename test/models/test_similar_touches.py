@@ -149,40 +149,12 @@ def test_a_state_continues_to_the_bit_and_older_ones_are_read() -> None:
             SensorTracker.from_tensors(PARAMETERS, {**tracker.to_tensors(), name: value})
 
 
-def test_the_state_of_the_sensors_does_not_depend_on_places() -> None:
-    with_places, without = grasped(6, np.ones(3)), SensorTracker(PARAMETERS)
-    for k in range(6):
-        without.add_touch(START + k * 60 * S, REST + (40.0 if k % 2 else -40.0), REST)
-    levels = [one.level(START + 400 * S) for one in (with_places, without)]
-    assert_array_equal(levels[0].offset, levels[1].offset)
-    assert_array_equal(levels[0].variance, levels[1].variance)
-
-
 def test_a_flag_names_predictions_in_which_they_took_part(model: TouchModel) -> None:
     one = SAMPLES[7]
     for count, same in ((2, True), (3, True), (6, True), (6, False)):
         found = predict(read(model, SAMPLES[:count]), one.cloud, one.grasp, same=same)
         assert (SIMILAR_TOUCHES in found.flags) == (same and count >= 3)
         assert found.reference == ("touches" if same else "history")
-
-
-def test_predictions_do_not_change_where_camera_and_object_move_together(model: TouchModel) -> None:
-    """A camera that looks down may be anywhere above the table, and turned by any angle."""
-    angle, shift = 1.1, np.array([0.07, -0.03, 0.0])
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
-
-    def moved(sample: GraspSample) -> GraspSample:
-        xyz = (sample.cloud.xyz.astype(np.float64) @ turn.T + shift).astype(np.float32)
-        g1, g2 = (turn @ end + shift for end in (sample.grasp.g1, sample.grasp.g2))
-        return replace(sample, cloud=Cloud(xyz), grasp=Grasp(g1, g2, turn @ sample.grasp.rotation))
-
-    asked, history = SAMPLES[7], read(model, SAMPLES[:7])
-    other = moved(asked)
-    same = predict(read(model, [moved(one) for one in SAMPLES[:7]]), other.cloud, other.grasp)
-    for where in (predict(history, asked.cloud, asked.grasp), predict(history, other.cloud, other.grasp)):
-        assert SIMILAR_TOUCHES in where.flags
-        assert_allclose(where.value.values, same.value.values, atol=0.05)  # float32 of the moved points
-        assert_allclose(where.upper.values, same.upper.values, atol=0.1)
 
 
 def test_a_touch_at_the_same_place_counts_more_than_one_elsewhere(model: TouchModel) -> None:

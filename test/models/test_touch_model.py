@@ -147,24 +147,6 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
     every_case(cases, check)
 
 
-def test_touches_shift_and_narrow_as_the_tracker_predicts_and_a_reduced_model_is_wider(calibrated) -> None:
-    sample = SAMPLES[6]
-    for touches in (1, 3):
-        history = touched(calibrated, touches)
-        found = calibrated.predict(sample.cloud, [sample.grasp], history=history)
-        expected = calibrated.estimator.estimate(sample.cloud, [sample.grasp]).counts
-        counts, half = history.tracker.adapt(history.tracker.level(history.stamp_ns), expected)
-        assert_array_equal(vectors(found), counts)
-        assert_array_equal(bounds(found), [counts - half, counts + half])
-        assert (found[0].reference, found[0].evidence.touches) == ("touches", touches)
-    history = touched(calibrated, 2)
-    wider = calibrated.reduced(calibrated.estimator, np.full(50, 1.5))
-    for readings in ({}, {"history": history}):
-        plain, wide = (one.predict(sample.cloud, [sample.grasp], **readings) for one in (calibrated, wider))
-        assert_array_equal(vectors(plain), vectors(wide))
-        assert_allclose(np.diff(bounds(wide), axis=0), 1.5 * np.diff(bounds(plain), axis=0), rtol=1e-9)
-
-
 def test_readings_without_a_calibration_and_contradicting_arguments_are_refused(calibrated) -> None:
     bare, sample, history = TouchModel(small_estimator(), CARD), SAMPLES[0], touched(calibrated, 1)
     rule = "toy: cannot adapt to readings: its card holds no calibration"

@@ -33,16 +33,6 @@ def picture(path: Path, target: FoundObject, prediction: TouchPrediction, **opti
     return imread(save_touch_picture(path, [DrawnGrasp(target=target, prediction=prediction, **options)]))[..., :3]
 
 
-def test_a_reading_is_drawn_beside_and_a_second_grasp_below(sample, tmp_path) -> None:
-    target, prediction, tare = sample
-    alone = picture(tmp_path / "a.png", target, prediction)
-    beside = picture(tmp_path / "new" / "b.png", target, prediction, rest=tare, read=prediction.value)
-    below = imread(save_touch_picture(tmp_path / "c.png", [DrawnGrasp(target=target, prediction=prediction)] * 2))
-    assert (beside.shape[0], below.shape[1]) == alone.shape[:2]
-    assert beside.shape[1] > 1.3 * alone.shape[1]
-    assert below.shape[0] > 1.6 * alone.shape[0]  # one scale of colours for all
-
-
 def dots_of(figure: Figure) -> list:
     """Electrodes of all fingers of a figure."""
     return [dots for axes in figure.axes for dots in axes.collections if len(dots.get_offsets()) == 24]
@@ -64,15 +54,6 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
     assert {one.get_clim() for one in dots} == {(np.min(drops), np.max(drops) + 500.0)}
     np.testing.assert_array_equal(dots[0].get_array(), dots[1].get_array())  # predicted and read of the thumb
     np.testing.assert_allclose(dots[5].get_array() - dots[4].get_array(), 500.0)
-
-
-def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path) -> None:
-    target, prediction, tare = sample
-    refused = replace(prediction, value=None, status="refused", reason="no usable model")
-    nothing = picture(tmp_path / "a.png", target, refused)
-    read = picture(tmp_path / "b.png", target, refused, rest=tare, read=prediction.value)
-    assert (read < 0.9).sum() > 1.3 * (nothing < 0.9).sum()
-    assert _agreement(DrawnGrasp(target=target, prediction=refused), BIOTAC_SP) == "not predicted: no usable model"
 
 
 def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_pressures_alone(sample, tmp_path) -> None:
@@ -133,14 +114,6 @@ def labelled(pdc: float = 2000.0) -> GraspSample:
     touch = biotac_touch(np.hstack([pdc, pdc, np.linspace(1000.0, 3000.0, 24), np.full(24, 2000.0)]))
     grasp = Grasp(points[0].astype(np.float64), points[1].astype(np.float64), np.eye(3))
     return GraspSample("can/0", "can", Cloud(points), grasp, touch, extra={"force_th_n": 1.0})
-
-
-def test_a_sheet_has_a_row_for_two_samples_and_no_fingers_of_unlabelled_ones(tmp_path) -> None:
-    for count in (0, 1, 3):
-        path = save_contact_sheet(tmp_path / "new" / f"{count}.png", [labelled()] * count, "a title")
-        assert imread(path).shape[0] == pytest.approx(100 * (2.6 * max(1, -(-count // 2)) + 1.3), abs=2)
-    bare = save_contact_sheet(tmp_path / "bare.png", [replace(labelled(), touch=None)], "a title")
-    assert bare.read_bytes() != (tmp_path / "new" / "1.png").read_bytes()
 
 
 def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> None:

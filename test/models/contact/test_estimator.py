@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_model_builders import FEW_TREES, moved, scaled, small_estimator
+from contact_model_builders import moved, scaled, small_estimator
 from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
@@ -17,8 +17,6 @@ from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
 from foretouch.types import Cloud
-from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 
 SAMPLES = make_samples(5, 10)
 
@@ -125,21 +123,3 @@ def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
         flagged["as trained"] += not estimator.estimate(one.cloud, [one.grasp]).in_distribution[0]
     assert flagged.pop("as trained") <= 2
     assert set(flagged.values()) == {10}
-
-
-def test_copies_of_half_the_points_are_learnt_too() -> None:
-    """Forests that saw them predict nearly the same for a thinned cloud."""
-    config = FEW_TREES.replace(trees=20, thinned=0.5)
-    labels, objects = labels_of(SAMPLES), [one.object for one in SAMPLES]
-    rows = describe_samples(SAMPLES)
-    copies = thinned_samples(SAMPLES, config)
-    assert thinned_samples(SAMPLES, FEW_TREES) is None
-    for copy, one in zip(copies, SAMPLES, strict=True):
-        assert copy.cloud.size == round(0.5 * one.cloud.size)
-    with_copies = fit_contact(rows, labels, objects, config, describe_samples(copies))
-    without = fit_contact(rows, labels, objects, config)
-    others = describe_samples(thinned_samples(SAMPLES, config.replace(seed=5)))
-    moves = [np.abs(one.predict_rows(others)[0] - one.predict_rows(rows)[0]).mean() for one in (with_copies, without)]
-    assert moves[0] < moves[1]
-    predictor = ContactPredictor(SAMPLES, labels, config)
-    assert_array_equal(predictor.estimator.predict_rows(rows)[0], with_copies.predict_rows(rows)[0])

@@ -14,13 +14,6 @@ def inputs(config: ModelConfig, count: int = 4) -> tuple[torch.Tensor, torch.Ten
     return points, torch.randn(count, config.grasp_size, generator=generator) if config.use_grasp else None
 
 
-def test_p2_layers_have_the_widths_of_the_paper() -> None:
-    net = TouchNet(ModelConfig(outputs=("E_TH",), channels="xyz+rgb"))
-    assert [layer.linear.weight.shape for layer in net.features.layers] == [(64, 6), (128, 64), (1024, 128)]
-    assert [layer.linear.weight.shape for layer in net.head] == [(1024, 1039), (512, 1024), (256, 512)]
-    assert net.output.weight.shape == (24, 256)
-
-
 def test_neither_batch_nor_order_of_points_matters(variant: ModelConfig, make_net) -> None:
     net = make_net(variant)
     points, grasp = inputs(variant)

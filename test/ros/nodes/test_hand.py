@@ -11,7 +11,6 @@ from sim_builders import SHORT, SPONGE, run, scene
 from std_srvs.srv import Trigger
 
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
@@ -168,19 +167,6 @@ def failing(times, real):
         raise FloatingPointError("overflow")
 
     return call
-
-
-def test_messages_continue_after_an_internal_error(graph, start, monkeypatch):
-    node, tactile, *_ = start(diagnostics_period_s=0.1)
-    reports = graph.reports("hand")
-    graph.until(lambda: tactile)
-    monkeypatch.setattr(hand, "biotac_all_to_msg", failing(7, biotac_all_to_msg))
-    graph.until(lambda: node.internal_errors.counts() == {"hand": 7})
-    heard = len(tactile)
-    graph.until(lambda: len(tactile) >= heard + 50)
-    steps = np.diff([stamp_ns(m.header.stamp) for m in tactile])
-    assert sorted(set(steps)) == [SECOND // 100, 8 * SECOND // 100]  # the stamps of the seven are left out
-    graph.until(lambda: reports and reports[-1].values.get("internal_errors.hand") == "7")
 
 
 @pytest.mark.parametrize("broken", ["_executed_to_msg", "biotac_all_to_msg"])

@@ -38,24 +38,6 @@ def uskin(monkeypatch):
     return model
 
 
-def test_another_sensor_is_on_touch_taxel_by_taxel(graph, predictor, uskin):
-    _, send, touches = predictor()
-    send(9)
-    graph.until(lambda: touches)
-    assert touches[0].status == Status.OK
-    (one,) = touches[0].predictions
-    packaged = packaged_sensor("xela_uskin_4x4")
-    assert (one.sensor, one.sensor_sha256) == ("xela_uskin_4x4", packaged.sha256)
-    assert (one.fingers, one.channels, one.scalar_channels) == (["TH", "FF"], ["X", "Y", "Z"], [])
-    values = np.array(one.values).reshape(2, 16, 3)  # taxel by taxel
-    predicted = dict(zip(packaged.channels.modalities, counted(packaged).reshape(6, 16), strict=True))
-    for (finger, f), (channel, c) in (
-        (a, b) for a in (("TH", 0), ("FF", 1)) for b in zip("XYZ", range(3), strict=True)
-    ):
-        np.testing.assert_array_equal(values[f, :, c], predicted[f"{channel}_{finger}"].astype(np.float32))
-    assert np.flatnonzero(np.array(one.valid) == 0).tolist() == [5]  # of the first finger
-
-
 def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt_to_a_biotac(
     graph, predictor, monkeypatch, tmp_path
 ):

@@ -188,16 +188,6 @@ def test_a_removed_folder_is_written_to_the_fallback_folder(graph, tmp_path):
     assert sum(count for topic, count in report.messages.items() if topic != SAMPLE_TOPIC) == status.used
 
 
-def test_a_folder_that_was_moved_keeps_its_samples(graph, tmp_path):
-    node, robot, _ = start(graph, tmp_path / "set")
-    robot.record("g-0", 0)
-    (tmp_path / "set").rename(tmp_path / "moved")
-    graph.until(lambda: node.reason)
-    reason = "was moved or unmounted during the recording, with its 1 samples: the session has ended"
-    assert node.reason == f"{tmp_path / 'set' / 'session-0001.mcap'}: {reason}"
-    assert len(recorded(tmp_path / "moved")) == 1
-
-
 def test_bytes_that_are_no_message_are_counted_and_the_recording_continues(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
     robot.record("before", 0)

@@ -110,16 +110,6 @@ def test_nothing_is_played_before_subscribers_are_there_but_the_wait_has_a_limit
     assert node.uptime_s() >= 1.5  # it was discovered
 
 
-def test_without_a_graph_it_logs_what_it_waits_for(graph, bag, capfd):
-    path, _ = bag()
-    node, logged = start(graph, path, lockstep=True), []
-    began = time.monotonic()
-    text = "waits for subscribers of /foretouch/points, 0 of 1 and a publisher of touch; is the graph running?"
-    graph.until(lambda: logged.append(capfd.readouterr().err) or text in "".join(logged))
-    assert time.monotonic() - began < 2.0
-    assert node.outcome == "waiting"
-
-
 def test_other_topics_are_played_too_and_the_unknown_are_named(graph, tmp_path, rng):
     with BagWriter(tmp_path / "bag") as writer:
         writer.definitions.register("nobodys_msgs/msg/Secret", "int32 x\n")

@@ -2,8 +2,6 @@
 """The service, the action, and a model that cannot be loaded."""
 
 import math
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -14,7 +12,6 @@ from calibrated_models import save_calibrated_network
 from diagnostic_msgs.msg import DiagnosticStatus
 from every_case import every_case
 from geometry_msgs.msg import Point, Quaternion
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
@@ -416,46 +413,11 @@ def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(
     del sender
 
 
-CROWD = """
-import sys, time
-import rclpy
-from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
-from foretouch_msgs.srv import PredictTouch
-rclpy.init()
-node = rclpy.create_node("crowd", namespace="/foretouch")
-client = node.create_client(PredictTouch, "predict_touch", qos_profile=QoSProfile(depth=5000))
-assert client.wait_for_service(20.0)
-request = deserialize_message(sys.stdin.buffer.read(), PredictTouch.Request)
-answers = [client.call_async(request) for _ in range(2000)]
-end = time.monotonic() + 100.0
-while time.monotonic() < end and not all(one.done() for one in answers):
-    rclpy.spin_once(node, timeout_sec=0.1)
-touches = [one.result().touch for one in answers if one.done()]
-assert all(bool(one.predictions) is (one.reason == "") for one in touches)
-print(sum(not one.reason for one in touches), sum(one.reason.startswith("busy: ") for one in touches))
-"""
-
-
 def test_a_request_that_has_waited_for_too_long_is_refused_and_counted(planner, monkeypatch):
     monkeypatch.setattr("foretouch.ros.runtime.workers.PATIENCE_S", -1.0)
     answer = planner.ask()
     assert (answer.status, answer.reason.partition(" behind")[0]) == (Status.BUSY, "busy: waited for -1 s")
     assert planner.node.notes()["requests.predict_touch.busy"] == "1"
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(200)
-def test_each_of_two_thousand_requests_at_once_is_answered_or_refused_and_counted(planner):
-    environment = planner.graph.environment()
-    crowd = subprocess.run(
-        [sys.executable, "-c", CROWD], input=serialize_message(planner.request()), env=environment, capture_output=True,
-        timeout=150, check=False,
-    )  # fmt: skip
-    answered, refused = map(int, crowd.stdout.split())
-    counted = {name: int(count) for name, count in planner.node.notes().items() if name.startswith("requests.")}
-    assert counted == {"requests.predict_touch.ok": answered, "requests.predict_touch.busy": refused}
-    assert (answered + refused, answered > 100) == (2000, True)
 
 
 def test_each_of_two_hundred_requests_and_a_hundred_goals_at_once_is_answered_or_refused_and_counted(planner):
