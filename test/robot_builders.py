@@ -12,8 +12,8 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
-from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, RecorderStatus
 
 MS = 1_000_000

@@ -63,15 +63,6 @@ def test_training_clouds_are_in_distribution_a_house_and_a_pea_get_the_mean(fall
     assert not inside.any()
 
 
-def test_the_score_falls_as_an_object_grows_and_one_size_in_all_of_training_is_finite(fallback, trained) -> None:
-    found = [fallback.score(trained[-1] * np.r_[np.full(7, factor), 1.0]) for factor in np.linspace(1.0, 3.0, 30)]
-    assert (np.diff(found) <= 1e-12).all()
-    assert (found[0] > 0.0, found[-1]) == (True, 0.0)
-    same = Fallback.fit(BIOTAC, np.tile(trained[0], (8, 1)), LABELS[:8])
-    assert same.score(trained[0]) == pytest.approx(1.0)
-    assert same.score(trained[-1]) == 0.0
-
-
 def test_tensors_give_it_back_to_the_bit_and_damage_is_refused_by_name(fallback, trained) -> None:
     again = Fallback.from_tensors(fallback.to_tensors(), channels=BIOTAC)
     assert [again.score(one) for one in trained] == [fallback.score(one) for one in trained]

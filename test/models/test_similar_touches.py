@@ -155,15 +155,3 @@ def test_a_flag_names_predictions_in_which_they_took_part(model: TouchModel) -> 
         found = predict(read(model, SAMPLES[:count]), one.cloud, one.grasp, same=same)
         assert (SIMILAR_TOUCHES in found.flags) == (same and count >= 3)
         assert found.reference == ("touches" if same else "history")
-
-
-def test_a_touch_at_the_same_place_counts_more_than_one_elsewhere(model: TouchModel) -> None:
-    """The reading of one earlier grasp is changed: the same grasp again follows it further than the others do."""
-    samples = SAMPLES[:8]
-    shifted = [*samples[:5], replace(samples[5], touch=type(samples[5].touch)(samples[5].touch.values + 60.0, BIOTAC))]
-    histories = [read(model, one) for one in (samples[:6], shifted)]
-    moved = []
-    for one in (samples[5], *samples[:5]):
-        found = [predict(history, one.cloud, one.grasp).value.values for history in histories]
-        moved.append((found[1] - found[0])[BIOTAC.columns(["E_MF"])].mean())
-    assert moved[0] > 1.2 * max(moved[1:])

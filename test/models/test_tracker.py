@@ -128,26 +128,6 @@ def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
     assert_allclose(tracker.level(START + 6 * DAY).offset[26:], 400.0, rtol=0.1)
 
 
-def test_a_tare_leaves_what_only_touches_read() -> None:
-    tracker = SensorTracker(replace(drifting(slow=0.5, fast=4.0), alarm=PATIENT.alarm))
-    for k in range(12):
-        if k % 3 == 0:
-            tracker.start_object()
-            tracker.add_tare(START + 60 * k * S, np.zeros(SIZE))
-        touch(tracker, 60.0 * k, np.full(SIZE, 40.0))  # whatever the object is, and unlike the tares
-    level = tracker.level(START + 720 * S, same_object=False)
-    assert (level.offset > 20.0).all()
-
-
-def test_tares_of_a_common_drift_restart_a_finger_as_rarely_as_stated(rng) -> None:
-    parameters = replace(drifting(slow=3.0), alarm=np.array([[9.7, 1.0], [9.2, 1.8]]))  # limits as of contact-v2
-    deviation = 20.0 * np.sqrt(3.0 + parameters.tare_noise[0])
-    restarts = sum(
-        len(SensorTracker(parameters).add_tare(START, np.full(SIZE, deviation * rng.normal()))) for _ in range(500)
-    )
-    assert restarts <= 8  # of 1000 fingers
-
-
 def test_readings_as_modelled_restart_a_finger_as_rarely_as_stated(rng) -> None:
     tracker, restarts = SensorTracker(drifting(slow=0.0, fast=0.0, lasting=0.0)), 0
     for k in range(1000):
@@ -236,14 +216,6 @@ def test_stamps_and_readings_that_cannot_be_are_refused_and_change_nothing() -> 
         ],
         check,
     )
-
-
-def test_a_reading_a_little_late_counts_as_of_the_newest_time() -> None:
-    trackers = [SensorTracker(drifting()), SensorTracker(drifting())]
-    for tracker, second in zip(trackers, (70.0, 100.0), strict=True):
-        touch(tracker, 100.0, np.full(SIZE, 10.0))
-        touch(tracker, second, np.full(SIZE, 20.0))
-    assert_array_equal(trackers[0].level(START).offset, trackers[1].level(START).offset)
 
 
 def test_parameters_that_cannot_be_are_refused_by_name() -> None:

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_front, save_contact_sheet, save_touch_picture
+from foretouch.report.touch_figure import DrawnGrasp, _agreement, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Cloud, Grasp, GraspSample, Plane, Touch, TouchPrediction
@@ -92,21 +92,6 @@ def test_electrodes_that_were_read_outside_of_their_intervals_have_a_ring(sample
     save_touch_picture(tmp_path / "a.png", [without, replace(without, target=target)])
     found = [dots for axes in drawn[0].axes for dots in axes.collections if isinstance(dots, PathCollection)]
     assert [len(dots.get_offsets()) for dots in found if not len(dots.get_facecolor())] == [1, 1, 1, 1]
-
-
-def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None:
-    target, prediction, _ = sample
-    figure = Figure(figsize=(1.9, 2.2), dpi=100)
-    axes = figure.add_axes((0.25, 0.3, 0.49, 0.42))  # as small as in a picture of four grasps
-    _draw_front(axes, target.cloud, prediction.grasp, ["thumb", "middle finger"])
-    figure.canvas.draw()
-    boxes = {text.get_text(): text.get_window_extent() for text in axes.texts}
-    assert boxes.keys() == {"thumb", "middle finger"}
-    thumb_above = prediction.grasp.g1[1] < prediction.grasp.g2[1]  # y points down
-    assert (boxes["thumb"].y0 > boxes["middle finger"].y1) == thumb_above
-    assert not boxes["thumb"].overlaps(boxes["middle finger"])
-    assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in boxes.values())
-    assert all(axes.bbox.y0 <= box.y0 and box.y1 <= axes.bbox.y1 for box in boxes.values())
 
 
 def labelled(pdc: float = 2000.0) -> GraspSample:

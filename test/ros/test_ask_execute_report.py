@@ -139,20 +139,6 @@ def test_every_executed_grasp_of_every_way_of_asking_is_adapted_to(graph, scene_
         assert planner.look().touches == number
 
 
-def test_a_cloud_that_was_sent_back_before_its_grasps_were_planned_is_the_same_cloud(graph, scene_cloud, tmp_path):
-    card = save_calibrated_network(tmp_path, make_tracked_calibration())
-    planner = Planner(graph, scene_cloud, model=card, **QUICK)
-    planner.look()
-    predictor, cloud = planner.node, planner.heard["object_cloud"][-1]
-    predictor._adapter.forget()
-    name = planner.service_with_the_received_cloud()
-    predictor._adapter.add_grasps(cloud, planner.heard["grasps"][-1].grasps)
-    planner.grasp(name, 1)
-    graph.until(lambda: sum(planner.counts().values()) == 1)
-    graph.until(lambda: planner.look().reference == TouchPrediction.TOUCHES)
-    assert planner.counts() == {"touches.waiting": 0, "touches.taken_in": 1}
-
-
 @pytest.mark.slow
 def test_the_example_reports_a_grasp_and_waits_until_it_is_adapted_to(lone_graph, scene_cloud, tmp_path):
     graph, card = lone_graph, save_calibrated_network(tmp_path, make_tracked_calibration())

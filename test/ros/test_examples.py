@@ -75,15 +75,3 @@ def test_the_parts_of_the_day_are_those_of_the_level_and_in_its_model_time_passe
     assert_allclose(own.fast_time_s * day.SPEED, other.fast_time_s)
     assert (own.noise == other.noise).all()
     assert model.sha256 == released.sha256
-
-
-def test_the_picture_of_the_day_shows_both_parts_and_the_restart(tmp_path):
-    day = example("simulated_day")
-    numbers = {"value": 100.0, "low": 50.0, "high": 150.0, "touches": 1, "readings": 1}
-    rows = [
-        {"kind": kind, "second": float(second), "visit": second // 10, "object": "can", **numbers}
-        for kind in ("prediction", "reading", "state", "object", "rest")
-        for second in (*range(14), *range(20, 30))
-    ]
-    assert day._longest_pause([row for row in rows if row["kind"] == "prediction"]) == (13.0, 20.0)
-    assert day.draw(rows, tmp_path / "day.png").stat().st_size > 20_000

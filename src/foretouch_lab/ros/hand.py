@@ -28,10 +28,11 @@ from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
-from foretouch.ros.messages.tactile import biotac_all_to_msg, sensor_to_msg, tactile_class
+from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.tactile.messages.table import stamp_ns
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg, sensor_to_msg
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch_lab.simulation.scheduled import scheduled_scene
 from foretouch_lab.simulation.tactile_faults import TactileFaultConfig, TactileFaults

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from every_case import every_case
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
 from foretouch.errors import ModelError
@@ -45,16 +45,6 @@ def test_every_row_and_one_on_a_threshold_reaches_scikit_learn_s_leaf(rng) -> No
     largest = np.abs(tree.value).max()
     found = Forest.from_trees([tree]).predict(asked)[:, 0]
     assert_allclose(found, model.estimators_[0].predict(asked), atol=HALF * largest)
-
-
-@pytest.mark.parametrize("outputs", [1, 50])
-def test_a_row_does_not_depend_on_its_neighbours(outputs: int) -> None:
-    model, rows = fitted(outputs)
-    forest = forest_of(model)
-    together = forest.predict(rows)
-    assert_array_equal(together, np.concatenate([forest.predict(row[None]) for row in rows]))
-    assert_array_equal(forest.predict(rows[::-1])[::-1], together)
-    assert forest.predict(np.empty((0, 6))).shape == (0, outputs)
 
 
 def test_damage_is_refused_by_name() -> None:

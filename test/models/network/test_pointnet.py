@@ -72,18 +72,6 @@ def layers(*, norm: bool = True) -> torch.nn.Sequential:
     return made.eval()
 
 
-@pytest.mark.parametrize("training", [True, False])
-def test_features_without_relu_are_negative_where_all_points_are(training: bool) -> None:
-    torch.manual_seed(0)
-    config = ModelConfig(n_points=8, tnet=False, trunk_widths=(8, 32))
-    with_relu, without = PointNetFeatures(config), PointNetFeatures(config.replace(trunk_relu=False))
-    without.load_state_dict(with_relu.state_dict())
-    points = torch.randn(2, 8, 3)
-    features = without.train(training)(points)
-    assert training or bool((features < 0.0).any())  # batch norm of 16 points makes some of them positive
-    torch.testing.assert_close(torch.relu(features), with_relu.train(training)(points))
-
-
 def test_the_quick_way_has_its_gradient_and_is_taken_for_large_batches(monkeypatch) -> None:
     net = layers()
     points = torch.randn(2, 10, 3, dtype=F64).requires_grad_()

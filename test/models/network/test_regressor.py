@@ -5,7 +5,6 @@ import torch
 
 from foretouch.models.network.config import ModelConfig
 from foretouch_lab.learning.network.networks import TouchNet
-from foretouch_lab.learning.network.pointnet import InputTransform
 
 
 def inputs(config: ModelConfig, count: int = 4) -> tuple[torch.Tensor, torch.Tensor | None]:
@@ -39,15 +38,3 @@ def test_gradient_reaches_every_parameter(variant: ModelConfig) -> None:
             continue  # batch norm takes its mean away again: no gradient by construction
         assert parameter.grad is not None, name
         assert parameter.grad.abs().max() > 0, name
-
-
-def test_transform_starts_as_identity_and_turns_coordinates_only() -> None:
-    torch.manual_seed(0)
-    transform = InputTransform(6, (4, 4, 8, 4, 4)).eval()
-    points = torch.randn(2, 16, 6)
-    assert torch.equal(transform(points), points)
-    with torch.no_grad():
-        transform.matrix.bias.copy_(torch.tensor([0.0, 1, 0, -1, 0, 0, 0, 0, 1]))
-    turned = transform(points)
-    torch.testing.assert_close(turned[..., :3], torch.stack([-points[..., 1], points[..., 0], points[..., 2]], -1))
-    assert torch.equal(turned[..., 3:], points[..., 3:])

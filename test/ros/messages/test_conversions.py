@@ -31,11 +31,12 @@ from foretouch.ros.messages.conversions import (
     stamp_to_msg,
 )
 from foretouch.ros.messages.requests import RefusalError, read_table
-from foretouch.ros.messages.tactile import biotac_all_to_msg, tactile_class
+from foretouch.ros.messages.tactile import tactile_class
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Plane, TouchPrediction
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 

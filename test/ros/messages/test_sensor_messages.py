@@ -11,9 +11,10 @@ from every_case import every_case
 from sensor_builders import XELA_TYPES
 
 from foretouch.errors import MissingDependencyError
-from foretouch.ros.messages.tactile import sensor_to_msg, tactile_class
+from foretouch.ros.messages.tactile import tactile_class
 from foretouch.tactile.description import packaged_sensor, sensor_files
 from foretouch.tactile.messages.table import TactileConfig, make_reader
+from foretouch_lab.ros.hand_messages import sensor_to_msg
 
 pytestmark = pytest.mark.ros
 

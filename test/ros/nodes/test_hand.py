@@ -14,7 +14,6 @@ from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
-from foretouch_lab.ros import hand
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -155,34 +154,6 @@ def test_a_grasp_that_is_stopped_is_not_reported_and_cleaning_up_releases_the_sc
     node.trigger_deactivate()
     node.trigger_cleanup()
     assert released() is None
-
-
-def failing(times, real):
-    """A function that raises so many times and works from then on."""
-    left = iter(range(times))
-
-    def call(*arguments):
-        if next(left, None) is None:
-            return real(*arguments)
-        raise FloatingPointError("overflow")
-
-    return call
-
-
-@pytest.mark.parametrize("broken", ["_executed_to_msg", "biotac_all_to_msg"])
-def test_a_grasp_with_an_internal_error_has_failed_and_the_next_one_is_executed(graph, start, monkeypatch, broken):
-    node, _, reports, send = start()
-    send("first")
-    graph.until(lambda: node.phase == "hold")
-    monkeypatch.setattr(hand, broken, failing(1, getattr(hand, broken)))
-    graph.until(lambda: not node.busy)
-    assert dict(node.statistics.summary().dropped) == {"failed": 1}
-    assert node.internal_errors.counts() == {"hand": 1}
-    send("second")
-    graph.until(lambda: reports)
-    assert [report.grasp_id for report in reports] == ["second"]
-    summary = node.statistics.summary()
-    assert summary.received == 2 == summary.used + sum(summary.dropped.values())
 
 
 def test_settings_that_cannot_be_used_are_named(graph, tmp_path):

@@ -95,8 +95,8 @@ def test_a_budget_that_nothing_meets_uses_the_fastest_level_and_is_reported(grap
 def test_an_answer_that_becomes_late_while_it_is_made_is_flagged_as_messages_and_as_arrays(
     graph, predictor, monkeypatch
 ):
-    node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=1000.0)
-    delayed(monkeypatch, answers, "_adapted", 1.1)
+    node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=300.0)
+    delayed(monkeypatch, answers, "_adapted", 0.35)
     assert [one.flags.count("late") for one in ask(graph, 2).predictions] == [1, 1]
     assert node.notes()["budget.late"] == "1"
     asked = request(2)

@@ -14,8 +14,8 @@ from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.nodes.recorder import RecorderConfig
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 

@@ -18,7 +18,7 @@ from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
-from foretouch.ros.messages.tactile import biotac_all_to_msg
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll, RecorderStatus, Status
 from foretouch_msgs.srv import StartRecording
 

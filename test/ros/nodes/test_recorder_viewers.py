@@ -131,17 +131,6 @@ def check_taxels(messages: dict[str, list[Any]], record: Any) -> None:
         assert {one.header.frame_id for one in taxels} == {FRAME}
 
 
-def test_without_sample_views_and_viewer_topics_only_what_samples_are_made_of_is_recorded(graph, tmp_path):
-    (node,) = graph.add("recorder", folder=str(tmp_path), sample_views=False, viewer_topics=["/joint_states"], **QUICK)
-    assert not {"/robot_description", "/foretouch/markers"} & node.input_topics.inputs.keys()
-    robot = RecordedRobot(graph, node)
-    node.begin(str(tmp_path / "set"), "can")
-    robot.record("g", 1)
-    node.end()
-    (report,) = verify_dataset(tmp_path / "set")
-    assert not [topic for topic in report.counts.topics if "taxels" in topic or "markers" in topic]
-
-
 @pytest.mark.slow
 def test_the_libraries_of_foxglove_decode_every_message_by_its_schema(graph, tmp_path):
     (node,) = graph.add("recorder", folder=str(tmp_path), **QUICK)

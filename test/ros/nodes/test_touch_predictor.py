@@ -420,8 +420,9 @@ def test_a_request_that_has_waited_for_too_long_is_refused_and_counted(planner, 
     assert planner.node.notes()["requests.predict_touch.busy"] == "1"
 
 
-def test_each_of_two_hundred_requests_and_a_hundred_goals_at_once_is_answered_or_refused_and_counted(planner):
-    graph, asked = planner.graph, {"predict_touch": 200, "sample_grasps": 100}
+def test_each_of_many_requests_and_goals_at_once_is_answered_or_refused_and_counted(planner):
+    """More than any queue of rclpy's own depth, 10, would keep."""
+    graph, asked = planner.graph, {"predict_touch": 80, "sample_grasps": 40}
     client = graph.probe.create_client(PredictTouch, "predict_touch", qos_profile=REQUESTS)
     assert client.wait_for_service(10.0)
     answers = [client.call_async(planner.request()) for _ in range(asked["predict_touch"])]

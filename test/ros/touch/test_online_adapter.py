@@ -262,21 +262,6 @@ def test_a_dead_sensor_is_refused_counted_and_named(card):
     assert (hand.reference(), "pdc_th: -22072" in hand.notes()["tare.fault"]) == ("none", True)
 
 
-def test_a_dead_electrode_of_the_hand_leaves_the_others_as_they_are(card):
-    def predicted(dead):
-        hand = DirectHand(card, use_tare=True)
-        honest = hand.feel
-        hand.feel = lambda counts, readings: honest(np.r_[counts[:7], dead or counts[7], counts[8:]], readings)
-        hand.feel(REST, 250)
-        hand.grasp("good", 0)
-        found = hand.ask()[0]
-        assert (found.reference, hand.counts()) == ("touches", {"taken_in": 1})
-        return found.value.values
-
-    whole, broken = predicted(None), predicted(5000.0)  # which no converter of 12 bits sends
-    np.testing.assert_allclose(np.delete(broken, 7), np.delete(whole, 7), atol=15.0)  # by noise and the drift meanwhile
-
-
 def test_what_cannot_be_paired_is_counted_and_changes_nothing(card):
     hand = DirectHand(card, pairing={**PAIRING, "wait_s": 0.2})
     times = hand.grasp("a", 0)
@@ -300,27 +285,6 @@ def test_what_cannot_be_paired_is_counted_and_changes_nothing(card):
     reasons = ("grasp_unknown", "grasp_failed", "overlap", "no_tactile", "cloud_ambiguous")
     assert hand.counts() == {"taken_in": 1, **{f"refused.{reason}": 1 for reason in reasons}}
     assert (hand.reference(), hand.notes()["touches"]) == ("touches", "1")
-
-
-def test_a_grasp_that_a_planner_asked_about_teaches_as_a_planned_one(card):
-    """Although the topic has another cloud of the same stamp."""
-    hand, planned = DirectHand(card), None
-
-    def see(name):
-        nonlocal planned
-        hand.shift = 0.0
-        hand.adapter.add_grasps(*hand.look(name))
-        planned = hand.cloud, hand.planned[0]
-        hand.shift = 1.0
-        hand.adapter.add_grasps(*hand.look("asked"), requested=True)
-        hand.shift = 0.0
-
-    hand.see = see
-    cut = hand.cut(hand.grasp("mine", 2))
-    del hand.see
-    history = HandHistory(hand.model)
-    history.add_touch(hand.now + MS, *planned, cut.touch)
-    assert_equal(hand.ask(), expected(hand, history))
 
 
 def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(card):
@@ -366,24 +330,6 @@ def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back
     assert hand.said == counts
     assert hand.keeper.history.tracker.evidence(hand.now).readings == 1
     assert hand.keeper.notes()["history.set_aside"] == "3"
-
-
-def test_after_a_clock_that_was_ahead_for_five_tares_the_history_goes_on_from_before_with_right_ages(card):
-    hand, tare = DirectHand(card, use_tare=True), biotac_touch(TOUCH_REST)
-    hand.adapter._recent_tare = lambda _: tare
-    start, minute = hand.now, 61_000 * MS
-    tracker, counts = hand.keeper.history.tracker, []
-    for at in [*range(3), *range(43_203, 43_208), *range(8, 28)]:
-        hand.now = start + at * minute
-        assert hand.reference() == "tare"
-        counts.append(tracker.evidence(hand.now).readings)
-    assert counts == [*range(1, 9), *range(4, 24)]
-    assert hand.said == ["history: the clock was set back: 5 readings that are ahead of it are set aside"]
-    hand.now += 10 * minute
-    assert tracker.evidence(hand.now).reading_age_s == pytest.approx(610.0, abs=1.0)
-    hand.now -= 3_600_000 * MS  # as `/clock` does where a simulation begins again
-    assert (hand.reference(), len(hand.said)) == ("tare", 2)
-    assert tracker.evidence(hand.now).reading_age_s == 0.0
 
 
 class Hand(CanRobot):
@@ -476,11 +422,6 @@ def test_a_named_hand_remembers_across_a_restart(graph, card, tmp_path):
     assert (after.reference, after.touches, after.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
     assert reading(after)["PDC"][0] == pytest.approx(reading(before)["PDC"][0], abs=1.0)
     assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")
-
-
-def test_an_empty_name_of_the_hand_is_named(graph, card):
-    (node,) = graph.add("touch_predictor", model=card, hand="")
-    assert node.notes()["history.file"] == "none: hand is empty, so that readings are forgotten when the node ends"
 
 
 def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(graph, card, model_card):
