@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from foretouch.camera.config import RealSenseConfig, TimeoutConfig
+from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import DeviceSource, describe, realsense, source_of
 from foretouch.camera.stream import FrameStream
 from foretouch.errors import CameraError, FileError
@@ -54,42 +54,6 @@ class CameraStatus:
         return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
 
 
-class _Watchdog:
-    """Decides whether to wait, to report the camera as stalled, or to open it again, from times of one clock [s]."""
-
-    def __init__(self, config: TimeoutConfig) -> None:
-        self.config = config  # may be replaced
-        self._last_frame_s = 0.0  # last frame, or the opening
-        self._streaming = False
-        self.failures = 0  # consecutive attempts without a frame
-        self.next_attempt_s = 0.0  # end of the pause after a failed attempt
-
-    def note(self, now_s: float, *, streaming: bool) -> None:
-        """Note a frame that a cloud could be made of, or that a device was opened, whose first frame may take longer."""
-        self._last_frame_s, self._streaming = now_s, streaming
-        self.failures = 0 if streaming else self.failures
-
-    def failed(self, now_s: float) -> float:
-        """Note a failed attempt; returns the pause before the next [s], twice the last one."""
-        pause = min(_BACKOFF_S[0] * 2.0 ** min(self.failures, 60), _BACKOFF_S[1])
-        self.failures += 1
-        self.next_attempt_s = now_s + pause
-        return pause
-
-    def silent_s(self, now_s: float) -> float:
-        """Time since the last frame, or since the opening without one [s]."""
-        return now_s - self._last_frame_s
-
-    def decide(self, now_s: float) -> Literal["wait", "stalled", "reopen"]:
-        """Decide what to do with a device that is open and sends nothing."""
-        silent = self.silent_s(now_s)
-        if not self._streaming:
-            return "reopen" if silent > self.config.start_s else "wait"
-        if silent > self.config.reopen_s:
-            return "reopen"
-        return "stalled" if silent > self.config.stall_s else "wait"
-
-
 class RealSenseCamera:
     """A context manager and an iterator of organised clouds.
 
@@ -114,7 +78,10 @@ class RealSenseCamera:
             raise FileError(config.record_to, "exists; a recording is never overwritten")
         self._device: Any = None
         self._stream: FrameStream | None = None
-        self._watchdog = _Watchdog(config.timeouts)
+        self._heard_s = 0.0  # of the last cloud, or of the opening, whose first frame may take longer [s]
+        self._streaming = False  # whether that was a cloud
+        self._failures = 0  # consecutive attempts without a cloud
+        self._next_attempt_s = 0.0  # end of the pause after a failed attempt [s]
         self._dropped: Counter[str] = Counter()
         self._last_number: int | None = None
         self._frame_at_s: float | None = None
@@ -123,7 +90,6 @@ class RealSenseCamera:
     def reconfigure(self, config: RealSenseConfig) -> None:
         """Apply new timeouts, from any thread; other settings need a new camera."""
         self.config = self.config.replace(timeouts=config.timeouts)
-        self._watchdog.config = config.timeouts
 
     @property
     def status(self) -> CameraStatus:
@@ -168,7 +134,7 @@ class RealSenseCamera:
 
     def _try_to_open(self, timeout_s: float) -> None:
         """Open the device if the pause since the last attempt is over; else wait."""
-        pause = self._watchdog.next_attempt_s - time.monotonic()
+        pause = self._next_attempt_s - time.monotonic()
         if pause > 0.0:
             time.sleep(min(pause, timeout_s, _SLICE_S))
             return
@@ -184,7 +150,7 @@ class RealSenseCamera:
             self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
             return
         self._last_number = None
-        self._watchdog.note(time.monotonic(), streaming=False)
+        self._heard_s, self._streaming = time.monotonic(), False
         self._update(opened=self._status.opened + 1, device=describe(self._device))
         self._set_state("reconnecting", "opened, waiting for the first frame")
 
@@ -211,35 +177,36 @@ class RealSenseCamera:
             self._drop("bad_frame")
             self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
             return None
-        self._watchdog.note(now, streaming=True)
+        self._heard_s, self._streaming, self._failures = now, True, 0
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
         self._set_state("streaming", "")
         return cloud
 
     def _on_silence(self, now: float, what: str) -> None:
         """Handle the lack of a cloud; `what` describes it in the reason."""
-        silent_s = self._watchdog.silent_s(now)
+        silent_s, timeouts = now - self._heard_s, self.config.timeouts
         # A recording may not be playing yet in the first second.
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
         if ended and (self._last_number is not None or silent_s > 1.0):
             self._release()
             self._set_state("ended", "the recording has ended")
             return
-        decision = self._watchdog.decide(now)
         reason = f"{what} for {silent_s:.1f} s"
         if not self._source.present(self._device):
             self._release()
             self._retry_later("absent", f"{self._status.device}: was unplugged")
-        elif decision == "reopen" and self._source.reopens:
+        elif silent_s > (timeouts.reopen_s if self._streaming else timeouts.start_s) and self._source.reopens:
             self._release()
             self._retry_later("reconnecting", f"{reason}, opening it again")
-        elif decision != "wait":
+        elif silent_s > (timeouts.stall_s if self._streaming else timeouts.start_s):
             self._set_state("stalled", reason)
 
     def _retry_later(self, state: CameraState, reason: str) -> None:
-        pause = self._watchdog.failed(time.monotonic())
-        self._update(failures=self._watchdog.failures)
-        self._set_state(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
+        """Note a failed attempt; each pause is twice the last one, up to a limit."""
+        pause = min(_BACKOFF_S[0] * 2.0 ** min(self._failures, 60), _BACKOFF_S[1])
+        self._failures += 1
+        self._next_attempt_s = time.monotonic() + pause
+        self._set_state(state, f"{reason}; attempt {self._failures + 1} in {pause:g} s")
 
     def _drop(self, reason: str, count: int = 1) -> None:
         self._dropped[reason] += count
@@ -255,7 +222,7 @@ class RealSenseCamera:
 
     def _set_state(self, state: CameraState, reason: str) -> None:
         changed = state != self._status.state
-        self._update(state=state, reason=reason, failures=self._watchdog.failures)
+        self._update(state=state, reason=reason, failures=self._failures)
         if changed:
             self._on_change(self._status)
 
