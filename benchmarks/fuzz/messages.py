@@ -39,7 +39,7 @@ from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.grasp.messages import decode_grasp, has_orientation
 from foretouch.models import load_model
-from foretouch.models.hand_history import ObjectSignature
+from foretouch.models.hand_history import place_and_size
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
@@ -186,7 +186,7 @@ Reader = tuple[Sequence[Any], Callable[[Any], object]]
 
 def clouds() -> Reader:
     """Raw clouds: decode, and check what follows."""
-    return [scene_message(), *object_messages()], lambda message: ObjectSignature.of(read_cloud(message))
+    return [scene_message(), *object_messages()], lambda message: place_and_size(read_cloud(message))
 
 
 def segmented() -> Reader:
@@ -210,7 +210,7 @@ def object_clouds() -> Reader:
 
     def read(message: Any) -> None:
         for target in read_targets(message, ASSUMED_TABLE, ObjectLimits()):
-            ObjectSignature.of(target.cloud)
+            place_and_size(target.cloud)
 
     return object_messages(), read
 

@@ -34,7 +34,7 @@ from foretouch.cloud.segmentation.rays import _least_squares
 from foretouch.grasp.axis import ObjectAxis, find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.hold import _measure
-from foretouch.models.hand_history import ObjectSignature
+from foretouch.models.hand_history import place_and_size
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
 
@@ -167,7 +167,7 @@ def _hold(t: float, rng: np.random.Generator) -> tuple[float, float]:
 @kernel("object identity: touches")
 def _extent(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud, mean, deviation, kappa = _far_cloud(t, rng)
-    computed = ObjectSignature.of(cloud).numbers
+    computed = place_and_size(cloud)
     return kappa, gap(computed, np.concatenate([mean, deviation])) / float(min(deviation))
 
 

@@ -14,7 +14,6 @@ import hashlib
 import os
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
@@ -41,21 +40,11 @@ _LARGEST: Final = 10_000_000  # bytes; a file has about 200 kB
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
 
-@dataclass(frozen=True, eq=False)
-class ObjectSignature:
-    """Position and size of an object, by which it is recognised."""
-
-    frame_id: str  # frame of the cloud
-    numbers: Float64  # (6,) float64, mean and standard deviation of its points in x, y, z [m]
-
-    @classmethod
-    def of(cls, cloud: Cloud) -> Self:
-        """Of the points of a cloud that are finite."""
-        points = cloud.xyz.reshape(-1, 3)
-        points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
-        if not len(points):
-            return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
-        return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]))
+def place_and_size(cloud: Cloud) -> Float64:
+    """(6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
+    points = cloud.xyz.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
 class HandHistory:
@@ -69,14 +58,14 @@ class HandHistory:
 
     Attributes:
         tracker: What the readings say about the sensors and the current object.
-        signature: Of the current object at its last touch; None before its first.
+        signature: Frame and `place_and_size` of the current object at its last touch; None before its first.
         restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
     """
 
     def __init__(self, model: TouchModel) -> None:
         self.model = model
         self.tracker = model.new_tracker()
-        self.signature: ObjectSignature | None = None
+        self.signature: tuple[str, Float64] | None = None
         self.restarts: dict[str, int] = {}
         self._tare_ns = -1
         self._forgotten = 0
@@ -133,7 +122,7 @@ class HandHistory:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         where = None if estimate.where is None else estimate.where[0]
         restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
-        self.signature = ObjectSignature.of(cloud)
+        self.signature = cloud.frame_id, place_and_size(cloud)
         return self._counted(restarted)
 
     def keep_to_clock(self, now_ns: int) -> str:
@@ -148,12 +137,10 @@ class HandHistory:
 
         It is if no mean and no deviation of its points differs by more than a distance [m].
         """
-        if self.signature is None:
+        if self.signature is None or self.signature[0] != cloud.frame_id:
             return False
-        seen = ObjectSignature.of(cloud)
-        if seen.frame_id != self.signature.frame_id or not np.isfinite([seen.numbers, self.signature.numbers]).all():
-            return False
-        return bool((np.abs(seen.numbers - self.signature.numbers) <= same_object_m).all())
+        with np.errstate(invalid="ignore"):  # of a cloud without points, which is equal to no other object
+            return bool((np.abs(place_and_size(cloud) - self.signature[1]) <= same_object_m).all())
 
     def start_object(self) -> None:
         """The object is another one now: forget the touches of the last one, keep the state of the sensors."""
@@ -181,10 +168,10 @@ class HandHistory:
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """All of it, for a file."""
-        signature = self.signature or ObjectSignature("", np.full(6, np.nan))
+        frame, numbers = self.signature or ("", np.full(6, np.nan))
         own: dict[str, AnyArray] = {
-            "signature": signature.numbers,
-            "frame": _text(signature.frame_id),
+            "signature": numbers,
+            "frame": _text(frame),
             "tare_ns": np.array([self._tare_ns], np.int64),
         }
         return {**own, **{_TRACKER + name: value for name, value in self.tracker.to_tensors().items()}}
@@ -203,7 +190,7 @@ class HandHistory:
                 raise ModelError(f"{name}: is missing, or of another shape or type")
         history.tracker = SensorTracker.from_tensors(history.tracker.parameters, under(_TRACKER, tensors))
         if history.touches:
-            history.signature = ObjectSignature(_read_text(tensors, "frame"), tensors["signature"])
+            history.signature = _read_text(tensors, "frame"), tensors["signature"]
         history._tare_ns = int(tensors["tare_ns"][0])
         return history
 

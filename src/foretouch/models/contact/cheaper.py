@@ -46,18 +46,10 @@ class GlobalFeaturesOnly(ContactEstimator):
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        return Estimate(*self.predict_rows(_GlobalFeatures(cloud.xyz).describe(grasps)))
+        return Estimate(*self.predict_rows(features.HandFrameFeatures(cloud.xyz).describe(grasps, surroundings=False)))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """As `ContactEstimator.predict_rows`."""
         plain = rows.copy()
         plain[:, _AROUND] = self.kernel.centre[np.array(_AROUND) - len(features.CONDITIONS)]
         return super().predict_rows(plain)
-
-
-class _GlobalFeatures(features.HandFrameFeatures):
-    """Describes no surroundings: these columns are 0."""
-
-    def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
-        del fingers
-        return np.zeros((len(contacts), len(_AROUND) // 2))

@@ -129,8 +129,11 @@ class HandFrameFeatures:
         )
         return columns, grid, cells, starts
 
-    def describe(self, grasps: Sequence[Grasp]) -> Float64:
-        """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp."""
+    def describe(self, grasps: Sequence[Grasp], *, surroundings: bool = True) -> Float64:
+        """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp.
+
+        Without `surroundings`, the columns that describe the points around each contact are 0.
+        """
         if not grasps:
             return np.empty((0, len(FEATURES)))
         g1, g2, hand = stacked(grasps)
@@ -138,7 +141,9 @@ class HandFrameFeatures:
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
         objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))
         second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
-        contacts = self._contacts(np.concatenate([g1, g2]), np.concatenate([second, hand]))
+        contacts = np.zeros((2 * len(grasps), len(_CONTACT_FEATURES)))
+        if surroundings:
+            contacts = self._contacts(np.concatenate([g1, g2]), np.concatenate([second, hand]))
         return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
 
     def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
