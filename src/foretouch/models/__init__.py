@@ -4,8 +4,7 @@
 Importing this imports no torch.
 """
 
-from foretouch.models.network.config import ModelConfig
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
 from foretouch.models.touch_model import TouchModel
 
-__all__ = ["DEFAULT_MODEL", "ModelConfig", "TouchModel", "available_models", "load_model"]
+__all__ = ["DEFAULT_MODEL", "TouchModel", "available_models", "load_model"]

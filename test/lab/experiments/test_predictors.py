@@ -10,7 +10,7 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.models import ModelConfig
+from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import MODALITIES
 from foretouch_lab.experiments.shared.predictors import PREDICTORS, RECIPES, find_predictor, with_offset_correction
 from foretouch_lab.learning.data import labels_of
