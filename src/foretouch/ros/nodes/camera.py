@@ -8,7 +8,7 @@ executor's callbacks only read its status.
 import threading
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sensor_msgs.msg import PointCloud2
 
@@ -16,12 +16,14 @@ from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
 from foretouch.camera.schedule import ScheduleConfig
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.laboratory import laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+
+if TYPE_CHECKING:  # the laboratory makes it
+    from foretouch.camera.synthetic import SyntheticCamera
 
 
 @dataclass(frozen=True, kw_only=True)
