@@ -56,9 +56,8 @@ def save_small_network(folder: Path, name: str, mean: np.ndarray, calibration: A
     """A network with random weights whose predictions are around a mean; path of its card."""
     import torch
 
-    from foretouch.models.network.checkpoint import save_network
     from foretouch.models.network.config import ModelConfig
-    from foretouch_lab.learning.network.networks import TouchNet
+    from foretouch_lab.learning.network.networks import TouchNet, save_network
 
     torch.manual_seed(0)
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))

@@ -161,7 +161,6 @@ def networks() -> tuple[Job, Job]:
     from benchmarks.guard.eager import channels_first, made_net
     from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.config import ModelConfig
-    from foretouch.models.network.folding import fold
     from foretouch.models.touch_model import TouchModel
     from foretouch.tactile import MODALITIES
 
@@ -169,7 +168,7 @@ def networks() -> tuple[Job, Job]:
     shared = made_net(ModelConfig(), 0)
     four = [made_net(ModelConfig(outputs=(name,)), k) for k, name in enumerate(MODALITIES)]
     eager = [channels_first(net) for net in four]
-    points, grasp, folded = torch.randn(1, 750, 3) * 0.4, torch.randn(1, 15), fold(shared)
+    points, grasp, folded = torch.randn(1, 750, 3) * 0.4, torch.randn(1, 15), shared.folded()
     with torch.inference_mode():
         pairs = [(folded.regress(folded.features(points[0]), grasp), shared.counts(points, grasp))]
         pairs += [(net.counts(points, grasp), peer(points, grasp)) for net, peer in zip(four, eager, strict=True)]

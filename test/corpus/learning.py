@@ -20,7 +20,6 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
 from foretouch.models import load_model
 from foretouch.models.calibration import Calibration
-from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import prepare_cloud
 from foretouch.tactile import BIOTAC, P2_RANGES, TOUCH_SIZE, TactileRanges, biotac_touch
@@ -28,7 +27,7 @@ from foretouch.types import Cloud, GraspSample
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.evaluation import metrics
-from foretouch_lab.learning.network.networks import TouchNet
+from foretouch_lab.learning.network.networks import TouchNet, save_network
 from foretouch_lab.learning.training import losses
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
 from foretouch_lab.learning.training.device import DeviceConfig, TrainingDevice

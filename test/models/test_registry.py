@@ -10,8 +10,8 @@ from contact_model_builders import small_estimator
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.estimator import save_contact
-from foretouch.models.network.checkpoint import save_network
 from foretouch.models.registry import DEFAULT_MODEL, available_models, find_card, load_model
+from foretouch_lab.learning.network.networks import save_network
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ from foretouch_lab.learning.training.contact import (
 from foretouch_lab.learning.training.tracker import fit_tracker
 
 if TYPE_CHECKING:
-    from foretouch.models.network.folding import Network
+    from foretouch.models.network.config import ModelConfig
 
 SHIPPED: Final = "contact-v2"
 NETWORK: Final = "touchnet-v1"
@@ -247,13 +247,13 @@ def _with_readings(
 # Networks; torch is imported where one is needed.
 
 
-def _network(values: Mapping[str, Any], net: Network, fallback: Any) -> Estimator:
-    """The estimator of a variant from a network."""
+def _network(values: Mapping[str, Any], config: ModelConfig, tensors: Mapping[str, Any], fallback: Any) -> Estimator:
+    """The estimator of a variant from the architecture and the weights of a network."""
     from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.folding import fold
 
-    config = net.config.replace(**values.get("changes", {}))
-    return NetworkEstimator(config, fold(net, values.get("precision", "float32")), fallback=fallback)
+    folded = fold(config, tensors, values.get("precision", "float32"))
+    return NetworkEstimator(config.replace(**values.get("changes", {})), folded, fallback=fallback)
 
 
 def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:
@@ -269,7 +269,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
     fallback = Fallback.fit(BIOTAC, describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):
         if variant.values["kind"] == "network" and variant.factor not in _SERVED:
-            estimator = _network(variant.values, net, fallback)
+            estimator = _network(variant.values, net.config, net.state_dict(), fallback)
             yield variant.name, np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in tested])
 
 
@@ -279,7 +279,8 @@ def _timed_network(values: Mapping[str, Any]) -> Estimator:
     from foretouch.models.network.checkpoint import load_network
 
     path = find_card(NETWORK)
-    return _network(values, load_network(path)[0], load_calibration(path, read_card(path), BIOTAC)[1])
+    config, tensors, card = load_network(path)
+    return _network(values, config, tensors, load_calibration(path, card, BIOTAC)[1])
 
 
 def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:

@@ -20,12 +20,12 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.model_files import load_calibration
-from foretouch.models.network.checkpoint import save_network
 from foretouch.models.novelty import Fallback
 from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC, biotac_touch
+from foretouch_lab.learning.network.networks import save_network
 
 SAMPLES = make_samples(5, 10)
 TARE = biotac_touch(make_calibration().rest + 12.0)

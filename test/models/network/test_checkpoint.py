@@ -14,10 +14,10 @@ from safetensors.torch import load_file, save_file
 
 from foretouch.errors import ModelError
 from foretouch.files import file_sha256
-from foretouch.models.network.checkpoint import load_network, save_network
+from foretouch.models.network.checkpoint import load_network
 from foretouch.models.network.folding import tensor_shapes
 from foretouch.models.registry import load_model
-from foretouch_lab.learning.network.networks import TouchNet
+from foretouch_lab.learning.network.networks import TouchNet, save_network
 
 
 @pytest.fixture
@@ -32,12 +32,12 @@ def refused(card: Path, rule: str) -> None:
 
 def test_roundtrip_is_exact_and_can_be_trained_on(card: Path, make_net) -> None:
     state = torch.random.get_rng_state()
-    stored, facts = load_network(card)
-    net = TouchNet.of(stored)
+    config, tensors, facts = load_network(card)
+    net = TouchNet.of(config, tensors)
     assert torch.equal(torch.random.get_rng_state(), state)
     for key, value in make_net().state_dict().items():
         assert torch.equal(net.state_dict()[key], value), key
-    assert {key: tuple(value.shape) for key, value in stored.tensors.items()} == tensor_shapes(stored.config)
+    assert {key: tuple(value.shape) for key, value in tensors.items()} == tensor_shapes(config)
     assert not net.training
     assert (facts["limits"], facts["calibration"]) == (["a toy"], None)
     assert facts["sha256"] == file_sha256(card.with_suffix(".safetensors"))

@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import BLOCK, fold
+from foretouch.models.network.folding import BLOCK
 
 
 def test_folded_equals_eager(variant: ModelConfig, make_net) -> None:
     net = make_net(variant)
-    folded = fold(net)
+    folded = net.folded()
     points = torch.randn(variant.n_points, variant.channel_count) * 0.4
     grasps = torch.randn(21, variant.grasp_size)
     eager = net.counts(points.expand(21, -1, -1), grasps if variant.use_grasp else None)
@@ -29,19 +29,19 @@ def test_bfloat16_differs_by_its_rounding(small: ModelConfig, make_net, changes)
     config = small.replace(**changes)
     net = make_net(config)
     points = torch.randn(config.n_points, config.channel_count) * 0.4
-    exact, rounded = fold(net).features(points), fold(net, "bfloat16").features(points)
+    exact, rounded = net.folded().features(points), net.folded("bfloat16").features(points)
     assert rounded.dtype == torch.float32
     assert (rounded - exact).abs().max() <= 2.0**-5 * exact.abs().max()
     assert torch.equal(rounded, exact) == (config.trunk_widths == (16,))  # the first layer is not rounded
-    assert torch.equal(fold(make_net(config.replace(precision="bfloat16"))).features(points), rounded)
+    assert torch.equal(make_net(config.replace(precision="bfloat16")).folded().features(points), rounded)
 
 
 def test_the_copy_uses_running_statistics_even_in_training_mode_and_does_not_follow(small, make_net) -> None:
     net = make_net()
     points = torch.randn(small.n_points, 3)
-    folded = fold(net)
+    folded = net.folded()
     before = folded.features(points).clone()
-    assert torch.equal(fold(net.train()).features(points), before)
+    assert torch.equal(net.train().folded().features(points), before)
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.add_(1.0)
@@ -51,7 +51,7 @@ def test_the_copy_uses_running_statistics_even_in_training_mode_and_does_not_fol
 @pytest.mark.parametrize("widths", [(16, 8), (1024, 512, 256)], ids=str)
 def test_a_prediction_is_bit_equal_whatever_its_mates(small: ModelConfig, make_net, widths) -> None:
     config = small.replace(head_widths=widths)
-    folded = fold(make_net(config))
+    folded = make_net(config).folded()
     features = folded.features(torch.randn(config.n_points, 3))
     grasps = torch.randn(3 * BLOCK + 5, config.grasp_size)
     assert folded.regress(features, grasps[:0]).shape == (0, 50)

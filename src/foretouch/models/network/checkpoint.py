@@ -17,9 +17,9 @@ from safetensors.torch import load
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import card_sensor, read_card
 from foretouch.models.files import file_beside, read_tensors
-from foretouch.models.model_files import CardCalibration, load_calibration, save_model
+from foretouch.models.model_files import load_calibration
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import FoldedNetwork, Network, fold, tensor_shapes
+from foretouch.models.network.folding import FoldedNetwork, fold, tensor_shapes
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback
@@ -70,20 +70,6 @@ class NetworkEstimator:
         return Estimate(counts, in_distribution)
 
 
-def save_network(
-    folder: str | Path,
-    name: str,
-    net: Network,
-    facts: Mapping[str, Any],
-    calibration: CardCalibration | None = None,
-    fallback: Fallback | None = None,
-) -> Path:
-    """Write a network and return the path of its card; see `save_model`."""
-    tensors = {key: value.detach().cpu().numpy() for key, value in net.state_dict().items()}
-    facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
-    return save_model(Path(folder) / f"{name}.json", "network", tensors, facts, calibration, fallback)
-
-
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """The model of one network, with its calibration.
 
@@ -94,28 +80,16 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     if (sensor := card_sensor(card, card_path)).channels != BIOTAC:
         raise ModelError(f"{card_path}: sensor: networks are for {BIOTAC.sensor}, not {sensor.config.name}")
     calibration, fallback = load_calibration(card_path, card, BIOTAC)
-    net, card = load_network(card_path)
+    config, tensors, card = load_network(card_path)
     try:
         lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])
-        return TouchModel(NetworkEstimator(net.config, fold(net), lengths, fallback), card, calibration)
+        return TouchModel(NetworkEstimator(config, fold(config, tensors), lengths, fallback), card, calibration)
     except ModelError as err:
         raise ModelError(f"{card_path}: {err}") from err
 
 
-@dataclass(frozen=True, eq=False)
-class StoredNetwork:
-    """A network as it is stored: a `Network`."""
-
-    config: ModelConfig
-    tensors: Mapping[str, torch.Tensor]
-
-    def state_dict(self) -> Mapping[str, torch.Tensor]:
-        """The tensors by name."""
-        return self.tensors
-
-
-def load_network(card_path: str | Path) -> tuple[StoredNetwork, dict[str, Any]]:
-    """The network of a card with all weights checked, and the card.
+def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, torch.Tensor], dict[str, Any]]:
+    """The architecture of a card's network, its checked weights by name, and the card.
 
     Raises:
         ModelError: Names the file and the field: a card of another kind, or weights that are absent, damaged, with
@@ -132,7 +106,7 @@ def load_network(card_path: str | Path) -> tuple[StoredNetwork, dict[str, Any]]:
     weights = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(weights, card["sha256"], card_path.name, load)
     _check_tensors(weights, tensor_shapes(config), tensors)
-    return StoredNetwork(config, tensors), card
+    return config, tensors, card
 
 
 def _check_tensors(path: Path, shapes: Mapping[str, tuple[int, ...]], found: Mapping[str, torch.Tensor]) -> None:

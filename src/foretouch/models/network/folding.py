@@ -23,7 +23,6 @@ Shapes: N points, C channels, F features, K grasps, G grasp numbers, M outputs.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -35,19 +34,6 @@ BLOCK = 16
 
 _NORM = ("weight", "bias", "running_mean", "running_var")
 _EPSILON = 1e-5  # that torch's batch norm adds to the variance
-
-
-class Network(Protocol):
-    """An architecture and its weights: as stored, or as torch's module."""
-
-    @property
-    def config(self) -> ModelConfig:
-        """The architecture."""
-        ...
-
-    def state_dict(self) -> Mapping[str, Any]:
-        """Tensors by name."""
-        ...
 
 
 def tensor_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
@@ -134,16 +120,16 @@ class FoldedNetwork:
         return _chain(self.head, torch.relu_(x)) if self.head else x
 
 
-def fold(net: Network, precision: str | None = None) -> FoldedNetwork:
+def fold(config: ModelConfig, tensors: Mapping[str, Tensor], precision: str | None = None) -> FoldedNetwork:
     """Fold a trained network; later training of the network does not change the copy.
 
     Args:
-        net: Batch norm is folded with its running statistics, as in evaluation.
+        config: Its architecture.
+        tensors: By the names of `tensor_shapes`. Batch norm is folded with its running statistics, as in evaluation.
         precision: As `ModelConfig.precision`, which is the default.
     """
-    config = net.config
     dtype = getattr(torch, config.precision if precision is None else precision)
-    tensors = {name: value.detach().double() for name, value in net.state_dict().items()}
+    tensors = {name: value.detach().double() for name, value in tensors.items()}
     transform = None
     if config.tnet:
         points = _folded(tensors, "features.transform.points")

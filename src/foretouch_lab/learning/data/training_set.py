@@ -132,11 +132,9 @@ def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
     """(T, M) predictions [counts] of some samples, each on the points and in the precision that prediction chooses."""
     import torch
 
-    from foretouch.models.network.folding import fold
-
     device = net.target_mean.device
     grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
-    rounded = fold(net) if net.config.precision != "float32" and device.type == "cpu" else None
+    rounded = net.folded() if net.config.precision != "float32" and device.type == "cpu" else None
     rows = []
     for i in index:
         one = np.array([i])

@@ -211,7 +211,8 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     from foretouch.models.network.checkpoint import load_network
     from foretouch_lab.learning.network.networks import TouchNet
 
-    net = TouchNet.of(load_network(card_path)[0])
+    config, tensors, _ = load_network(card_path)
+    net = TouchNet.of(config, tensors)
     ranges = net.config.ranges.ranges
     counts = np.full((len(samples), ranges.channels.size), np.nan)
     prepared = TrainingSet.build(samples, net.config)

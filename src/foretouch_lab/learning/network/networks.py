@@ -20,16 +20,20 @@ P2 does not specify the channels between the layers (here 6, as at both ends) an
 Shapes: B clouds, L length of the noise, N points, C channels that the network uses.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Self
+from pathlib import Path
+from typing import Any, Final, Self
 
 import torch
 from torch import Tensor, nn
 
 from foretouch.config import Settings, setting
+from foretouch.models.model_files import CardCalibration, save_model
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.folding import Network
+from foretouch.models.network.folding import FoldedNetwork, fold
+from foretouch.models.novelty import Fallback
 from foretouch_lab.learning.network.pointnet import PointNetFeatures, make_layers
 
 
@@ -58,12 +62,16 @@ class TouchNet(nn.Module):
         self.register_buffer("target_scale", torch.ones(config.output_size))
 
     @classmethod
-    def of(cls, stored: Network) -> Self:
+    def of(cls, config: ModelConfig, tensors: Mapping[str, Tensor]) -> Self:
         """The network of a checkpoint, in evaluation mode."""
         with torch.device("meta"):  # no random numbers are drawn for weights that are replaced at once
-            net = cls(stored.config)
-        net.load_state_dict(dict(stored.state_dict()), assign=True)
+            net = cls(config)
+        net.load_state_dict(dict(tensors), assign=True)
         return net.eval()
+
+    def folded(self, precision: str | None = None) -> FoldedNetwork:
+        """The network for prediction, as of now; see `foretouch.models.network.folding.fold`."""
+        return fold(self.config, self.state_dict(), precision)
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
         """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
@@ -88,6 +96,20 @@ class TouchNet(nn.Module):
         """Set the affine map of the targets, both (M,) [counts]."""
         self.target_mean.copy_(mean)
         self.target_scale.copy_(scale)
+
+
+def save_network(
+    folder: str | Path,
+    name: str,
+    net: TouchNet,
+    facts: Mapping[str, Any],
+    calibration: CardCalibration | None = None,
+    fallback: Fallback | None = None,
+) -> Path:
+    """Write a network and return the path of its card; see `save_model`."""
+    tensors = {key: value.detach().cpu().numpy() for key, value in net.state_dict().items()}
+    facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
+    return save_model(Path(folder) / f"{name}.json", "network", tensors, facts, calibration, fallback)
 
 
 _CHANNELS: Final = 6

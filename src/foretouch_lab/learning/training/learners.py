@@ -18,7 +18,6 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.model_files import CardCalibration
-from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
@@ -27,6 +26,7 @@ from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.dataset import DataSplit
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
+from foretouch_lab.learning.network.networks import save_network
 from foretouch_lab.learning.training.calibration import calibrate_on_folds
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_objects
 from foretouch_lab.learning.training.run_config import RunConfig

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import DatasetError
 from foretouch.models.network.checkpoint import NetworkEstimator
-from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.network.preparation import prepare_grasps
 from foretouch.models.touch_model import TouchModel
@@ -74,7 +73,7 @@ def test_validation_predicts_what_the_model_predicts(samples, small, precision: 
     small = small.replace(precision=precision)
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=2))
-    estimator = NetworkEstimator(small, fold(net), LengthRangeCheck.fit(data.lengths))
+    estimator = NetworkEstimator(small, net.folded(), LengthRangeCheck.fit(data.lengths))
     model = TouchModel(estimator, {"name": "toy", "sha256": ""})
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert_allclose(predictions[50].value.values, predict_set(net, data, np.array([50]))[0], atol=atol)
