@@ -110,28 +110,6 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     assert monitor.last_drawables() == []  # a prediction in another frame than its cloud is not drawn
 
 
-def test_a_moving_camera_is_looked_up_at_its_stamp_and_a_missing_transform_named(graph, scene_cloud, model_card, tf2):
-    """The camera turns by 90 degrees in a second; the cloud of a later time finds no transform."""
-    turns = Rotation.from_euler("z", [[0.0], [90.0]], degrees=True).as_quat()
-    begin = 1_700_000_000_000_000_000
-    tf2.known["base_link", CAMERA] = [(begin, SHIFT, turns[0]), (begin + 10**9, SHIFT, turns[1])]
-    now = scene_cloud(stamp_ns=begin + 10**9 // 2)
-    grasps, touch, _ = answers(graph, now, model_card, output_frame="base_link", transform_timeout_s=0.01)
-    pipeline = Pipeline(PipelineConfig(grasp=graph.nodes[1].config.grasp))
-    plan = pipeline.plan(pipeline.segment(now).targets[0]).grasps[0]
-    half = Rotation.from_euler("z", 45.0, degrees=True)
-    for message in (grasps[0].grasps[0], touch[0].predictions[0].grasp):
-        assert np.linalg.norm(xyz_of(message.g1) - (half.apply(plan.g1) + SHIFT)) <= TOLERANCE
-    camera = graph.talk(PointCloud2, "points")
-    graph.matched("points", publishers=2)
-    camera.publish(cloud_to_msg(scene_cloud(stamp_ns=begin + 2 * 10**9)))
-    graph.until(lambda: len(grasps) == 2 and len(touch) == 2)
-    for message in (grasps[1], touch[1]):
-        assert message.status == Status.UNKNOWN_FRAME
-        assert message.reason.startswith("no_transform: from 'camera_depth_optical_frame' to 'base_link': Lookup would")
-    assert (len(grasps[1].grasps), len(touch[1].predictions)) == (0, 0)
-
-
 def ask(graph, *arguments, **fields):
     return graph.call(PredictTouch, "predict_touch", PredictTouch.Request(*arguments, **fields)).touch
 

@@ -13,7 +13,7 @@ from calibrated_models import REST as TOUCH_REST
 from calibrated_models import make_calibration, make_tracked_calibration, save_calibrated_network
 from constant_models import constant_model
 from diagnostic_msgs.msg import DiagnosticStatus
-from pair_builders import REST, level
+from pair_builders import REST
 from rich.console import Console
 from robot_builders import FRAME, MS, QUICK, Robot
 from sensor_builders import sens_stream
@@ -226,24 +226,6 @@ def test_predictions_are_those_of_the_core_and_forgetting_undoes_it(card):
     hand.set(use_tare=False)
     assert (hand.reference(), hand.adapter.forget_history() > 3) == ("history", True)
     assert_equal(hand.ask(), expected(hand, None))
-
-
-def test_rest_gives_a_tare_that_contact_keeps_until_it_is_old(card):
-    hand = DirectHand(card, use_tare=True)
-    assert hand.reference() == "none"
-    hand.feel(REST, 245)
-    (rest, _), tare = hand.ask(), hand.adapter._recent_tare(hand.config)
-    counts = np.array([m.tactiles[4].pdc for m in hand.felt], float)
-    window = [k for k in range(250) if 250 - 1 - 9 - 30 - 50 <= k <= 250 - 1 - 30]
-    assert tare["PDC_TH"][0] == pytest.approx(np.median(counts[window]), abs=0.6)
-    history = HandHistory(hand.model)
-    history.add_tare(hand.now, tare)
-    assert_equal([rest], expected(hand, history, tare=True)[:1])
-    hand.feel(level(3), 60)
-    held = hand.ask()[0]
-    assert (held.reference, held.value["PDC_TH"][0]) == ("tare", pytest.approx(rest.value["PDC_TH"][0], abs=1.0))
-    hand.set(tare_max_age_s=0.0)
-    assert hand.reference() == "history"
 
 
 def test_a_dead_sensor_is_refused_counted_and_named(card):

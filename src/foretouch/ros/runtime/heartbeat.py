@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from diagnostic_msgs.msg import KeyValue
 from rclpy.duration import Duration
@@ -37,13 +37,6 @@ _GOODBYE_S: Final = 1.0  # at most, until all others have heard it
 _PARTICIPANT: Final = 12  # bytes of an id that all ends of a process share
 
 
-class _Sign(NamedTuple):
-    """The last sign of life of a node."""
-
-    at_s: float  # `time.monotonic` [s]
-    process: str  # as of `_own_process`
-
-
 class Heartbeat:
     """Publishes that a node lives, and its state, and listens to the others of its namespace.
 
@@ -60,7 +53,9 @@ class Heartbeat:
         self._node, self._state, self._changed = node, state, changed
         self._name = node.get_fully_qualified_name()
         self._process = _own_process()
-        self._heard: dict[tuple[str, bytes], _Sign] = {}  # by name and participant
+        self._heard: dict[
+            tuple[str, bytes], tuple[float, str]
+        ] = {}  # last sign [s] and process, by name and participant
         self._own_s = time.monotonic()
         profile = QoSProfile(depth=100)  # those of all others may wait
         self._publisher: Any = node.create_publisher(KeyValue, "heartbeat", profile)
@@ -71,8 +66,10 @@ class Heartbeat:
 
     def is_silent(self, end_id: bytes) -> bool:
         """Whether nothing is heard any more of the process that the end of a topic with this id belongs to."""
-        signs = [one for (_, participant), one in tuple(self._heard.items()) if participant == end_id[:_PARTICIPANT]]
-        return bool(signs) and self._own_s - max(signs).at_s > _SILENT_S
+        signs = [
+            at_s for (_, participant), (at_s, _) in tuple(self._heard.items()) if participant == end_id[:_PARTICIPANT]
+        ]
+        return bool(signs) and self._own_s - max(signs) > _SILENT_S
 
     def stop(self) -> None:
         """Say goodbye."""
@@ -97,22 +94,22 @@ class Heartbeat:
         if state == FINALIZED:
             self._heard.pop(key, None)
         else:
-            self._heard[key] = _Sign(now, process)
+            self._heard[key] = now, process
         if name != self._name:
             return
         if now - self._own_s > _SILENT_S:  # this node did not hear the others either
-            self._heard = {key: sign._replace(at_s=now) for key, sign in self._heard.items()}
+            self._heard = {key: (now, process) for key, (_, process) in self._heard.items()}
         self._own_s = now
-        last: dict[str, _Sign] = {}
+        last: dict[str, tuple[float, str]] = {}
         for (other, _), sign in self._heard.items():
             last[other] = max(sign, last.get(other, sign))
-        before, self.gone = self.gone, {other: one.at_s for other, one in last.items() if self._is_gone(one, now)}
+        before, self.gone = self.gone, {other: one[0] for other, one in last.items() if self._is_gone(*one, now)}
         if self.gone.keys() != before.keys():
             self._changed()
 
-    def _is_gone(self, last: _Sign, now: float) -> bool:
-        silent_s = now - last.at_s
-        return silent_s > _GONE_S and (silent_s > _HANGS_S or not _runs(last.process, self._process))
+    def _is_gone(self, last_s: float, process: str, now: float) -> bool:
+        silent_s = now - last_s
+        return silent_s > _GONE_S and (silent_s > _HANGS_S or not _runs(process, self._process))
 
 
 def _own_process() -> str:
