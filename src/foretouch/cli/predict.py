@@ -21,7 +21,6 @@ from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
-from foretouch.models.prequential import replay_model
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
@@ -138,6 +137,8 @@ def _predict(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
+    from foretouch.models.prequential import replay_model
+
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")

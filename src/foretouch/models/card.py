@@ -44,11 +44,6 @@ KINDS: Final[Mapping[str, _Fields]] = {
 """Fields that the cards of each kind hold besides `_COMMON`, with their types."""
 
 
-def new_card(name: str, kind: str, **fields: Any) -> dict[str, Any]:
-    """A card that begins with the fields that every card has; it is checked when it is read."""
-    return {"format": CARD_FORMAT, "format_version": CARD_VERSION, "kind": kind, "name": name, **fields}
-
-
 def read_card(path: str | Path) -> dict[str, Any]:
     """Read and check a card.
 

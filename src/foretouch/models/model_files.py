@@ -13,7 +13,7 @@ import numpy as np
 from foretouch.errors import ModelError
 from foretouch.files import replace_files
 from foretouch.models.calibration import Calibration
-from foretouch.models.card import card_sensor, card_text, new_card
+from foretouch.models.card import CARD_FORMAT, CARD_VERSION, card_sensor, card_text
 from foretouch.models.files import file_beside, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.types import AnyArray
@@ -58,7 +58,8 @@ def save_model(
     weights = card_path.with_suffix(".safetensors")
     content, sha256 = packed(tensors)
     files = {weights: content}
-    card = new_card(card_path.stem, kind, weights=weights.name, sha256=sha256, **{**_EMPTY, **facts})
+    card: dict[str, Any] = {"format": CARD_FORMAT, "format_version": CARD_VERSION, "kind": kind, "name": card_path.stem}
+    card |= {"weights": weights.name, "sha256": sha256, **_EMPTY, **facts}
     sensor = card_sensor(card, card_path)
     card |= {"sensor_name": sensor.config.name, "sensor_sha256": sensor.sha256}
     if calibration is not None:
