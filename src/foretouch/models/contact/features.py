@@ -141,9 +141,8 @@ class HandFrameFeatures:
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
         objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))
         second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
-        contacts = np.zeros((2 * len(grasps), len(_CONTACT_FEATURES)))
-        if surroundings:
-            contacts = self._contacts(np.concatenate([g1, g2]), np.concatenate([second, hand]))
+        ends, fingers = np.concatenate([g1, g2]), np.concatenate([second, hand])
+        contacts = self._contacts(ends, fingers) if surroundings else np.zeros((len(ends), len(_CONTACT_FEATURES)))
         return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
 
     def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
