@@ -134,7 +134,7 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
     assert outsider.numbers["table"] == outsider.numbers["object_cloud"] == [1]  # the first that was sent
     assert [used for _, used, *_ in settle(graph, nodes, 4)] == [4, 4, 4]
     assert outsider.node.count_subscribers("/foretouch/table") == 3  # tools show who subscribes
-    assert {node._worker._thread for node in nodes} == {nodes[0]._worker._thread}
+    assert {node._worker._threads for node in nodes} == {nodes[0]._worker._threads}
 
 
 @pytest.mark.parametrize("direct", [True, False])
