@@ -40,7 +40,8 @@ class WorkerThreads:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._changed = threading.Condition()
+        lock = threading.Lock()
+        self._called, self._done = threading.Condition(lock), threading.Condition(lock)  # threads wait, `stop` waits
         self._started: set[Worker[Any]] = set()
         self._calls: deque[Worker[Any]] = deque()  # one for each item that was put
         self._next: deque[Worker[Any]] = deque()  # the same, by work itself: the latest first
@@ -49,7 +50,7 @@ class WorkerThreads:
 
     def start(self, worker: "Worker[Any]") -> None:
         """Serve a worker."""
-        with self._changed:
+        with self._called:
             self._started.add(worker)
             while len(self._threads) < _THREADS:
                 self._threads.append(threading.Thread(target=self._run, name=self._name, daemon=True))
@@ -57,45 +58,44 @@ class WorkerThreads:
 
     def call(self, worker: "Worker[Any]") -> None:
         """An item was put into the queue of a worker."""
-        with self._changed:
+        with self._called:
             if threading.current_thread() in self._threads:
                 self._next.appendleft(worker)  # for this thread, once its current work is done
             else:
                 self._calls.append(worker)
-                self._changed.notify_all()
+                self._called.notify()
 
     def stop(self, worker: "Worker[Any]") -> None:
         """Wait for the current item of a worker and serve it no more."""
-        with self._changed:
+        with self._done:
             self._started.discard(worker)
-            self._changed.wait_for(lambda: worker not in self._busy)
+            self._done.wait_for(lambda: worker not in self._busy)
             ended: list[threading.Thread] = []
             if not self._started:
                 ended, self._threads = self._threads, ended
-                self._changed.notify_all()
+                self._called.notify_all()
         for thread in ended:
             thread.join()
 
     def _run(self) -> None:
         while (worker := self._begin()) is not None:
             worker.work_on_next()
-            with self._changed:
+            with self._done:
                 self._busy.discard(worker)
-                if worker not in self._started:
-                    self._changed.notify_all()  # `stop` waits for it
+                self._done.notify_all()
 
     def _begin(self) -> "Worker[Any] | None":
         """Wait for work; None where this thread is to end."""
         own = threading.current_thread()
-        with self._changed:
+        with self._called:
             while own in self._threads:
                 if (worker := self._ready()) is not None:
                     (self._next or self._calls).remove(worker)
                     self._busy.add(worker)
                     if self._ready() is not None:
-                        self._changed.notify_all()
+                        self._called.notify()
                     return worker
-                self._changed.wait()
+                self._called.wait()
         return None
 
     def _ready(self) -> "Worker[Any] | None":
