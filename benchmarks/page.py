@@ -38,7 +38,7 @@ def graph() -> str:
     lost, sent = (sum(int(row[key]) for row in rows.values()) for key in ("lost", "sent"))
     return (
         f"The whole graph in one process, from the stamp of an 848x480 cloud to its received prediction (p50, p95, p99; "
-        f"{state(list(rows.values()))} machine): {times}. Of {sent:,} clouds at 1 to 90 a second {lost or 'none'} "
+        f"{state(list(rows.values()))} machine): {times}. Of {sent:,} clouds at {next(iter(rows))} to {list(rows)[-1]} a second {lost or 'none'} "
         f"{'was' if lost < 2 else 'were'} lost."
     )
 

@@ -148,12 +148,13 @@ class Soak:
                 self.start(name)
 
     def close(self) -> None:
-        """End all processes."""
+        """End all processes, and leave the graph."""
         self._sampling.set()
         for process in self.processes.values():
             process.terminate()
         ended = {name: end(process, 15.0) for name, process in self.processes.items()}
         self.unexpected += [f"{name}: did not end within 15 s of SIGTERM" for name, done in ended.items() if not done]
+        self.seen.leave()
 
     # Disturbances. Each returns when its cause is gone, with a note.
 

@@ -5,10 +5,12 @@ import argparse
 import itertools
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
@@ -53,6 +55,7 @@ def arguments() -> argparse.Namespace:
         metavar="CHECKOUT",
         help="only measure round trips of predict_touch, in turns with an older checkout that has an environment of its own",
     )
+    parser.add_argument("--busy", action="store_true", help="beside a process that takes all of a core")
     parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
     return parser.parse_args()
 
@@ -171,9 +174,8 @@ def check(bench: Bench, clouds: Sequence[Cloud], messages: Sequence[Any]) -> Non
         predicted = [one.value for target in pipeline.run(cloud).targets for one in target.predictions]
         expected = [float(np.float32(v)) for touch in predicted for v in touch.values[:2]]
         stamp = bench.send(message)
-        if not bench.wait(lambda stamp=stamp: stamp in bench.answers, 30.0):
-            raise SystemExit(f"cloud {number}: no answer")
-        _, values = bench.answers[stamp]
+        bench.wait(lambda stamp=stamp: stamp in bench.answers, 30.0)
+        _, values = bench.answers.get(stamp, (0, None))
         if values != expected or not values:
             raise SystemExit(f"cloud {number}: {values} is not {expected}")
     print(f"equal answers: {len(messages)} of {len(messages)} clouds, bit by bit", flush=True)
@@ -223,12 +225,12 @@ def measure(options: argparse.Namespace, kind: str, clouds: Sequence[Cloud]) -> 
     rows = []
     for rate, stamps, cpu in runs:
         times, totals, computation = stages(trace, bench, stamps)
-        answered, middle = len(totals), np.median(times, axis=0)
         p50, p95, p99 = np.percentile(totals, (50, 95, 99))
-        row = {"seconds": options.seconds, "sent": len(stamps), "lost": len(stamps) - answered, "p50_ms": p50,
-               "p95_ms": p95, "p99_ms": p99, "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": computation,
+        row = {"seconds": options.seconds, "sent": len(stamps), "lost": len(stamps) - len(totals),
+               "p50_ms": p50, "p95_ms": p95, "p99_ms": p99, "p95_periods": 1e-3 * p95 * len(totals) / options.seconds,
+               "cpu_ms": 1e3 * cpu / max(len(totals), 1), "computation_cpu_ms": computation,
                "rest_percent": 100.0 * rest, "other_cores": others.cores(),
-               **dict(zip(STAGES, middle, strict=True))}  # fmt: skip
+               **dict(zip(STAGES, np.median(times, axis=0), strict=True))}  # fmt: skip
         texts = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in row.items()}
         rows.append({"processes": kind, "rate_hz": f"{rate:g}", **texts})
     return rows
@@ -240,10 +242,11 @@ def write_table(rows: Sequence[dict[str, Any]]) -> None:
     text = (
         f"The graph in one process answered every 848x480 cloud at up to {most:g} a second ({state(rows)} machine).\n\n"
     )
-    columns = ["processes", "clouds a second", "lost", "p50, p95, p99 [ms]", "CPU a cloud, of which computation [ms]"]
+    columns = ["processes", "clouds a second", "lost", "p50, p95, p99 [ms]", "p95 in periods of the answers",
+               "CPU a cloud, of which computation [ms]"]  # fmt: skip
     lines = [
         (row["processes"], row["rate_hz"], f"{row['lost']} of {row['sent']}",
-         ", ".join(f"{float(row[key]):.0f}" for key in PERCENTILES),
+         ", ".join(f"{float(row[key]):.0f}" for key in PERCENTILES), f"{float(row['p95_periods']):.1f}",
          f"{float(row['cpu_ms']):.1f}, {float(row['computation_cpu_ms']):.1f}")
         for row in rows
     ]  # fmt: skip
@@ -283,7 +286,10 @@ def main() -> int:
     prepare_domain(DOMAIN)
     if not options.draw:
         clouds = scenes()
-        new = [row for kind in options.processes for row in measure(options, kind, clouds)]
+        with ExitStack() as stack:
+            if options.busy:
+                stack.callback(subprocess.Popen([sys.executable, "-c", "while True: pass"]).kill)
+            new = [row for kind in options.processes for row in measure(options, kind, clouds)]
         print_rows(new)
         write_csv(options.out, new)
     if options.out == RESULTS:

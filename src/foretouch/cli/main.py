@@ -46,6 +46,14 @@ LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
     try:
+        return _reported(argv)
+    except KeyboardInterrupt as err:  # at the very end, while signals are given back to the system
+        return 128 + signal_number(err)
+
+
+def _reported(argv: Sequence[str] | None) -> int:
+    """Run one command, and print known errors."""
+    try:
         if argv is None:
             _prepare_streams()
             raise_interrupts()

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of nodes, and an entry point for each: `ros2 run` and the launch files start these.
 
-Threads: one serves requests and timers, two take messages in turn and work on them (see `runtime.executor`), so that a
-cloud in work delays no service, parameter or lifecycle request, nor the next message. The three
-nodes of `perception` work one at a time, and a cloud goes through all their steps: side by side they would compete for
-the interpreter's lock. With the parameter `direct` unset they also may (see `runtime.workers`).
+Threads: one serves requests and timers, one takes messages (see `runtime.executor`), and two work on clouds (see
+`runtime.workers`), so that a cloud in work delays no service, parameter or lifecycle request, nor the next message.
 """
 
 import argparse

@@ -60,8 +60,9 @@ def test_the_profile_is_named_where_the_installed_fast_dds_reads_it(bare, tmp_pa
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no /dev/shm")
 def test_the_segment_of_a_started_process_is_as_large_as_the_profile_demands(bare):
     code = (
-        "import os; from foretouch.ros.runtime.environment import start_rclpy\n"
-        "sizes = lambda: {one.name: one.stat().st_size for one in os.scandir('/dev/shm')}\n"
+        "from foretouch.ros.runtime.environment import start_rclpy\n"
+        "from pathlib import Path\n"
+        "sizes = lambda: {one.name: one.stat().st_size for one in Path('/dev/shm').glob('fast*')}\n"
         "before = sizes(); start_rclpy([]); import rclpy; node = rclpy.create_node('alone')\n"
         "print(max(size for name, size in sizes().items() if name not in before))\n"
         "node.destroy_node(); rclpy.shutdown()"

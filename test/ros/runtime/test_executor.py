@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs are taken and worked on in one thread, and by another while that takes long; those of one stamp together."""
+"""Inputs are taken in one thread and worked on in others; those of one stamp together."""
 
 import threading
 import time
@@ -17,35 +17,17 @@ from foretouch_msgs.msg import Status, TablePlane
 pytestmark = pytest.mark.ros
 
 
-def slowed(monkeypatch, node, seconds, begun=None):
-    """Note the threads that predict, and let each prediction take longer."""
-    threads, original = [], node._predictor.array
-
-    def predict(*args, **kwargs):
-        threads.append(threading.current_thread().name)
-        if begun is not None:
-            begun.set()
-        time.sleep(seconds)
-        return original(*args, **kwargs)
-
-    monkeypatch.setattr(node._predictor, "array", predict)
-    return threads
-
-
-def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, model_card, monkeypatch):
-    node, send, heard = predictor(model=model_card)
-    threads = slowed(monkeypatch, node, 0.0)
-    for stamp in (1, 2, 3):
-        send(stamp)
-        graph.until(lambda stamp=stamp: len(heard) == stamp)
-    assert threads == ["inputs"] * 3
-
-
 def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, model_card, monkeypatch):
     node, send, heard = predictor(model=model_card)
     tables = graph.talk_matched(TablePlane, "table")
-    begun = threading.Event()
-    slowed(monkeypatch, node, 1.0, begun)
+    begun, predict = threading.Event(), node._predictor.array
+
+    def slowly(*args, **kwargs):
+        begun.set()
+        time.sleep(1.0)
+        return predict(*args, **kwargs)
+
+    monkeypatch.setattr(node._predictor, "array", slowly)
     send(1)
     assert begun.wait(5.0)
     for stamp in (2, 3):

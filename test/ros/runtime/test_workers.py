@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 import time
+from functools import partial
 
-from foretouch.ros.runtime.workers import Worker, WorkerThread, helping
+from foretouch.ros.runtime.workers import Worker, WorkerThreads
 
 
 class Recorded(Worker):
     """A worker that lists its items with the threads that worked on them, and what it dropped."""
 
-    def __init__(self, name="w", depth=10, then=None, thread=None):
+    def __init__(self, name="w", depth=10, then=None, threads=None):
         self.done, self.dropped, self._then = [], [], then or (lambda _: None)
-        super().__init__(name, depth, self._note, lambda item, reason: self.dropped.append((item, reason)), thread)
+        super().__init__(name, depth, self._note, lambda item, reason: self.dropped.append((item, reason)), threads)
 
     def _note(self, item):
         self.done.append((item, threading.current_thread().name))
@@ -49,7 +50,7 @@ def test_items_are_worked_on_in_order_in_another_thread_and_a_full_queue_drops_i
     assert worker.done == [(item, "w") for item in (0, 3, 4)]
 
 
-def test_stopping_drops_what_waits_and_comes_later_of_one_worker_of_a_thread_alone():
+def test_stopping_drops_what_waits_and_comes_later_of_one_worker_alone():
     Recorded().stop()  # never started
     worker, begun, go = blocked(5)
     worker.put("a")
@@ -66,8 +67,8 @@ def test_stopping_drops_what_waits_and_comes_later_of_one_worker_of_a_thread_alo
     worker.put("c")
     until(lambda: worker.items == ["a", "c"])
     worker.stop()
-    thread = WorkerThread("shared")
-    one, other = Recorded(thread=thread), Recorded(thread=thread)
+    threads = WorkerThreads("shared")
+    one, other = Recorded(threads=threads), Recorded(threads=threads)
     one.start()
     other.start()
     one.stop()
@@ -77,69 +78,75 @@ def test_stopping_drops_what_waits_and_comes_later_of_one_worker_of_a_thread_alo
     assert "shared" not in [running.name for running in threading.enumerate()]
 
 
-def chained(thread, begun=None):
-    """Two workers of a thread, of which one puts its items into the other."""
-    last = Recorded("last", thread=thread)
-    one = Recorded("first", then=lambda item: (begun and begun.wait(5.0), last.put(item)), thread=thread)
-    for worker in (one, last):
+def chained(*steps):
+    """Workers of the same threads, of which each puts its items into the next."""
+    threads, workers = WorkerThreads("shared"), []
+    for number, step in enumerate(steps):
+
+        def then(item, number=number, step=step):
+            step(item)
+            if number + 1 < len(workers):
+                workers[number + 1].put(item)
+
+        workers.append(Recorded(str(number), then=then, threads=threads))
+    for worker in workers:
         worker.start()
-    return one, last
+    return workers
 
 
-def test_what_one_worker_hands_to_another_of_its_thread_comes_before_all_that_waits():
-    begun, order = threading.Event(), []
-    one, last = chained(WorkerThread("shared"), begun)
-    one.done = last.done = order
-    for item in (1, 2, 3):
+def test_an_item_goes_through_all_workers_in_one_thread_without_waking_another():
+    one, last = workers = chained(lambda _: None, lambda _: None)
+    for item in range(20):
         one.put(item)
-    begun.set()  # all are put
-    until(lambda: len(order) == 6)
-    one.stop()
-    last.stop()
-    assert order == [(item, "shared") for item in (1, 1, 2, 2, 3, 3)]
-
-
-def test_a_helper_works_on_an_item_and_on_all_that_follows_from_it_and_the_thread_on_the_rest():
-    thread, own = WorkerThread("shared"), threading.current_thread().name
-    one, last = chained(thread)
-    until(lambda: thread._changed._waiters)  # before it waits, the thread would take what comes without being called
-    with helping() as found:
-        one.put(1)
-        one.put(2)
-    assert (found, one.done) == ([thread], [])
-    assert thread.work()  # there is more
-    assert one.done == last.done == [(1, own)]
-    assert not thread.work()
-    assert one.done == last.done == [(1, own), (2, own)]
-    assert not thread.work()
-    with helping():
-        one.put(3)
-    thread.wake()
-    until(lambda: last.done[2:] == [(3, "shared")])
-    for worker in (one, last):
+        until(lambda item=item: len(last.done) == item + 1)
+    for worker in workers:
         worker.stop()
+    assert one.done == last.done == [(item, "shared") for item in range(20)]
 
 
-def test_a_helper_and_the_thread_never_work_at_the_same_time():
-    thread, active, most = WorkerThread("shared"), [], []
+def test_no_item_is_begun_while_another_waits_for_its_next_step_and_two_are_in_work():
+    order, begun, go = [], threading.Semaphore(0), threading.Event()
 
-    def work(item):
-        active.append(item)
-        most.append(len(active))
-        time.sleep(0.002)
-        active.remove(item)
+    def slow(item):
+        begun.release()
+        go.wait(5.0)
+        order.append(item)
 
-    worker = Recorded(depth=1000, then=work, thread=thread)
-    worker.start()
-    others = threading.Thread(target=lambda: [worker.put(k) for k in range(50)])
-    others.start()
-    for k in range(50, 80):
-        with helping() as found:
-            worker.put(k)
-        while found and found[0].work():
-            pass
-    others.join(5.0)
-    until(lambda: len(most) == 80 and not active)
-    worker.stop()
-    assert sorted(worker.items) == list(range(80))
+    one, last = workers = chained(lambda _: None, slow)
+    for item in (1, 2, 3, 4):
+        one.put(item)
+    assert begun.acquire(timeout=5.0)
+    until(lambda: len(one.done) == 2)  # the other thread waits for the last step of its item
+    time.sleep(0.05)
+    assert (one.items, last.items) == ([1, 2], [1])
+    go.set()
+    until(lambda: len(order) == 4)
+    for worker in workers:
+        worker.stop()
+    assert one.items == last.items == order == [1, 2, 3, 4]
+
+
+def test_two_workers_work_side_by_side_and_each_on_one_item_at_a_time_in_order():
+    together, active, most = threading.Barrier(2), [], []
+
+    def work(name, item):
+        active.append(name)
+        most.append(active.count(name))
+        if item == "both":
+            together.wait(5.0)
+        time.sleep(0.001)
+        active.remove(name)
+
+    threads = WorkerThreads("shared")
+    workers = [Recorded(name, 1000, partial(work, name), threads) for name in "ab"]
+    for worker in workers:
+        worker.start()
+        worker.put("both")
+    for item in range(50):
+        for worker in workers:
+            worker.put(item)
+    until(lambda: len(most) == 102 and not active)
+    for worker in workers:
+        worker.stop()
+        assert worker.items == ["both", *range(50)]
     assert max(most) == 1

@@ -7,7 +7,7 @@ that are no images, or of another size, are compared by centroid. Objects that a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import count, groupby
 from typing import Final
 
 import numpy as np
@@ -53,25 +53,28 @@ class ObjectIdentity:
         shape = found.labels.shape
         self._seen |= {one.id: _Seen(one.pixels, one.centroid, shape, self._clouds) for one in objects}
         self._seen = {id_: one for id_, one in self._seen.items() if self._clouds - one.at < _REMEMBERED}
-        labels = found.labels if np.array_equal(names, np.arange(len(names))) else names[found.labels]
+        # A third of the time of names[labels].
+        labels = found.labels if np.array_equal(names, np.arange(len(names))) else names.take(found.labels, mode="clip")
         return replace(
             found, objects=objects, labels=labels, counts=found.counts | {"new_ids": len(objects) - len(known)}
         )
 
     def _known(self, found: Segmentation) -> dict[int, int]:
         """The id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
-        pairs: list[tuple[int, float, int, int]] = []
-        for id_, seen in self._seen.items():
-            shares = _shared(seen, found.labels, found.objects)
-            pairs += [
-                (self._clouds - seen.at, -share, id_, one.id)
-                for one, share in zip(found.objects, shares, strict=True)
+        known: dict[int, int] = {}
+        by_age = sorted(self._seen.items(), key=lambda item: -item[1].at)
+        for _, group in groupby(by_age, key=lambda item: item[1].at):
+            pairs = [
+                (-share, id_, one.id)
+                for id_, seen in group
+                for one, share in zip(found.objects, _shared(seen, found.labels, found.objects), strict=True)
                 if share
             ]
-        known: dict[int, int] = {}
-        for _, _, id_, one in sorted(pairs):
-            if one not in known and id_ not in known.values():
-                known[one] = id_
+            for _, id_, one in sorted(pairs):
+                if one not in known and id_ not in known.values():
+                    known[one] = id_
+            if len(known) == len(found.objects):
+                break
         return known
 
 

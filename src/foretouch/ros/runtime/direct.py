@@ -2,8 +2,8 @@
 """Messages between nodes of one process, handed over as objects: not serialised, sent through the middleware and read.
 
 The subscription stays, for publishers of other processes and so that tools show the graph as it is. A publisher of this
-process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers, or keeps its
-last messages for late ones.
+process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers. What it keeps for
+late ones (transient local) is sent when the first of them comes.
 The subscriptions recognise the copies that then come through the middleware by their stamp and frame, and leave out as many as
 were handed over. So messages without a header are not handed over.
 """
@@ -18,11 +18,12 @@ from typing import Any, Final
 
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
 
 from foretouch.ros.messages.clouds import TargetCloud
-from foretouch.ros.runtime.workers import WorkerThread
+from foretouch.ros.runtime.workers import WorkerThreads
 
 _COPIES: Final = 1000  # at most, on their way to a subscription: more than its queue holds
 
@@ -35,6 +36,8 @@ class DirectPublisher(LifecyclePublisher):
         self.receivers: tuple[DirectInput, ...] = ()  # given each message; empty without hand-over
         # Whether a late subscriber gets the last messages.
         self.keeps = self.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        self._unsent: deque[Any] = deque(maxlen=self.qos_profile.depth or None)  # a depth of 0 is no limit
+        self._sending = threading.Lock()
 
     @property
     def wanted(self) -> bool:
@@ -44,17 +47,26 @@ class DirectPublisher(LifecyclePublisher):
     def publish(self, message: Any) -> None:
         """Publish a message or a `TargetCloud` while the node is active; without hand-over also a serialised message.
 
-        Nothing is serialised for subscriptions of this process alone, unless it is kept for late ones.
+        Nothing is serialised for subscriptions of this process alone.
         """
         if not self.is_activated:
             return
-        receivers = self.receivers
-        if not receivers or self.keeps or self.get_subscription_count() > len(receivers):
-            for one in receivers:
-                one.expect_copy(message)
-            super().publish(message.message if isinstance(message, TargetCloud) else message)
-        for one in receivers:
+        self.send_unsent(message)
+        for one in self.receivers:
             one.receive(message)
+
+    def send_unsent(self, *new: Any) -> None:
+        """Send what is kept and new messages, if there is a subscription that they are not handed to; also after a new one."""
+        with self._sending:
+            receivers = self.receivers
+            sends = not receivers or self.get_subscription_count() > len(receivers)
+            if sends or self.keeps:
+                self._unsent.extend(new)
+            while sends and self._unsent:
+                message = self._unsent.popleft()
+                for one in receivers:
+                    one.expect_copy(message)
+                Publisher.publish(self, message.message if isinstance(message, TargetCloud) else message)
 
 
 @dataclass(eq=False)
@@ -103,12 +115,12 @@ class _DirectTopics:
         self._lock = threading.Lock()
         self._publishers: list[DirectPublisher] = []
         self._inputs: list[DirectInput] = []
-        self._threads: weakref.WeakValueDictionary[str, WorkerThread] = weakref.WeakValueDictionary()
+        self._threads: weakref.WeakValueDictionary[str, WorkerThreads] = weakref.WeakValueDictionary()
 
-    def thread(self, namespace: str) -> WorkerThread:
-        """The thread that the workers of one graph share."""
+    def threads(self, namespace: str) -> WorkerThreads:
+        """The threads that the workers of one graph share."""
         with self._lock:
-            return self._threads.setdefault(namespace, WorkerThread(f"graph {namespace}"))
+            return self._threads.setdefault(namespace, WorkerThreads(f"graph {namespace}"))
 
     def add(self, one: DirectPublisher | DirectInput) -> None:
         """Connect a publisher or a subscription."""

@@ -152,6 +152,11 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             keep: Whether a late subscriber that asks for it (transient local) gets the last `depth` messages.
         """
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
+
+        def _matched(event: Any) -> None:
+            publisher.send_unsent()
+            self._report_now(event)
+
         overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]
         publisher: DirectPublisher = self.create_publisher(
             message,
@@ -159,7 +164,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions([*overridden, *[QoSPolicyKind.DURABILITY] * keep]),
             event_callbacks=PublisherEventCallbacks(
-                matched=self._report_now if keep else None,
+                matched=_matched if keep else None,
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
                 use_default_callbacks=False,  # each further event costs time at every message
             ),

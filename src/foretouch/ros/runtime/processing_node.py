@@ -5,10 +5,9 @@ Messages of several topics that belong to one cloud are matched by their exact s
 of its cloud, so no tolerance is needed. A cloud that waits too long for a message is answered with FAILED and counted as
 dropped, `no_grasps` where these are missing; while that lasts, it is an error in /diagnostics.
 
-Threads: callbacks only sort messages by stamp and queue them. A worker, whose thread the nodes of a process share unless
-`direct` is unset, computes and publishes, in the thread that took the messages or in its own (see `executor`), so that
-services, parameters, lifecycle and diagnostics respond meanwhile. The queue is bounded; where a node does not keep up, it
-answers the newest cloud next. What is dropped is counted as `superseded`.
+Threads: callbacks only sort messages by stamp and queue them. A worker computes and publishes, in one of two threads that the nodes of
+a process share, so that services, parameters, lifecycle and diagnostics respond meanwhile. The queue is bounded; where a node does not
+keep up, it answers the newest cloud next. What is dropped is counted as `superseded`.
 """
 
 import threading
@@ -128,7 +127,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.config.queue_depth,
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
             lambda _, reason: self.statistics.drop(reason),
-            self.direct_topics.thread(self.get_namespace()) if self.config.direct else None,
+            self.direct_topics.threads(self.get_namespace()),
         )
         self._arrived = 0.0  # of the set that is being answered, `time.monotonic` [s]
         self._lacking: Counter[str] = Counter()  # sets that were given up since the last complete one, by missing topic

@@ -2,19 +2,18 @@
 """Slow work beside callbacks.
 
 `Worker` serves topics: callbacks only store, and when the work does not keep up, the newest input comes next and older ones are
-dropped, so that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
-spares the wait for another thread (see `helping`). `ThreadPool` serves services and actions, whose callbacks await it as
-coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
-message. rclpy's `EventsExecutor` has no callback groups, and raises an error where a callback asks for what is known of a message.
+dropped, so that answers are as recent as possible. The workers of a graph share two threads (`WorkerThreads`). `ThreadPool` serves
+services and actions, whose callbacks await it as coroutines. A multi-threaded executor would cost three times the processor time: it
+rebuilds its wait set twice a message. rclpy's `EventsExecutor` has no callback groups, and raises an error where a callback asks for
+what is known of a message.
 """
 
 import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any, Final, Generic, TypeVar
 
 from rclpy.node import Node
@@ -26,124 +25,89 @@ PATIENCE_S: Final = 10.0
 """How long a request waits for a thread until it is refused [s]."""
 
 _CATCH_UP_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some
+_THREADS: Final = 2  # for as many clouds: a third would wait for the interpreter's lock, and make all answers older
 
 _T = TypeVar("_T")
 
 
-class _Helping(threading.local):
-    """What the calls of the current thread have found to do; None where it does not help."""
+class WorkerThreads:
+    """Two threads that several workers share; they end when the last worker is stopped.
 
-    found: "list[WorkerThread] | None" = None
-
-
-_helping = _Helping()
-
-
-@contextmanager
-def helping() -> "Iterator[list[WorkerThread]]":
-    """Within, what is put by the current thread wakes no other: the threads that got something to do are listed.
-
-    The current thread must then call `WorkerThread.work` or `WorkerThread.wake` of each.
-    """
-    found: list[WorkerThread] = []
-    _helping.found = found
-    try:
-        yield found
-    finally:
-        _helping.found = None
-
-
-class WorkerThread:
-    """A thread that several workers may share; it ends when the last of them is stopped.
-
-    What its own work puts into the queue of another worker comes next, before all that waits: with the nodes of one
-    process, a cloud goes through all steps before the next one is begun. Another thread may do some of the work (see
-    `helping`), but never two at the same time.
+    Each worker works on one item at a time, in order. What its work puts into the queue of another worker comes next, before all
+    that waits: with the nodes of one process, a cloud goes through all steps in one thread. While that thread plans the grasps of a
+    cloud, the other one segments the next: much of both is C code, which runs without the interpreter's lock.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._changed = threading.Condition()
+        lock = threading.Lock()
+        self._called, self._done = threading.Condition(lock), threading.Condition(lock)  # threads wait, `stop` waits
         self._started: set[Worker[Any]] = set()
         self._calls: deque[Worker[Any]] = deque()  # one for each item that was put
-        self._next: deque[Worker[Any]] = deque()  # the same, by the current work itself
-        self._current: Worker[Any] | None = None
-        self._works: threading.Thread | None = None  # the thread that works now
-        self._stopping = 0  # threads that wait for the end of the current work
-        self._thread: threading.Thread | None = None
+        self._next: deque[Worker[Any]] = deque()  # the same, by work itself: the latest first
+        self._busy: set[Worker[Any]] = set()
+        self._threads: list[threading.Thread] = []
 
     def start(self, worker: "Worker[Any]") -> None:
         """Serve a worker."""
-        with self._changed:
+        with self._called:
             self._started.add(worker)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
+            while len(self._threads) < _THREADS:
+                self._threads.append(threading.Thread(target=self._run, name=self._name, daemon=True))
+                self._threads[-1].start()
 
     def call(self, worker: "Worker[Any]") -> None:
         """An item was put into the queue of a worker."""
-        with self._changed:
-            if threading.current_thread() is self._works:
-                self._next.append(worker)
-                return
-            self._calls.append(worker)
-            if _helping.found is None:
-                self._changed.notify_all()
-            elif self not in _helping.found:
-                _helping.found.append(self)
-
-    def wake(self) -> None:
-        """Let the thread work, where another has found something to do."""
-        with self._changed:
-            self._changed.notify_all()
-
-    def work(self) -> bool:
-        """Work here on what waits longest, with all that follows from it, unless another thread does; is there more?"""
-        with self._changed:
-            if self._works is not None or not self._calls:
-                return False
-            self._works = threading.current_thread()
-            self._current = self._calls.popleft()
-        while self._current is not None:
-            self._current.work_on_next()
-            with self._changed:
-                self._current = self._next.popleft() if self._next else None
-                if self._current is None:
-                    self._works = None
-                if self._stopping:
-                    self._changed.notify_all()
-        with self._changed:
-            return bool(self._calls) and self._works is None
+        with self._called:
+            if threading.current_thread() in self._threads:
+                self._next.appendleft(worker)  # for this thread, once its current work is done
+            else:
+                self._calls.append(worker)
+                self._called.notify()
 
     def stop(self, worker: "Worker[Any]") -> None:
         """Wait for the current item of a worker and serve it no more."""
-        with self._changed:
+        with self._done:
             self._started.discard(worker)
-            self._stopping += 1
-            self._changed.wait_for(lambda: self._current is not worker)
-            self._stopping -= 1
-            ended = None if self._started else self._thread
-            if ended is not None:
-                self._thread = None
-                self._changed.notify_all()
-        if ended is not None:
-            ended.join()
+            self._done.wait_for(lambda: worker not in self._busy)
+            ended: list[threading.Thread] = []
+            if not self._started:
+                ended, self._threads = self._threads, ended
+                self._called.notify_all()
+        for thread in ended:
+            thread.join()
 
     def _run(self) -> None:
+        while (worker := self._begin()) is not None:
+            worker.work_on_next()
+            with self._done:
+                self._busy.discard(worker)
+                self._done.notify_all()
+
+    def _begin(self) -> "Worker[Any] | None":
+        """Wait for work; None where this thread is to end."""
         own = threading.current_thread()
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: (self._calls and self._works is None) or self._thread is not own)
-                if self._thread is not own:
-                    return
-            self.work()
+        with self._called:
+            while own in self._threads:
+                if (worker := self._ready()) is not None:
+                    (self._next or self._calls).remove(worker)
+                    self._busy.add(worker)
+                    if self._ready() is not None:
+                        self._called.notify()
+                    return worker
+                self._called.wait()
+        return None
+
+    def _ready(self) -> "Worker[Any] | None":
+        """What can be worked on: no new item is begun while another waits for its next step."""
+        return next((one for one in self._next or self._calls if one not in self._busy), None)
 
 
 class Worker(Generic[_T]):
-    """Calls `work`, which must not raise, with each item, in order, in one thread.
+    """Calls `work`, which must not raise, with each item, one after the other, in order.
 
     At most `depth` items wait, and only the newest where the work does not keep up. `on_drop` is called with each dropped item and the reason, `superseded` or `stopped` (see
-    `BoundedQueue`). The thread may be shared with other workers; None makes one of that name.
+    `BoundedQueue`). The threads may be shared with other workers; None makes some of that name.
     """
 
     def __init__(
@@ -152,29 +116,29 @@ class Worker(Generic[_T]):
         depth: int,
         work: Callable[[_T], None],
         on_drop: Callable[[_T, str], None],
-        thread: WorkerThread | None = None,
+        threads: WorkerThreads | None = None,
     ) -> None:
         self._work = work
         self._queue = BoundedQueue[_T](depth, patience_s=_CATCH_UP_S, on_drop=on_drop)
-        self._thread = WorkerThread(name) if thread is None else thread
+        self._threads = WorkerThreads(name) if threads is None else threads
 
     def start(self) -> None:
         """Start to work, unless it has started."""
         self._queue.reopen()
-        self._thread.start(self)
+        self._threads.start(self)
 
     def put(self, item: _T) -> None:
         """Queue an item; older ones are dropped where the queue is full or the work does not keep up."""
         if self._queue.put(item):
-            self._thread.call(self)
+            self._threads.call(self)
 
     def stop(self) -> None:
         """Finish the current item and drop the rest."""
         self._queue.close("stopped")
-        self._thread.stop(self)
+        self._threads.stop(self)
 
     def work_on_next(self) -> None:
-        """Work on the oldest item, if it was not dropped; called by the thread."""
+        """Work on the oldest item, if it was not dropped; called by one of the threads."""
         if (item := self._queue.get(0.0)) is not None:
             self._work(item)
 
