@@ -21,7 +21,6 @@ from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
-from foretouch.models.prequential import replay_model
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
@@ -141,6 +140,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
+    from foretouch.models.prequential import replay_model
 
     model = load_model(arguments.model) if arguments.model else load_model()
     channels = model.sensor.channels

@@ -16,9 +16,14 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
+from foretouch.dataset.recording.sample_codec import (
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    Definitions,
+    encode_sample,
+    serialize_cloud,
+)
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
@@ -73,9 +78,8 @@ class BagWriter:
 
     def write_cloud(self, cloud: Cloud, topic: str = _CLOUD_TOPIC, *, bag_time_ns: int | None = None) -> None:
         """Append a cloud as `sensor_msgs/PointCloud2`, by default at the time of its stamp [ns] (raises as `write`)."""
-        self.write(
-            topic, POINT_CLOUD_TYPE, cloud.stamp_ns if bag_time_ns is None else bag_time_ns, serialize_cloud(cloud)
-        )
+        time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
+        self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 
 
 def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
@@ -104,11 +108,6 @@ class _ChecksummedMcap(McapWriter):
 
 class _Writer(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _ChecksummedMcap}  # noqa: RUF012  # read only
-
-
-def serialize_cloud(cloud: Cloud) -> bytes:
-    """A cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
-    return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:

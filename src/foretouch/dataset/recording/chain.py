@@ -17,23 +17,20 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Metadata
-
 from foretouch.dataset.files import new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.folder import opened_to_write, read_listed, session_files, write_listed
 from foretouch.dataset.recording.records import (
-    IN_CHUNK,
     Chunk,
     Damage,
+    Declarations,
     Record,
     RecordedMessage,
+    contents,
     declared_samples,
     is_finished,
     summary_of,
-    walk,
 )
-from foretouch.dataset.recording.sample_codec import ABOUT
 from foretouch.errors import FileError
 from foretouch.files import FileBytes, system_errors
 from foretouch.tactile.description import Sensor
@@ -159,19 +156,15 @@ def _difference(session: Session, data: FileBytes) -> str:
 
 def _about(data: FileBytes) -> dict[str, str]:
     """What the file says about itself before its first message."""
-    for record in walk(data):
-        content = record.content if isinstance(record, Record) else None
-        if content is None or isinstance(content, Chunk):
+    declared = Declarations()
+    for item in contents(data, declared):
+        if declared.about or not isinstance(item, Record) or isinstance(item.content, Chunk):
             break
-        if isinstance(content, Metadata) and content.name == ABOUT:
-            return dict(content.metadata)
-    return {}
+    return declared.about
 
 
 def _holds_message(data: FileBytes) -> bool:
-    chunks = (one.content for one in walk(data) if isinstance(one, Record) and isinstance(one.content, Chunk))
-    inner = (one for chunk in chunks for one in walk(data, chunk.start, chunk.end, IN_CHUNK))
-    return any(isinstance(one, Record) and isinstance(one.content, RecordedMessage) for one in inner)
+    return any(isinstance(one, RecordedMessage) for one in contents(data, Declarations()))
 
 
 def _sha256(data: FileBytes, start: int) -> str:
