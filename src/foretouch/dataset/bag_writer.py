@@ -24,7 +24,7 @@ from foretouch.dataset.recording.sample_codec import (
     encode_sample,
     serialize_cloud,
 )
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
+from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import system_errors
@@ -110,7 +110,8 @@ class _Writer(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _ChecksummedMcap}  # noqa: RUF012  # read only
 
 
-def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    """See `foretouch.dataset.formats`."""
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for record in samples.records(discarded=True):
@@ -122,6 +123,3 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
             for topic, taxels_ns, taxels in taxel_clouds(record, samples.sensor):
                 writer.write(topic, POINT_CLOUD_TYPE, taxels_ns, taxels)
             result.written += 1
-
-
-DATASET_FORMAT = DatasetFormat(export=_export)

@@ -6,9 +6,8 @@ far as it is intact.
 """
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcap.records import Metadata
 
@@ -28,16 +27,10 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.recording.scan import require_intact, sample_messages
-from foretouch.dataset.samples import DatasetFormat, SampleSet
+from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import FileBytes, open_regular
 from foretouch.tactile.channels import BIOTAC_SP
-
-
-class _Sample(NamedTuple):
-    file: Path
-    data: FileBytes
-    message: RecordedMessage
 
 
 class RecordedDataset:
@@ -55,12 +48,12 @@ class RecordedDataset:
             require_chain(self.path)
         self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
-        self._samples: list[_Sample] = []
+        self._samples: list[tuple[FileBytes, RecordedMessage]] = []
         self._declared: list[Declarations] = []  # by file
         self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
         for file in self.files:
             data, declared = FileBytes(file), Declarations()
-            found = [_Sample(file, data, one) for one in sample_messages(file, data, declared)]
+            found = [(data, one) for one in sample_messages(file, data, declared)]
             if is_finished(data):
                 _check_count(file, data, len(found))
             else:
@@ -82,11 +75,11 @@ class RecordedDataset:
 
     def as_recorded(self, index: int) -> StoredSample:
         """One sample before any edit (raises as indexing)."""
-        file, data, message = self._samples[index]
+        data, message = self._samples[index]
         try:
             return decode_sample(data[message.start : message.end], self.stated_sensor, convert=self._convert)
         except DatasetError as err:
-            raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
+            raise FileError(data.path, str(err), field=f"sample at byte {message.start}") from err
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
         """The message counts by topic, summed over the last ones of each recording; a `FileError` for damage."""
@@ -98,7 +91,8 @@ class RecordedDataset:
 
     def name(self, index: int) -> str:
         """File and offset of a sample, for messages."""
-        return f"{self._samples[index].file}[{self._samples[index].message.start}]"
+        data, message = self._samples[index]
+        return f"{data.path}[{message.start}]"
 
 
 def _check_count(path: Path, data: FileBytes, found: int) -> None:
@@ -108,7 +102,7 @@ def _check_count(path: Path, data: FileBytes, found: int) -> None:
         raise FileError(path, f"damaged: holds {found} samples, its index declares {count}", field="samples")
 
 
-def _holds_samples(path: Path) -> bool:
+def recognise(path: Path) -> bool:
     """Whether a path is a recorded dataset, or an MCAP file that begins as a recording of foretouch."""
     if path.is_dir():
         return is_dataset(path)
@@ -121,8 +115,14 @@ def _holds_samples(path: Path) -> bool:
     return start.startswith(MAGIC) and (begins or any(name.encode() in start for name in SAMPLE_TYPES))
 
 
-def _open_samples(path: Path, unfinished: bool, *, convert: bool = False) -> SampleSet:
-    dataset = RecordedDataset(path, convert=convert)
+def convert(path: Path) -> SampleSet:
+    """The samples of a recorded dataset, also of version 1."""
+    return open_set(path, unfinished=False, old=True)
+
+
+def open_set(path: Path, unfinished: bool, *, old: bool = False) -> SampleSet:
+    """The samples of a recorded dataset, also of version 1 if `old` is true (raises as `RecordedDataset`)."""
+    dataset = RecordedDataset(path, convert=old)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
@@ -139,8 +139,3 @@ def _open_samples(path: Path, unfinished: bool, *, convert: bool = False) -> Sam
         edits=tuple(dataset.edits.descriptions()),
         sensor=dataset.stated_sensor or (first.sensor if first else BIOTAC_SP),
     )
-
-
-DATASET_FORMAT = DatasetFormat(
-    recognise=_holds_samples, open=_open_samples, convert=partial(_open_samples, unfinished=False, convert=True)
-)
