@@ -36,15 +36,6 @@ def test_settings_may_be_given_in_part_and_bad_ones_are_named() -> None:
     )
     every_refusal(ConfigError, cases, lambda change: TactileRanges.from_mapping(change, "hand.yaml"))
     card = P1_RANGES.ranges.to_mapping()
-    odd = (
-        [[500.0], 3400.0],
-        ["500", 3400.0],
-        [True, 3400.0],
-        [None, None],
-        [-(10**400), 0.5],
-        [float("nan"), 1.0],
-        {"0": 1},
-        "01",
-    )
+    odd = ([[500.0], 3400.0], [True, 3400.0], [-(10**400), 0.5], [float("nan"), 1.0], {"0": 1})
     cases = tuple((r"card: pdc_th: .* is not \[low, high\]", {**card, "pdc_th": limits}) for limits in odd)
     every_refusal(ConfigError, cases, lambda change: Ranges.from_mapping(BIOTAC, change, "card"))

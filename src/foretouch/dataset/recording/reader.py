@@ -12,7 +12,6 @@ from typing import Any
 from mcap.records import Metadata
 
 from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.chain import require_chain
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, recorded_files, recorded_sensor
 from foretouch.dataset.recording.records import (
@@ -27,6 +26,7 @@ from foretouch.dataset.recording.records import (
 )
 from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.recording.scan import require_intact, sample_messages
+from foretouch.dataset.recording.verify import require_chain
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import FileBytes, open_regular

@@ -3,7 +3,8 @@
 
 Each chunk has a CRC-32, the whole data section another, index and summary a third; each sample has its own SHA-256,
 and so does the manifest. Besides the bytes: samples can be decoded, ids are unique, the index matches the chunks, and
-the message counts match the contents.
+the message counts match the contents. A session that is missing, or is another than the manifest lists, is noticed too (see
+`chain`).
 """
 
 from collections import Counter
@@ -14,9 +15,9 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Header, Statistics
 
-from foretouch.dataset.recording.chain import chain_faults
+from foretouch.dataset.recording.chain import ID, REPAIRED, Session, about_in, index_sha256, listed_sessions
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import recorded_files, recorded_sensor
+from foretouch.dataset.recording.folder import recorded_files, recorded_sensor, session_files
 from foretouch.dataset.recording.records import (
     IN_SUMMARY,
     Chunk,
@@ -31,7 +32,7 @@ from foretouch.dataset.recording.records import (
     walk,
 )
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
-from foretouch.errors import DatasetError
+from foretouch.errors import DatasetError, FileError
 from foretouch.files import FileBytes
 from foretouch.tactile.description import Sensor
 
@@ -86,6 +87,54 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     for file, rule in chain_faults(path):
         reports.setdefault(file, FileReport(file, finished=True)).faults.append(Damage(0, rule))
     return list(reports.values())
+
+
+def chain_faults(path: Path) -> list[tuple[Path, str]]:
+    """Each file of a dataset that contradicts the list, and the rule; none without a list."""
+    faults = list(_faults(path))
+    return list(_faults(path)) if faults else []  # a recorder may have begun or ended a session meanwhile
+
+
+def require_chain(path: Path) -> None:
+    """Raise a `FileError` for the first of `chain_faults`, but for a file that is cut off, as which it is read."""
+    for file, rule in chain_faults(path):
+        if not file.exists() or is_finished(FileBytes(file)):
+            raise FileError(file, rule)
+
+
+def _faults(path: Path) -> Iterator[tuple[Path, str]]:
+    files = session_files(path)
+    sessions = listed_sessions(path)
+    if sessions is None:
+        return
+    for session in sessions:
+        file = path / session.file
+        if not file.exists():
+            ended = f"with {session.samples} samples" if session.sha256 else "as not finished"
+            yield file, f"is missing: the manifest lists it {ended}"
+        elif rule := _difference(session, FileBytes(file)):
+            yield file, rule
+    listed = {session.file for session in sessions}
+    for file in files:
+        if file.name not in listed and (is_finished(data := FileBytes(file)) or _holds_message(data)):
+            yield file, "is not in the list of the manifest: it was added by hand"
+
+
+def _difference(session: Session, data: FileBytes) -> str:
+    about = about_in(data)
+    if about and about.get(ID, "") != session.id:
+        return "is the file of another session than the manifest lists"
+    index = summary_of(data)
+    if not session.sha256 or REPAIRED in about:  # a crash may end a session or a repair before it is listed
+        return ""
+    if isinstance(index, Damage):
+        return f"is not the session of {session.samples} samples that the manifest lists: {index.rule}"
+    same = index_sha256(data, index[0]) == session.sha256
+    return "" if same else "is not the session that the manifest lists: its index has another hash"
+
+
+def _holds_message(data: FileBytes) -> bool:
+    return any(isinstance(one, RecordedMessage) for one in contents(data, Declarations()))
 
 
 def verify_file(path: Path, sensor: Sensor | None = None) -> FileReport:
