@@ -3,7 +3,7 @@
 
 Each chunk has a CRC-32, the whole data section another, index and summary a third; each sample has its own SHA-256,
 and so does the manifest. Besides the bytes: samples can be decoded, ids are unique, the index matches the chunks, and
-the message counts match the contents. A session that is missing, or is another than the manifest lists, is noticed too (see
+the message counts match the contents. A session that is missing, or another one than the manifest lists, is a fault too (see
 `chain`).
 """
 
@@ -91,8 +91,8 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
 
 def chain_faults(path: Path) -> list[tuple[Path, str]]:
     """Each file of a dataset that contradicts the list, and the rule; none without a list."""
-    faults = list(_faults(path))
-    return list(_faults(path)) if faults else []  # a recorder may have begun or ended a session meanwhile
+    faults = list(_differences(path))
+    return list(_differences(path)) if faults else []  # a recorder may have begun or ended a session meanwhile
 
 
 def require_chain(path: Path) -> None:
@@ -102,7 +102,7 @@ def require_chain(path: Path) -> None:
             raise FileError(file, rule)
 
 
-def _faults(path: Path) -> Iterator[tuple[Path, str]]:
+def _differences(path: Path) -> Iterator[tuple[Path, str]]:
     files = session_files(path)
     sessions = listed_sessions(path)
     if sessions is None:
