@@ -2,14 +2,12 @@
 """`segment`, `grasp` and `predict` on files."""
 
 import json
-import math
 import shutil
 from typing import Any
 
 import numpy as np
 import pytest
 
-from foretouch.cli.grasp import _show
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import find_card
@@ -140,12 +138,3 @@ def test_the_public_grasps_bring_their_own_grasp_and_name(call, real_data) -> No
     given = np.loadtxt(sample / "best-grasp.txt", delimiter=",")
     one = record["predictions"][0]["grasp"]
     np.testing.assert_allclose([*one["g1"], *one["g2"]], given)
-
-
-def test_a_grasp_without_a_score_has_a_dash_in_the_table(capsys) -> None:
-    found = {"input": "a.ply", "object": "1", "status": "initial_points", "reason": "none passed"}
-    grasps = [{"g1": [0.1, 0.2, 0.3], "g2": [0.0, 0.0, 0.5], "score": score} for score in (math.nan, -0.25)]
-    _show({**found, "grasps": grasps})
-    printed = capsys.readouterr().out
-    assert "nan" not in printed
-    assert [row.split()[-2] for row in printed.splitlines() if "0.1000" in row] == ["–", "-0.250"]

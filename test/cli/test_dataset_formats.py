@@ -14,7 +14,7 @@ from foretouch.cli.main import main
 from foretouch.dataset import formats
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import SampleRecord
-from foretouch.dataset.samples import DatasetFormat, SampleSet, export_samples, is_sample_set, open_samples
+from foretouch.dataset.samples import SampleSet, export_samples, is_sample_set, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.errors import FileError
@@ -43,7 +43,7 @@ def _export(samples, out, result, progress) -> None:
 def numbers(monkeypatch) -> None:
     """A format of files with the number of a record each: its module and its line."""
     module = ModuleType("numbers_format")
-    module.DATASET_FORMAT = DatasetFormat(recognise=lambda path: any(path.glob("*.number")), open=_open, export=_export)
+    module.__dict__.update(recognise=lambda path: any(path.glob("*.number")), open_set=_open, export=_export)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     line = formats.FormatEntry("numbers", "files of numbers", module.__name__, (), ("*.number",), exported=True)
     monkeypatch.setattr(formats, "FORMATS", (line, *formats.FORMATS))
@@ -85,12 +85,6 @@ def test_a_path_of_no_format_is_refused_and_every_module_supports_what_its_line_
     with pytest.raises(FileError, match="is not a dataset"):
         build_store([tmp_path], tmp_path / "store")
     for entry in formats.FORMATS:
-        functions = importlib.import_module(entry.module).DATASET_FORMAT
-        missing = DatasetFormat()
-        assert isinstance(functions, DatasetFormat)
-        assert (
-            bool(entry.folders)
-            == (functions.open is not missing.open)
-            == (functions.recognise is not missing.recognise)
-        )
-        assert entry.exported == (functions.export is not missing.export)
+        module = importlib.import_module(entry.module)
+        assert bool(entry.folders) == hasattr(module, "open_set") == hasattr(module, "recognise")
+        assert entry.exported == hasattr(module, "export")

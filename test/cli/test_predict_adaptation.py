@@ -76,8 +76,8 @@ def hand_after(model: TouchModel, path: Path) -> HandHistory:
     return hand
 
 
-def reading(number: int) -> dict[str, Any]:
-    touch = biotac_touch(REST + number)
+def reading(number: Any, rest: Any = REST) -> dict[str, Any]:
+    touch = biotac_touch(rest + number)
     return {
         "pdc_th": touch["PDC_TH"][0],
         "pdc_mf": touch["PDC_MF"][0],
@@ -109,15 +109,8 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call, model, session, tm
 
 def test_a_tare_that_is_like_a_reading_in_contact_is_warned_of_by_file_and_channel(call, session, tmp_path) -> None:
     rest = load_model("contact-v2").calibration.rest
-    for name, vector in (("rest", rest + 30.0), ("held", rest + np.r_[400.0, 0.0, np.zeros(24), np.full(24, -700.0)])):
-        touch = biotac_touch(vector)
-        fields = {
-            "pdc_th": touch["PDC_TH"][0],
-            "pdc_mf": touch["PDC_MF"][0],
-            "e_th": touch["E_TH"].tolist(),
-            "e_mf": touch["E_MF"].tolist(),
-        }
-        (tmp_path / f"{name}.json").write_text(json.dumps(fields))
+    for name, change in (("rest", 30.0), ("held", np.r_[400.0, 0.0, np.zeros(24), np.full(24, -700.0)])):
+        (tmp_path / f"{name}.json").write_text(json.dumps(reading(change, rest)))
     words = ("predict", session, "--model", "contact-v2", "--json")
     answer = call(*words, "--tare", tmp_path / "rest.json", "--tare", tmp_path / "held.json")
     (line,) = [one for one in answer.err.splitlines() if "contact" in one]
@@ -142,20 +135,7 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
         (wanted,) = core.predict(sample.cloud, [sample.grasp], history=read)
         assert_reported(results[sample.id]["predictions"][0], wanted)
         assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
-
-
-def test_touches_narrow_the_interval_and_a_person_sees_it(call, model, session) -> None:
-    words = ("predict", session, "--model", model)
-    before, after = (call(*words, *more, "--json").records[0] for more in ((), ("--touched", session)))
-
-    def width(result: dict[str, Any]) -> float:
-        one = result["predictions"][0]["PDC_TH"]
-        return float(one["upper"] - one["lower"])
-
-    assert width(after) < width(before)
-    table = call(*words, "--touched", session).out
-    assert f"±{width(after) / 2:.0f}" in table
-    assert "touches 4" in table
+    assert "touches 4" in call("predict", session, "--model", model, "--touched", session).out
 
 
 def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path) -> None:

@@ -31,20 +31,6 @@ def test_explain_runs_nothing_and_names_what_would_run(scene, call) -> None:
     assert list(scene.parent.iterdir()) == [scene]
 
 
-def test_a_data_set_of_another_sensor_names_it(scene, tmp_path, call) -> None:
-    scene.write_text(SCENE + "fingers: {sensor: xela_uskin_4x4, noise: {}}\n")
-    assert call("simulate", scene, "-n", 3, "-o", tmp_path / "ds", "--workers", 1).status == 0
-    store = Store(tmp_path / "ds")
-    assert store.sensor.config.name == "xela_uskin_4x4"
-    again = call("simulate", scene, "--replay", "2", "--json").records[-1]
-    touch = store[2].touch
-    assert touch is not None
-    assert again["touch"] == touch.values.tolist()
-    assert store[2].extra["force_ff_n"] > 0.0
-    assert not any("_mf" in name for name in store[2].extra)
-    assert touch.channels.modalities == ("X_TH", "X_FF", "Y_TH", "Y_FF", "Z_TH", "Z_FF")
-
-
 def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_path, call) -> None:
     answer = call("simulate", scene, "-n", 3, "-o", tmp_path / "ds", "--workers", 1, "--json")
     assert answer.status == 0

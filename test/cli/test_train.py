@@ -53,18 +53,6 @@ def test_train_and_evaluate(call, simulated, tmp_path) -> None:
     assert call(*words, "--resume").records[-1]["scores"] == result["scores"]
 
 
-@pytest.mark.slow
-def test_people_get_a_table(call, simulated, tmp_path) -> None:
-    short = ("model.channels=xyz", "train.epochs=1", "train.batch_size=4", "split=random/random 1")
-    answer = call("train", CONFIG / "train/p2.yaml", f"data={simulated}", *SMALL, *short, "-o", tmp_path / "run")
-    assert answer.status == 0, answer.err
-    assert "geometry_trees" in answer.out
-    assert "PDC_TH" in answer.out
-    scored = call("evaluate", "default", simulated)
-    assert scored.status == 0, scored.err
-    assert "E_MF" in scored.out
-
-
 def test_errors_are_one_line_and_so_is_an_unfinished_run(call, simulated, tmp_path, run, files) -> None:
     recipe, out = CONFIG / "train/p2.yaml", ("-o", tmp_path / "run")
     for words, line in (

@@ -118,7 +118,7 @@ def _scores(predicted: Any, actual: Any, reference: Any) -> dict[str, list[float
 
 
 def _in_range(low: float, high: float) -> list[Any]:
-    return [TactileRanges(pdc_th=(low, high)).ranges.scale(np.full(TOUCH_SIZE, 2500.0))]
+    return [TactileRanges(pdc_th=(low, high)).ranges.outside(np.full(TOUCH_SIZE, 2500.0))]
 
 
 def preparation_cases() -> Cases:

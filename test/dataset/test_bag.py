@@ -2,13 +2,10 @@
 """Recordings in all containers, and what becomes of damaged ones."""
 
 import os
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from bag_builders import make_clouds, read_bag
 from every_case import every_case, every_refusal
 from mcap.reader import make_reader
@@ -127,51 +124,6 @@ def test_bags_of_others_with_an_odd_layout_any_compression_or_of_ros1(tmp_path, 
         message = next(recording.messages())
         content = KILTED.deserialize_cdr(message.data, message.type)  # without the seq of ROS 1
     assert content.header.frame_id == "lidar"
-
-
-def split_folder(folder: Path, name: Callable[[int], str], plugin: StoragePlugin, messages: list) -> None:
-    """A recording that rosbag2 has split into a file for each message, with the metadata that it writes."""
-    folder.mkdir()
-    for number, message in enumerate(messages):
-        part = folder.with_name(f"part-{number}")
-        writer = Writer(part, version=8, storage_plugin=plugin)
-        with writer:
-            connection = writer.add_connection("/cloud", POINT_CLOUD_TYPE, typestore=KILTED)
-            writer.write(connection, 10 + number, KILTED.serialize_cdr(message, POINT_CLOUD_TYPE))
-        (stored,) = (path for path in part.iterdir() if path.suffix != ".yaml")
-        stored.rename(folder / f"{name(number)}{stored.suffix}")
-        text = (part / "metadata.yaml").read_text(encoding="utf-8")
-        shutil.rmtree(part)
-    found = yaml.safe_load(text)
-    information = found["rosbag2_bagfile_information"]
-    information["relative_file_paths"] = [f"{name(number)}{stored.suffix}" for number in range(len(messages))]
-    information["message_count"] = information["topics_with_message_count"][0]["message_count"] = len(messages)
-    information["starting_time"]["nanoseconds_since_epoch"] = 10
-    (folder / "metadata.yaml").write_text(yaml.safe_dump(found), encoding="utf-8")
-
-
-def test_a_split_recording_is_read_in_order_by_the_names_of_every_release(tmp_path, rng):
-    """Since Lyrical the files are named {counter}_{prefix}_{timestamp}, where 10 sorts before 2 (ros2/rosbag2 #2265)."""
-    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
-    messages = [foreign_message(KILTED, xyz + n, stamp_ns=n) for n in range(12)]
-    names = {
-        "to Kilted": lambda n: f"rosbag2_2026_05_25-10_59_00_{n}",
-        "Lyrical": lambda n: f"{n}_rosbag2_2026_05_25-{10 + (59 + n) // 60}_{(59 + n) % 60:02d}_00",
-        "Lyrical, with another prefix": lambda n: f"{n}_lab.day_2_2026_05_25-11_00_{n:02d}",
-    }
-
-    def check(name: str, plugin: StoragePlugin, *, listed: bool) -> None:
-        folder = tmp_path / f"{name} {plugin.name} {listed}"
-        split_folder(folder, names[name], plugin, messages)
-        if not listed:
-            (folder / "metadata.yaml").unlink()  # of a recorder that was killed
-        assert is_recording(folder)
-        clouds = list(read_bag(folder))
-        assert [cloud.stamp_ns for cloud in clouds] == list(range(12))
-        np.testing.assert_array_equal(clouds[10].xyz, xyz + np.float32(10))
-
-    every_case([(name, plugin, listed) for name in names for plugin in StoragePlugin for listed in (True, False)],
-               lambda name, plugin, listed: check(name, plugin, listed=listed))  # fmt: skip
 
 
 def test_messages_are_passed_on_as_recorded(tmp_path, rng):

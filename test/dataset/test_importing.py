@@ -14,7 +14,8 @@ from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
-from foretouch.errors import ConfigError, FileError
+from foretouch.errors import FileError
+from foretouch.tactile.messages.table import TactileConfig
 
 
 def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
@@ -69,11 +70,9 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
     every_case(cases, check)
 
 
-def test_topics_are_checked_and_fingers_chosen_by_their_indices(tmp_path: Path) -> None:
-    result, (touched, _) = imported(tmp_path, Faults(), fingers=(0, 3))  # all fingers read the same
-    assert (result.labelled, touched.sample.touch is None) == (1, False)
-    with pytest.raises(ConfigError, match="'FF' is the thumb already"):
-        import_samples(tmp_path / "bag", tmp_path / "other", topics=BagTopics(fingers=(0, 0)))
+def test_topics_are_checked_and_fingers_chosen_by_their_names(tmp_path: Path) -> None:
+    result, (touched, _) = imported(tmp_path, Faults(), tactile_config=TactileConfig(thumb="FF", middle="RF"))
+    assert (result.labelled, touched.sample.touch is None) == (1, False)  # all fingers read the same
     supported = r"/foretouch/grasps: holds foretouch_msgs/GraspArray; supported: foretouch_msgs/BiotacAll, sr_robot"
     for topics, rule in (
         (BagTopics(clouds="/nowhere"), "/nowhere: no such topic; known: /foretouch/executed_grasp"),

@@ -20,7 +20,7 @@ from other_tools import run_rerun
 from PIL import Image
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
-from foretouch.dataset.lerobot import DATASET_FORMAT
+from foretouch.dataset.lerobot import recognise
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
@@ -134,7 +134,7 @@ def test_what_cannot_be_exported_or_read_is_refused_and_leaves_nothing(exported:
     shutil.rmtree(exported / "foretouch")
     with pytest.raises(FileError, match="is a LeRobot dataset without the folder foretouch"):
         open_samples(exported)
-    assert DATASET_FORMAT.recognise(exported)
+    assert recognise(exported)
 
 
 def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> None:

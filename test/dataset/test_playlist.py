@@ -7,8 +7,9 @@ from rosbags.typesys import Stores, get_typestore
 from foretouch.cloud.io.files import write_cloud
 from foretouch.cloud.messages import read_header
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
-from foretouch.dataset.bag_writer import BagWriter, serialize_cloud, write_bag
+from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
+from foretouch.dataset.recording.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.types import Cloud
 

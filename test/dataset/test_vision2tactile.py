@@ -72,9 +72,7 @@ def test_bad_files_and_folders_are_named(folder: Path) -> None:
         ("best-grasp.txt", "1,2,3,inf,5,6", r"best-grasp.txt: g2: \[inf, 5.0, 6.0\] is not finite"),
         ("best-grasp.txt", "1,2,3,1,2,3", "best-grasp.txt: g1 - g2"),
         ("best-grasp.txt", None, "best-grasp.txt: is missing"),
-        ("tactile.tac", None, "tactile.tac: is missing"),
         ("cloud-object.pcd", None, "cloud-object.pcd"),
-        ("cloud-object.pcd", "nonsense", "cloud-object.pcd"),
     ]
     every_case(cases, check)
     (folder / "empty").mkdir()

@@ -10,94 +10,87 @@ from numpy.testing import assert_array_equal
 from sensor_builders import SMALL, write_sensor, xela_message
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile.description import load_sensor
-from foretouch.tactile.messages.biotac_all import make_reader as biotac_reader
-from foretouch.tactile.messages.described import SensorReader
-from foretouch.tactile.messages.table import TactileConfig, make_reader
+from foretouch.tactile.messages.table import TactileConfig, TactileReading, make_reader
 
 
 def header() -> Message:
     return Message(stamp=Message(sec=1_700_000_000, nanosec=5))
 
 
-def test_xela_by_the_position_of_its_sensors(rng: np.random.Generator) -> None:
+def read(sensor: object, message: object, **fingers: str) -> TactileReading:
+    return make_reader(TactileConfig(sensor=str(sensor), **fingers)).read(message)
+
+
+def by_channel(values: np.ndarray) -> np.ndarray:
+    """Values of (fingers, taxels, channels) in the order of a touch."""
+    return values.transpose(2, 0, 1).ravel()
+
+
+def test_sensors_of_others_by_file_alone(rng: np.random.Generator) -> None:
     counts = rng.integers(0, 2**16, (3, 16, 3))
-    reading = SensorReader(load_sensor("xela_uskin_4x4")).read(xela_message(counts, (2, 3, 1)))
-    assert_array_equal(reading.values, counts[[2, 0]])  # thumb: position 1, taxel-major
-    assert reading.values.dtype == np.float32
-    assert (reading.valid.shape, reading.valid.all(), reading.invalid) == ((2, 16), True, {})
+    reading = read("xela_uskin_4x4", xela_message(counts, (2, 3, 1)))
+    assert_array_equal(reading.counts, by_channel(counts[[2, 0]]))  # thumb: position 1
+    assert (reading.counts.dtype, reading.others.size, reading.invalid) == (np.float32, 0, {})
     assert reading.stamp_ns == 1_700_000_000_250_000_000
-    assert reading.scalars.shape == (2, 0)
-    (only,) = SensorReader(load_sensor("xela_uskin_4x4"), ["FF"]).read(xela_message(counts, (2, 3, 1))).values
-    assert_array_equal(only, counts[0])
+    field = rng.standard_normal((500, 3)).astype(np.float32)
+    channels = [Message(name=name, values=field.ravel()) for name in ("right", "left")]
+    reading = read("tacsl_20x25", Message(header=header(), sensors=channels))
+    assert_array_equal(reading.counts, by_channel(np.stack([field, field])))
+    names = [*(f"magnetic_induction_{axis}" for axis in "xyz"), "temperature"]
+    counts = rng.integers(-2048, 2048, (5, 7, 4))
+    counts[..., 3] = 300
+    fingers = [Message(sensors=[Message(**dict(zip(names, row, strict=True))) for row in one]) for one in counts]
+    reading = read("shadow_mst", Message(header=header(), fingers=fingers))
+    assert_array_equal(reading.counts, by_channel(counts[[4, 1], :, :3]))
 
 
-def test_biotac_as_its_own_decoder_reads_it(rng: np.random.Generator) -> None:
+def test_biotac_by_its_description_as_by_its_own_decoder(rng: np.random.Generator) -> None:
     counts = rng.integers(1, 4095, (5, 29))
     names = ("pdc", "pac0", "pac1", "tac", "tdc")
     message = Message(
         header=header(),
         tactiles=[Message(electrodes=row[5:], **dict(zip(names, row[:5].tolist(), strict=True))) for row in counts],
     )
-    own, reader = biotac_reader(TactileConfig()).read(message), SensorReader(load_sensor("biotac_sp"))
-    reading = reader.read(message)
-    assert reading.stamp_ns == own.stamp_ns
-    assert_array_equal(np.r_[reading.scalars[:, 0], reading.values.ravel()], own.counts)
-    assert_array_equal(np.sort(reading.scalars[:, 1:], axis=None), np.sort(own.others))
+    own, other = (make_reader(TactileConfig(sensor=sensor)) for sensor in ("", "biotac_sp"))
+    one, two = own.read(message), other.read(message)
+    assert one.stamp_ns == two.stamp_ns
+    assert_array_equal(one.counts, two.counts)
+    assert_array_equal(one.others, two.others)
+    assert (own.others, own.flags, own.channels.sha256) == (other.others, other.flags, other.channels.sha256)
     unread = message.tactiles[4]
     unread.electrodes, unread.pdc, unread.tac = np.zeros(24, np.int16), -9784, 32518
-    reading = reader.read(message)
-    assert reading.invalid == {"not_read": 24}
-    assert_array_equal(reading.valid.all(axis=1), [False, True])
-    assert np.isnan(reading.values[0]).all()
     message.tactiles[1].electrodes[7] = 0
     message.tactiles[1].tdc = 0  # of a driver without it
-    reading = reader.read(message)
+    reading = other.read(message)
     assert reading.invalid == {"not_read": 24, "out_of_range": 1}
-    assert_array_equal(np.flatnonzero(~reading.valid[1]), [7])
-    assert reading.scalars[1, 4] == 0.0  # as sent
+    assert_array_equal(np.isnan(reading.counts), [1, 0, *[1] * 24, *[0] * 24])
+    assert dict(zip(other.others, reading.others, strict=True))["TDC_MF"] == 0.0  # as sent
 
 
-def test_force_fields_and_magnetic_fields_by_file_alone(rng: np.random.Generator) -> None:
-    field = rng.standard_normal((500, 3)).astype(np.float32)
-    channels = [Message(name=name, values=field.ravel()) for name in ("right", "left")]
-    reading = SensorReader(load_sensor("tacsl_20x25")).read(Message(header=header(), sensors=channels))
-    assert_array_equal(reading.values, np.stack([field, field]))
-    names = [*(f"magnetic_induction_{axis}" for axis in "xyz"), "temperature"]
-    counts = rng.integers(-2048, 2048, (5, 7, 4))
-    counts[..., 3] = 300
-    fingers = [Message(sensors=[Message(**dict(zip(names, row, strict=True))) for row in one]) for one in counts]
-    reading = SensorReader(load_sensor("shadow_mst")).read(Message(header=header(), fingers=fingers))
-    assert_array_equal(reading.values, counts[[4, 1]])
-
-
-def test_taxels_that_fail_are_counted_by_reason(tmp_path) -> None:
-    fingers = [{**SMALL["fingers"][0], "dead": [1, 4]}, SMALL["fingers"][1]]
+def test_taxels_that_fail_are_counted_by_reason_and_have_the_mean_of_their_neighbours(tmp_path, recwarn) -> None:
+    fingers = [{**SMALL["fingers"][0], "dead": [1]}, SMALL["fingers"][1]]
     values = [{**SMALL["values"][0], "range": [0, 9]}]
-    reader = SensorReader(load_sensor(write_sensor(tmp_path, {"fingers": fingers, "values": values})))
-    pads = [[0, 99, 9, 9.5, 1, np.nan], [1, 2, 3, 4, 5, -1]]
-    reading = reader.read(Message(pads=[Message(pressures=one) for one in pads]))
-    assert_array_equal(reading.valid, [[True, False, True, False, False, False], [True] * 5 + [False]])
-    assert reading.invalid == {"dead": 2, "out_of_range": 3}
-    assert_array_equal(reading.values[..., 0], np.array(pads, np.float32))  # as sent
-    assert reading.stamp_ns is None
-
-
-def test_numbers_without_a_range_are_valid_as_far_as_float32_holds_them(tmp_path, recwarn) -> None:
-    values = [{"name": "p", "field": "pressures", "dtype": "float64", "noise": 1.0}]
-    reader = SensorReader(load_sensor(write_sensor(tmp_path, {"values": values})))
-    odd = [np.inf, -np.inf, 1e39, np.nan, 3e38, 0.0]
-    reading = reader.read(Message(pads=[Message(pressures=odd), Message(pressures=[1.0] * 6)]))
-    assert reading.valid.tolist() == [[False] * 4 + [True] * 2, [True] * 6]
+    sensor = write_sensor(tmp_path, {"fingers": fingers, "values": values})
+    # Taxels 4 mm apart along x, 2 mm along y, three in a row.
+    pads = [[0, 99, 8, 9, 1, np.nan], [1, 2, 3, 4, 5, -1]]
+    reading = read(sensor, Message(pads=[Message(pressures=one) for one in pads]))
+    assert_array_equal(reading.counts, [0, 4, 8, 9, 1, 1, 1, 2, 3, 4, 5, 5])
+    assert (reading.invalid, reading.stamp_ns) == ({"dead": 1, "out_of_range": 2}, None)
+    values = [{"name": "p", "field": "pressures", "dtype": "float64", "noise": 1.0}]  # as far as float32 holds them
+    sensor = write_sensor(tmp_path, {"values": values})
+    odd = [np.inf, 3e38, 1e39, np.nan, 3e38, 0.0]
+    reading = read(sensor, Message(pads=[Message(pressures=[0.0] * 4 + odd[:2]), Message(pressures=odd)]))
     assert reading.invalid == {"out_of_range": 4}
+    assert_array_equal(np.isnan(reading.counts), [0] * 6 + [1] * 6)  # half of its taxels are not valid
     assert not recwarn.list
 
 
 def test_stamps_of_every_kind(tmp_path) -> None:
     def stamp(value: object, unit: str = "s") -> int | None:
         source = {"type": "a/B", "stamp": "time", "stamp_unit": unit}
-        reader = SensorReader(load_sensor(write_sensor(tmp_path, {"source": source})))
-        return reader.read(Message(time=value, pads=[Message(pressures=[0.0] * 6)] * 2)).stamp_ns
+        values = [{**SMALL["values"][0], "range": [0, 9]}]
+        sensor = write_sensor(tmp_path, {"source": source, "values": values})
+        return read(sensor, Message(time=value, pads=[Message(pressures=[0.0] * 6)] * 2)).stamp_ns
 
     assert stamp(Message(sec=3, nanosec=7)) == 3_000_000_007
     assert stamp(1.5) == 1_500_000_000
@@ -117,7 +110,6 @@ def test_stamps_of_every_kind(tmp_path) -> None:
 
 
 def test_messages_that_lack_something_are_refused_by_name() -> None:
-    reader = SensorReader(load_sensor("xela_uskin_4x4"))
     full = np.zeros((2, 16, 3), int)
     cases = (
         ("xela_uskin_4x4: TH: taxels\\[\\].x: 8 numbers, not 16", xela_message(full[:, :8])),  # half the taxels
@@ -129,9 +121,7 @@ def test_messages_that_lack_something_are_refused_by_name() -> None:
         ("TH: taxels\\[\\].y: .* field 'y' is not one of x",
          Message(sensors=[Message(sensor_pos=1, taxels=[Message(x=0)] * 16)])),
     )  # fmt: skip
-    every_refusal(TactileError, cases, reader.read)
-    with pytest.raises(ConfigError, match="fingers: 'MF' is not one of TH, FF"):
-        SensorReader(load_sensor("xela_uskin_4x4"), ["MF"])
+    every_refusal(TactileError, cases, lambda message: read("xela_uskin_4x4", message))
 
 
 def test_a_reading_for_a_touch_is_ordered_by_channel_and_finger_with_temperatures_beside_it(tmp_path) -> None:
@@ -171,17 +161,3 @@ def test_a_reading_for_a_touch_is_ordered_by_channel_and_finger_with_temperature
         make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), thumb="left", middle="left"))
     with pytest.raises(ConfigError, match="fingers: 'MF' is not one of left, right"):
         make_reader(TactileConfig(sensor=str(write_sensor(tmp_path, changes)), middle="MF"))
-
-
-def test_biotac_by_its_description_as_by_its_own_decoder(rng: np.random.Generator) -> None:
-    counts = rng.integers(1, 4095, (5, 29))
-    names = ("pdc", "pac0", "pac1", "tac", "tdc")
-    message = Message(
-        header=header(),
-        tactiles=[Message(electrodes=row[5:], **dict(zip(names, row[:5].tolist(), strict=True))) for row in counts],
-    )
-    own, other = (make_reader(TactileConfig(sensor=sensor)) for sensor in ("", "biotac_sp"))
-    one, two = own.read(message), other.read(message)
-    assert_array_equal(one.counts, two.counts)
-    assert_array_equal(one.others, two.others)
-    assert (own.others, own.flags, own.channels.sha256) == (other.others, other.flags, other.channels.sha256)

@@ -42,22 +42,7 @@ def test_paths_lead_to_numbers_and_series() -> None:
 
 
 def test_what_is_no_path_is_refused() -> None:
-    texts = (
-        ".",
-        "a.",
-        ".a",
-        "a..b",
-        "a b",
-        "a[",
-        "a[x]",
-        "a[1.5]",
-        "a[=x]",
-        "a[::0]",
-        "a[-2:]",
-        "a[b=]",
-        "_a",
-        "a.__class__",
-    )
+    texts = (".", "a.", "a..b", "a[", "a[x]", "a[=x]", "a[::0]", "a[-2:]", "a.__class__")
     every_refusal(
         ConfigError, [("rule: .* is not a field path", text) for text in texts], lambda text: FieldPath(text, "rule")
     )

@@ -123,21 +123,10 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         )
     add_options(group, "--sensor", "--thumb", "--middle")
     group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
-    group.add_argument(
-        "--fingers", type=_fingers, metavar="TH,MF", help="indices of both fingers instead of names (default: 4,1)"
-    )
     for name in ("hand", "camera"):
         parser.add_argument(
             f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=f"a property of the {name}"
         )
-
-
-def _fingers(text: str) -> tuple[int, int]:
-    """`TH,MF` indices for argparse."""
-    words = text.split(",")
-    if len(words) != 2 or not all(word.isdecimal() and int(word) < 5 for word in words):
-        raise argparse.ArgumentTypeError(f"{text!r} is not two indices from 0 to 4 with a comma between them")
-    return int(words[0]), int(words[1])
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -333,7 +322,6 @@ def _import(arguments: argparse.Namespace) -> int:
         executed=arguments.executed_topic,
         tactile=arguments.tactile_topic,
         object=arguments.object,
-        fingers=arguments.fingers,
         tactile_config=TactileConfig(
             sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
         ),

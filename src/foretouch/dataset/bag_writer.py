@@ -16,10 +16,15 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, Definitions, encode_sample, sample_types
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
+from foretouch.dataset.recording.sample_codec import (
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    Definitions,
+    encode_sample,
+    serialize_cloud,
+)
+from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import system_errors
@@ -73,9 +78,8 @@ class BagWriter:
 
     def write_cloud(self, cloud: Cloud, topic: str = _CLOUD_TOPIC, *, bag_time_ns: int | None = None) -> None:
         """Append a cloud as `sensor_msgs/PointCloud2`, by default at the time of its stamp [ns] (raises as `write`)."""
-        self.write(
-            topic, POINT_CLOUD_TYPE, cloud.stamp_ns if bag_time_ns is None else bag_time_ns, serialize_cloud(cloud)
-        )
+        time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
+        self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 
 
 def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
@@ -106,12 +110,8 @@ class _Writer(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _ChecksummedMcap}  # noqa: RUF012  # read only
 
 
-def serialize_cloud(cloud: Cloud) -> bytes:
-    """A cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
-    return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
-
-
-def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    """See `foretouch.dataset.formats`."""
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for record in samples.records(discarded=True):
@@ -123,6 +123,3 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
             for topic, taxels_ns, taxels in taxel_clouds(record, samples.sensor):
                 writer.write(topic, POINT_CLOUD_TYPE, taxels_ns, taxels)
             result.written += 1
-
-
-DATASET_FORMAT = DatasetFormat(export=_export)

@@ -1,8 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The formats of datasets: one line each in `FORMATS`, from which commands and readers take what is supported.
 
-To add a format, write one module with a `DATASET_FORMAT` (see `foretouch.dataset.samples.DatasetFormat`) and add its
-line here. This module imports no reader, so that help texts do not wait for the libraries of all formats.
+To add a format, add its line here and write one module with these functions, as far as the format has them:
+
+- `recognise(path) -> bool`: whether a path that exists is of this format.
+- `open_set(path, unfinished) -> SampleSet`: opens it, also with recordings that were cut off if `unfinished` is true.
+- `convert(path) -> SampleSet`: as `open_set`, also of versions that are only read to convert them.
+- `export(samples, folder, result, progress, **options)`: writes samples to a folder that does not exist yet, adds to the
+  counts of an `ExportResult`, and reports progress once a sample.
+
+This module imports no reader, so that help texts do not wait for the libraries of all formats.
 """
 
 from dataclasses import dataclass
@@ -15,7 +22,7 @@ class FormatEntry:
 
     name: str  # in options, JSON and error messages
     title: str  # in help texts; a noun phrase
-    module: str  # python module that holds its `DATASET_FORMAT`
+    module: str  # python module with its functions
     files: tuple[str, ...] = ()  # suffixes of single files that may be of this format
     folders: tuple[str, ...] = ()  # glob patterns; a folder with a match may be of this format; none for export alone
     exported: bool = False  # whether samples can be written in this format

@@ -30,7 +30,6 @@ from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.files import require_existing, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -45,7 +44,6 @@ class BagTopics:
     executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
     object: str = "unknown"  # label of the object on the table
-    fingers: tuple[int, int] | None = None  # indices of thumb and middle finger; None for those that are named
     tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
     pairing: PairingConfig = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 
@@ -177,10 +175,6 @@ def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
             rule = f"holds {name or 'mixed types'}; supported: {', '.join(TACTILE_TYPES)}"
             raise FileError(bag.path, rule, field=topics.tactile)
         config = config if config.sensor else config.replace(type=name)
-    if topics.fingers is not None:
-        named = FINGER_ORDER if config.type.endswith("/BiotacAll") else tuple(map(str, range(len(FINGER_ORDER))))
-        thumb, middle = (named[index] for index in topics.fingers)
-        config = config.replace(thumb=thumb, middle=middle)
     return make_reader(config)
 
 

@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, has_points, open_samples
+from foretouch.dataset.samples import ExportResult, SampleSet, has_points, open_samples
 from foretouch.dataset.taxels import channel_key, finger_key
 from foretouch.errors import ConfigError, FileError, shown
 from foretouch.files import read_json, require_schema
@@ -63,9 +63,10 @@ class _Survey:
     seen: bool  # whether an episode has points; else it was recorded without a camera, and its grasp is not known
 
 
-def _export(
+def export(
     samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
 ) -> None:
+    """See `foretouch.dataset.formats`; with `fps`, frames hold windows of readings."""
     out.mkdir(parents=True)
     survey = _survey(samples)
     if fps and fps > _FASTEST * survey.rate:
@@ -404,7 +405,13 @@ def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]
     }
 
 
-def _open(path: Path, unfinished: bool) -> SampleSet:
+def recognise(path: Path) -> bool:
+    """Whether a folder is a LeRobot dataset."""
+    return (path / _INFO).is_file()
+
+
+def open_set(path: Path, unfinished: bool) -> SampleSet:
+    """The samples of an export (raises a `FileError` for other LeRobot datasets, and for metadata that lie)."""
     if not (path / _SAMPLES).is_dir():
         raise FileError(path, f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has")
     samples = open_samples(path / _SAMPLES, unfinished=unfinished)
@@ -445,6 +452,3 @@ def _require_features(path: Path, features: Mapping[str, Any], file: Path, first
             if f"{stated['dtype']} {stated['shape']}" != kind:
                 rule = f"is {stated['dtype']} {stated['shape']}, and {file.name} holds {kind}"
                 raise FileError(path, rule, field=f"features.{name}")
-
-
-DATASET_FORMAT = DatasetFormat(recognise=lambda path: (path / _INFO).is_file(), open=_open, export=_export)

@@ -16,7 +16,7 @@ from foretouch.dataset.recording.sample_codec import (
     properties_text,
     sensor_text,
 )
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
+from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, with_sensor
@@ -44,7 +44,8 @@ _CANDIDATES: Final = tuple(f"candidates_{name}" for name in _GRASP_ARRAYS)
 _OPTIONAL: Final = (*CLOUD_ARRAYS, *_GRASP_ARRAYS, *_CANDIDATES, *_TEXTS, *_NUMBERS, *_SERIES, *_OTHERS)
 
 
-def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    """See `foretouch.dataset.formats`."""
     out.mkdir(parents=True)
     facts = {name: properties_text(getattr(samples.identity, name)) for name in ("hand", "camera")}
     if with_sensor({}, samples.sensor):
@@ -167,7 +168,7 @@ def _files(path: Path) -> list[Path]:
     return sorted(path.glob("*/*.npz"))
 
 
-def _recognise(path: Path) -> bool:
+def recognise(path: Path) -> bool:
     """Whether the first archive, whose name says where it is, names a sample; others may be clouds alone."""
     first = next(iter(_files(path)), None)
     try:
@@ -176,7 +177,8 @@ def _recognise(path: Path) -> bool:
         return False
 
 
-def _open(path: Path, _: bool) -> SampleSet:
+def open_set(path: Path, _: bool) -> SampleSet:
+    """The samples in archives; a `FileError` names one that is none, or of another hand."""
     files = _files(path)
     identity, sensor = _read(files[0])[1:]
 
@@ -195,6 +197,3 @@ def _open(path: Path, _: bool) -> SampleSet:
         identity=identity,
         sensor=sensor,
     )
-
-
-DATASET_FORMAT = DatasetFormat(recognise=_recognise, open=_open, export=_export)

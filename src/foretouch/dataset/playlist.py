@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from foretouch.dataset.bag import Recording, Topic
-from foretouch.dataset.bag_writer import serialize_cloud
+from foretouch.dataset.recording.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
 

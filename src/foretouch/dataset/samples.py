@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
@@ -58,31 +59,10 @@ class ExportResult:
     lost: Counter[str] = field(default_factory=Counter)  # samples with a field that the format cannot hold, by field
 
 
-def _not_supported(*_: Any) -> Any:
-    raise NotImplementedError
-
-
-@dataclass(frozen=True, kw_only=True)
-class DatasetFormat:
-    """The functions of one format; its module holds them as `DATASET_FORMAT`.
-
-    `export` writes to a folder that does not exist yet, adds to the counts, and reports progress once a sample.
-    """
-
-    recognise: Callable[[Path], bool] = _not_supported  # whether a path that exists is of this format
-    open: Callable[[Path, bool], SampleSet] = _not_supported  # for reading, also recordings that were cut off if true
-    convert: Callable[[Path], SampleSet] | None = None  # as `open`, also of versions that are only read to convert them
-    export: Callable[..., None] = _not_supported
-
-
-def _functions(entry: formats.FormatEntry) -> DatasetFormat:
-    found: DatasetFormat = importlib.import_module(entry.module).DATASET_FORMAT
-    return found
-
-
-def _format_of(path: Path) -> DatasetFormat | None:
-    candidates = (_functions(entry) for entry in formats.FORMATS if entry.may_hold(path))
-    return next((functions for functions in candidates if functions.recognise(path)), None)
+def _format_of(path: Path) -> ModuleType | None:
+    """The module of the format that a path is of."""
+    candidates = (importlib.import_module(entry.module) for entry in formats.FORMATS if entry.may_hold(path))
+    return next((module for module in candidates if module.recognise(path)), None)
 
 
 def is_sample_set(path: str | Path) -> bool:
@@ -102,7 +82,10 @@ def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = 
     found = _format_of(path)
     if found is None:
         raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    return found.convert(path) if convert and found.convert is not None else found.open(path, unfinished)
+    opened: SampleSet = (
+        found.convert(path) if convert and hasattr(found, "convert") else found.open_set(path, unfinished)
+    )
+    return opened
 
 
 def sensor_of_samples(samples: SampleSet) -> Sensor:
@@ -140,8 +123,8 @@ def export_samples(
         FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
         DatasetError: If a sample's id cannot be the name of a file.
     """
-    export = _functions(next(entry for entry in formats.FORMATS if entry.name == kind)).export
+    module = importlib.import_module(next(entry.module for entry in formats.FORMATS if entry.name == kind))
     result = ExportResult()
     with new_folder(Path(out)) as folder:
-        export(open_samples(source), folder, result, progress, **options)
+        module.export(open_samples(source), folder, result, progress, **options)
     return result

@@ -27,7 +27,7 @@ import pyarrow as pa
 
 from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
-from foretouch.dataset.samples import DatasetFormat, SampleSet
+from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.files import COUNT, FileBytes, Version, file_sha256, open_regular, parse_json, require_schema, version_of
 from foretouch.tactile.description import sensor_in
@@ -326,7 +326,11 @@ def _numbers(text: str) -> dict[str, float]:
     return numbers
 
 
-def _open_samples(path: Path, _: bool) -> SampleSet:
+recognise = is_store
+
+
+def open_set(path: Path, _: bool) -> SampleSet:
+    """The samples of a store (raises as `Store`)."""
     store = Store(path)
     about = store.manifest.get("about", {})
     return SampleSet(
@@ -338,6 +342,3 @@ def _open_samples(path: Path, _: bool) -> SampleSet:
         identity=Identity(hand=about.get("hand", {}), camera=about.get("camera", {})),
         sensor=store.sensor,
     )
-
-
-DATASET_FORMAT = DatasetFormat(recognise=is_store, open=_open_samples)

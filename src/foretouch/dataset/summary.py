@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 
 from foretouch.dataset.record import DISCARDED, SampleRecord
 from foretouch.dataset.recording.edits import EditLog
-from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.errors import ForetouchError
 
 TARE_S: Final = 2.0  # how long the fingers rest before each object [s]
@@ -42,6 +41,8 @@ def summarise(record: SampleRecord) -> GraspSummary:
 
 def summarise_dataset(path: Path) -> dict[str, GraspSummary]:
     """The grasps of a dataset by id as recorded; none if it cannot be read."""
+    from foretouch.dataset.recording.reader import RecordedDataset
+
     with suppress(ForetouchError, OSError):
         dataset = RecordedDataset(path)
         records = (dataset.as_recorded(k).record for k in range(len(dataset)))

@@ -8,7 +8,7 @@ one value in all points.
 
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -26,14 +26,6 @@ from foretouch.types import AnyArray, Float32
 _FLOAT32: Final = 7  # of sensor_msgs/PointField
 
 
-class TaxelCloud(NamedTuple):
-    """One message."""
-
-    topic: str
-    stamp_ns: int  # of the reading [ns]
-    data: bytes  # CDR with its encapsulation header
-
-
 def finger_key(finger: str) -> str:
     """Name of a finger in topics and columns, such as middle_finger."""
     return finger_label(finger).replace(" ", "_")
@@ -45,8 +37,12 @@ def channel_key(channel: str) -> str:
     return {"e": "electrode", **{axis: f"taxel_{axis}" for axis in "xyz"}}.get(name, name)
 
 
-def taxel_clouds(record: SampleRecord, sensor: Sensor) -> Iterator[TaxelCloud]:
-    """The readings around a grasp in order, those at g1 first; of a sample without a series its touch, if any."""
+def taxel_clouds(record: SampleRecord, sensor: Sensor) -> Iterator[tuple[str, int, bytes]]:
+    """The readings around a grasp in order, those at g1 first; of a sample without a series its touch, if any.
+
+    Yields:
+        Topic, stamp of the reading [ns], and message: CDR with its encapsulation header.
+    """
     sample, series = record.sample, readings(record)
     if series is None:
         return
@@ -56,7 +52,7 @@ def taxel_clouds(record: SampleRecord, sensor: Sensor) -> Iterator[TaxelCloud]:
         points = np.stack(np.broadcast_arrays(*fields.values()), axis=-1, dtype="<f4")
         head, tail = _template(sample.cloud.frame_id, list(fields), points[0])
         for stamp_ns, one in zip(series.stamps_ns.tolist(), points, strict=True):
-            yield TaxelCloud(TAXELS + finger_key(finger), stamp_ns, with_stamp(head, stamp_ns) + one.tobytes() + tail)
+            yield TAXELS + finger_key(finger), stamp_ns, with_stamp(head, stamp_ns) + one.tobytes() + tail
 
 
 def _channels(series: TouchSeries, finger: str, sensor: Sensor) -> dict[str, Float32]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
-from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
+from foretouch.dataset.samples import ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError, shown
 from foretouch.files import read_bytes
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
@@ -135,7 +135,13 @@ def _read_numbers(path: Path, count: int) -> Float64:
     return numbers
 
 
-def _open_samples(path: Path, _: bool) -> SampleSet:
+def recognise(path: Path) -> bool:
+    """Whether a folder holds samples."""
+    return next(_folders_in(path), None) is not None
+
+
+def open_set(path: Path, _: bool) -> SampleSet:
+    """The samples in the folders at a path."""
     folders = sorted(_folders_in(path))
     return SampleSet(
         path=path,
@@ -147,7 +153,8 @@ def _open_samples(path: Path, _: bool) -> SampleSet:
     )
 
 
-def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    """See `foretouch.dataset.formats`."""
     require_same(samples.sensor.channels, BIOTAC, str(samples.path))
     out.mkdir(parents=True)
     exported = {f"{name}_{finger}" for name in _EXTRA for finger in ("MF", "TH")}
@@ -183,8 +190,3 @@ def _fingers(sample: GraspSample, touch: Touch) -> list[float]:
 def _as_text(values: Sequence[float]) -> str:
     """With as many digits as reading the same numbers back requires."""
     return ",".join(f"{int(value)}" if float(value).is_integer() else repr(float(value)) for value in values)
-
-
-DATASET_FORMAT = DatasetFormat(
-    recognise=lambda path: next(_folders_in(path), None) is not None, open=_open_samples, export=_export
-)

@@ -77,10 +77,6 @@ class Ranges:
         """(D,) float64, upper bounds in the order of a touch; read-only."""
         return self._vector(1)
 
-    def scale(self, values: npt.ArrayLike) -> Float64:
-        """Scale values (..., D) to [0, 1]; values outside their range leave [0, 1] and are not clipped."""
-        return (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
-
     def outside(self, values: npt.ArrayLike) -> Bool:
         """Which of (..., D) values are outside their range; NaN is outside."""
         found = np.asarray(values, np.float64)

@@ -15,7 +15,7 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.sample_codec import Definitions
-from foretouch.errors import GraspError, TactileError
+from foretouch.errors import GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import Cloud
@@ -173,17 +173,6 @@ def test_readings_whose_stamps_jitter_are_waited_for() -> None:
         windows.append(one.cut.window)
     np.testing.assert_array_equal(windows[0].stamps_ns, windows[1].stamps_ns)
     np.testing.assert_array_equal(windows[0].counts, windows[1].counts)
-
-
-def test_a_reading_that_is_none_is_refused_and_forgets_nothing() -> None:
-    def read(message: Any) -> TactileReading:
-        if message is None:
-            raise TactileError("no reading")
-        return READER.read(message)
-
-    assembler = SampleAssembler(AssemblerConfig(), TactileReader(read))
-    with pytest.raises(TactileError, match="no reading"):
-        assembler.add("tactile", None, received_ns=0, now_s=0.0)
 
 
 def test_a_grasp_counts_by_its_quaternion_where_the_matrix_is_nine_zeros() -> None:

@@ -27,10 +27,11 @@ from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import write_listed
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import RecordedDataset, _sample_messages
-from foretouch.dataset.recording.records import Chunk, Record, walk
+from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.records import Chunk, Declarations, Record, walk
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
+from foretouch.dataset.recording.scan import sample_messages
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
@@ -46,7 +47,7 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one in _sample_messages(path, FileBytes(path))]
+    return [(one.start, one.end) for one in sample_messages(path, FileBytes(path), Declarations())]
 
 
 def chunks(path: Path) -> list[tuple[int, int]]:

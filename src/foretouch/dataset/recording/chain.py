@@ -11,30 +11,23 @@ and reports what is lost. Datasets of foretouch 0.2.0 have no list; the next ses
 import hashlib
 import os
 import shutil
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Metadata
-
 from foretouch.dataset.files import new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.folder import opened_to_write, read_listed, session_files, write_listed
 from foretouch.dataset.recording.records import (
-    IN_CHUNK,
     Chunk,
     Damage,
+    Declarations,
     Record,
-    RecordedMessage,
+    contents,
     declared_samples,
-    is_finished,
     summary_of,
-    walk,
 )
-from foretouch.dataset.recording.sample_codec import ABOUT
-from foretouch.errors import FileError
 from foretouch.files import FileBytes, system_errors
 from foretouch.tactile.description import Sensor
 
@@ -107,74 +100,23 @@ def session_in(file: Path) -> Session:
     """The session in a file."""
     data = FileBytes(file)
     samples, index = declared_samples(data), summary_of(data)
-    session = Session(file.name, _about(data).get(ID, ""))
+    session = Session(file.name, about_in(data).get(ID, ""))
     if isinstance(index, Damage) or isinstance(samples, Damage):
         return session
-    return replace(session, samples=samples, sha256=_sha256(data, index[0]))
+    return replace(session, samples=samples, sha256=index_sha256(data, index[0]))
 
 
-def chain_faults(path: Path) -> list[tuple[Path, str]]:
-    """Each file of a dataset that contradicts the list, and the rule; none without a list."""
-    faults = list(_faults(path))
-    return list(_faults(path)) if faults else []  # a recorder may have begun or ended a session meanwhile
-
-
-def require_chain(path: Path) -> None:
-    """Raise a `FileError` for the first of `chain_faults`, but for a file that is cut off, as which it is read."""
-    for file, rule in chain_faults(path):
-        if not file.exists() or is_finished(FileBytes(file)):
-            raise FileError(file, rule)
-
-
-def _faults(path: Path) -> Iterator[tuple[Path, str]]:
-    files = session_files(path)
-    sessions = listed_sessions(path)
-    if sessions is None:
-        return
-    for session in sessions:
-        file = path / session.file
-        if not file.exists():
-            ended = f"with {session.samples} samples" if session.sha256 else "as not finished"
-            yield file, f"is missing: the manifest lists it {ended}"
-        elif rule := _difference(session, FileBytes(file)):
-            yield file, rule
-    listed = {session.file for session in sessions}
-    for file in files:
-        if file.name not in listed and (is_finished(data := FileBytes(file)) or _holds_message(data)):
-            yield file, "is not in the list of the manifest: it was added by hand"
-
-
-def _difference(session: Session, data: FileBytes) -> str:
-    about = _about(data)
-    if about and about.get(ID, "") != session.id:
-        return "is the file of another session than the manifest lists"
-    index = summary_of(data)
-    if not session.sha256 or REPAIRED in about:  # a crash may end a session or a repair before it is listed
-        return ""
-    if isinstance(index, Damage):
-        return f"is not the session of {session.samples} samples that the manifest lists: {index.rule}"
-    same = _sha256(data, index[0]) == session.sha256
-    return "" if same else "is not the session that the manifest lists: its index has another hash"
-
-
-def _about(data: FileBytes) -> dict[str, str]:
+def about_in(data: FileBytes) -> dict[str, str]:
     """What the file says about itself before its first message."""
-    for record in walk(data):
-        content = record.content if isinstance(record, Record) else None
-        if content is None or isinstance(content, Chunk):
+    declared = Declarations()
+    for item in contents(data, declared):
+        if declared.about or not isinstance(item, Record) or isinstance(item.content, Chunk):
             break
-        if isinstance(content, Metadata) and content.name == ABOUT:
-            return dict(content.metadata)
-    return {}
+    return declared.about
 
 
-def _holds_message(data: FileBytes) -> bool:
-    chunks = (one.content for one in walk(data) if isinstance(one, Record) and isinstance(one.content, Chunk))
-    inner = (one for chunk in chunks for one in walk(data, chunk.start, chunk.end, IN_CHUNK))
-    return any(isinstance(one, Record) and isinstance(one.content, RecordedMessage) for one in inner)
-
-
-def _sha256(data: FileBytes, start: int) -> str:
+def index_sha256(data: FileBytes, start: int) -> str:
+    """SHA-256 of the index of a file, which starts at an offset, with the record before it."""
     return hashlib.sha256(data[max(0, start - _DATA_END) : len(data)]).hexdigest()
 
 

@@ -1,49 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads the samples of a recorded dataset, in the order of their recording.
 
-The offsets of the samples are found without decoding other messages: the index after a chunk lists its channels, so
-chunks without samples are skipped. A recording that was cut off is read as far as it is intact.
+The offsets of the samples are found without decoding other messages (see `scan`). A recording that was cut off is read as
+far as it is intact.
 """
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
-from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.chain import require_chain
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, recorded_files, recorded_sensor, session_files
+from foretouch.dataset.recording.folder import is_dataset, recorded_files, recorded_sensor
 from foretouch.dataset.recording.records import (
-    IN_CHUNK,
     MAGIC,
-    Damage,
     Declarations,
     MessageCounts,
     Record,
     RecordedMessage,
     declared_samples,
     is_finished,
-    magic_damage,
     walk,
 )
-from foretouch.dataset.recording.repair import readable, salvaged
-from foretouch.dataset.recording.sample_codec import ABOUT, HEAD_SIZE, SAMPLE_TYPES, StoredSample, decode_sample, id_in
-from foretouch.dataset.samples import DatasetFormat, SampleSet
+from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TYPES, StoredSample, decode_sample
+from foretouch.dataset.recording.scan import require_intact, sample_messages
+from foretouch.dataset.recording.verify import require_chain
+from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import FileBytes, open_regular
 from foretouch.tactile.channels import BIOTAC_SP
-
-_T = TypeVar("_T")
-
-
-class _Sample(NamedTuple):
-    file: Path
-    data: FileBytes
-    message: RecordedMessage
 
 
 class RecordedDataset:
@@ -61,16 +48,18 @@ class RecordedDataset:
             require_chain(self.path)
         self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
-        self._samples: list[_Sample] = []
+        self._samples: list[tuple[FileBytes, RecordedMessage]] = []
+        self._declared: list[Declarations] = []  # by file
         self.unfinished: list[Path] = []  # files that were cut off; they are read as far as they are intact
         for file in self.files:
-            data = FileBytes(file)
-            found = [_Sample(file, data, one) for one in _sample_messages(file, data)]
+            data, declared = FileBytes(file), Declarations()
+            found = [(data, one) for one in sample_messages(file, data, declared)]
             if is_finished(data):
                 _check_count(file, data, len(found))
             else:
                 self.unfinished.append(file)
             self._samples += found
+            self._declared.append(declared)
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -86,36 +75,34 @@ class RecordedDataset:
 
     def as_recorded(self, index: int) -> StoredSample:
         """One sample before any edit (raises as indexing)."""
-        file, data, message = self._samples[index]
+        data, message = self._samples[index]
         try:
             return decode_sample(data[message.start : message.end], self.stated_sensor, convert=self._convert)
         except DatasetError as err:
-            raise FileError(file, str(err), field=f"sample at byte {message.start}") from err
+            raise FileError(data.path, str(err), field=f"sample at byte {message.start}") from err
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
         """The message counts by topic, summed over the last ones of each recording; a `FileError` for damage."""
         total = MessageCounts()
-        for file in self.files:
-            declared = Declarations()
-            for record in walk(FileBytes(file)):
-                if isinstance(record, Record):
-                    _require(file, declared.add(record))
+        for file, declared in zip(self.files, self._declared, strict=True):
+            require_intact(file, declared.damage)
             total.add(declared.counts or MessageCounts())
         return total.to_record()
 
     def name(self, index: int) -> str:
         """File and offset of a sample, for messages."""
-        return f"{self._samples[index].file}[{self._samples[index].message.start}]"
+        data, message = self._samples[index]
+        return f"{data.path}[{message.start}]"
 
 
 def _check_count(path: Path, data: FileBytes, found: int) -> None:
     """Compare the samples found in a finished file with the count in its summary, which has a checksum."""
-    count = _require(path, declared_samples(data))
+    count = require_intact(path, declared_samples(data))
     if count != found:
         raise FileError(path, f"damaged: holds {found} samples, its index declares {count}", field="samples")
 
 
-def _holds_samples(path: Path) -> bool:
+def recognise(path: Path) -> bool:
     """Whether a path is a recorded dataset, or an MCAP file that begins as a recording of foretouch."""
     if path.is_dir():
         return is_dataset(path)
@@ -128,73 +115,14 @@ def _holds_samples(path: Path) -> bool:
     return start.startswith(MAGIC) and (begins or any(name.encode() in start for name in SAMPLE_TYPES))
 
 
-def _sample_messages(path: Path, data: FileBytes) -> Iterator[RecordedMessage]:
-    """The messages with samples in a file, in order, up to its end or to where it is cut off.
-
-    Raises a `FileError` at the first invalid record, unless the file merely ends within it.
-    """
-    damage = magic_damage(data)
-    if damage is not None and len(data) >= len(MAGIC):
-        raise damage.error(path)
-    declared = Declarations()
-    for item in walk(data):
-        if isinstance(item, Damage) and item.rule.startswith("cut off"):
-            return
-        record = _require(path, item)
-        if record.opcode == Opcode.DATA_END:
-            return
-        declared.add(record)
-        if record.opcode == Opcode.CHUNK:
-            yield from _samples_of(path, data, record, declared)
+def convert(path: Path) -> SampleSet:
+    """The samples of a recorded dataset, also of version 1."""
+    return open_set(path, unfinished=False, old=True)
 
 
-def _samples_of(path: Path, data: FileBytes, chunk: Record, declared: Declarations) -> Iterator[RecordedMessage]:
-    indexed = set()  # channels of the chunk, according to the index after it
-    for record in walk(data, chunk.end):
-        if isinstance(record, Damage) or record.opcode != Opcode.MESSAGE_INDEX:
-            break
-        indexed.add(record.content)
-    for item in walk(data, chunk.content.start, chunk.content.end, IN_CHUNK):
-        record = _require(path, item)
-        declared.add(record)  # declarations stand before the first message
-        if not isinstance(record.content, RecordedMessage):
-            continue
-        if declared.type_of(record.content.channel) in SAMPLE_TYPES:
-            yield record.content
-        elif indexed and not set(SAMPLE_TYPES).intersection(map(declared.type_of, indexed)):
-            return
-
-
-def _require(path: Path, found: _T | Damage) -> _T:
-    if isinstance(found, Damage):
-        raise found.error(path)
-    return found
-
-
-def recorded_ids(path: Path) -> set[str]:
-    """The ids in a dataset, including those after damage that `repair` would save; a `FileError` for other damage."""
-    ids = set()
-    for file in session_files(path):
-        data = FileBytes(file)
-        cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-        found = list(_sample_messages(file, data))
-        if is_finished(data) and declared_samples(data) != len(found):  # what is declared is damaged
-            cut = len(MAGIC)
-        saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and readable(data, one))
-        ids |= {_id_of(file, data, message) for message in (*found, *saved)}
-    return ids
-
-
-def _id_of(path: Path, data: FileBytes, sample: RecordedMessage) -> str:
-    try:
-        return id_in(data[sample.start : min(sample.end, sample.start + HEAD_SIZE)])
-    except ValueError as err:
-        rule = f"damaged: the id of a sample cannot be read: {err}"
-        raise FileError(path, rule, field=f"byte {sample.start}") from err
-
-
-def _open_samples(path: Path, unfinished: bool, *, convert: bool = False) -> SampleSet:
-    dataset = RecordedDataset(path, convert=convert)
+def open_set(path: Path, unfinished: bool, *, old: bool = False) -> SampleSet:
+    """The samples of a recorded dataset, also of version 1 if `old` is true (raises as `RecordedDataset`)."""
+    dataset = RecordedDataset(path, convert=old)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
@@ -211,8 +139,3 @@ def _open_samples(path: Path, unfinished: bool, *, convert: bool = False) -> Sam
         edits=tuple(dataset.edits.descriptions()),
         sensor=dataset.stated_sensor or (first.sensor if first else BIOTAC_SP),
     )
-
-
-DATASET_FORMAT = DatasetFormat(
-    recognise=_holds_samples, open=_open_samples, convert=partial(_open_samples, unfinished=False, convert=True)
-)

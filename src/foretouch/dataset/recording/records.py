@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self, TypeAlias
+from typing import Any, Final, NamedTuple, Self
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -99,9 +99,6 @@ class Record(NamedTuple):
     content: Any
 
 
-Walked: TypeAlias = Iterator[Record | Damage]
-
-
 def magic_damage(data: FileBytes) -> Damage | None:
     """The fault of the first bytes, if there is one."""
     if len(data) == 0:
@@ -111,7 +108,7 @@ def magic_damage(data: FileBytes) -> Damage | None:
 
 def walk(
     data: FileBytes | bytes, start: int = len(MAGIC), end: int | None = None, allowed: set[Opcode] = _IN_DATA
-) -> Walked:
+) -> Iterator[Record | Damage]:
     """The records from offset `start` to `end`, by default the end of the file; a `Damage` for each that is invalid.
 
     The walk ends at damage that leaves open where the next record begins.
@@ -139,18 +136,44 @@ def walk(
         start = following
 
 
-def walk_on(data: FileBytes, start: int = len(MAGIC)) -> Walked:
-    """As `walk`, but after damage it continues at the next intact chunk, and ends where the data end."""
+def contents(
+    data: FileBytes, declared: "Declarations", start: int = len(MAGIC)
+) -> Iterator[Record | RecordedMessage | Damage]:
+    """The records from offset `start` on, after each chunk the messages in it, and all damage.
+
+    After damage it continues at the next intact chunk, and it ends with the record that ends the data. What the records
+    declare is added to `declared`.
+    """
     while start < len(data):
-        for record in walk(data, start):
-            yield record
-            if isinstance(record, Damage):
+        for item in walk(data, start):
+            if isinstance(item, Damage):
+                yield item
                 break
-            if record.opcode == Opcode.DATA_END:
+            yield from _content_of(data, item, declared)
+            if item.opcode == Opcode.DATA_END:
                 return
         else:
             return
-        start = next_chunk(data, record.offset + 1)
+        start = next_chunk(data, item.offset + 1)
+
+
+def _content_of(
+    data: FileBytes, record: Record, declared: "Declarations"
+) -> Iterator[Record | RecordedMessage | Damage]:
+    if damage := declared.add(record):
+        yield damage
+    chunk = record.content
+    if not isinstance(chunk, Chunk):
+        yield record
+    elif not chunk.intact(data):
+        yield Damage(record.offset, "damaged: a chunk that does not match its checksum")
+    else:
+        yield record
+        for inner in walk(data, chunk.start, chunk.end, IN_CHUNK):
+            if isinstance(inner, Record):
+                declared.add(inner)
+            if isinstance(inner, Damage) or isinstance(inner.content, RecordedMessage):
+                yield inner if isinstance(inner, Damage) else inner.content
 
 
 def next_chunk(data: FileBytes, start: int) -> int:
@@ -305,6 +328,7 @@ class Declarations:
         self.channels: dict[int, Channel] = {}
         self.about: dict[str, str] = {}
         self.counts: MessageCounts | None = None
+        self.damage: Damage | None = None  # of the last counts that cannot be read
 
     def add(self, record: Record) -> Damage | None:
         """Add what a record declares, if it is a declaration; the damage of message counts that cannot be read."""
@@ -319,7 +343,8 @@ class Declarations:
             try:
                 self.counts = MessageCounts.from_mapping(content.metadata)
             except DatasetError as err:
-                return Damage(record.offset, str(err))
+                self.damage = Damage(record.offset, str(err))
+                return self.damage
         return None
 
     def type_of(self, channel: int) -> str:

@@ -7,7 +7,6 @@ The repaired file replaces the original in one step, and the original is kept be
 
 import os
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -15,34 +14,15 @@ from typing import Final
 from mcap.records import Message
 
 from foretouch.dataset.files import sync_folder
-from foretouch.dataset.recording.chain import REPAIRED, chain_faults, list_sessions, listed_sessions
+from foretouch.dataset.recording.chain import REPAIRED, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
 from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
-from foretouch.dataset.recording.records import (
-    IN_CHUNK,
-    MAGIC,
-    Chunk,
-    Damage,
-    Declarations,
-    MessageCounts,
-    RecordedMessage,
-    TopicCounts,
-    next_chunk,
-    walk,
-    walk_on,
-)
-from foretouch.dataset.recording.sample_codec import (
-    ABOUT,
-    COUNTS,
-    SAMPLE_TOPIC,
-    SAMPLE_TYPE,
-    StoredSample,
-    decode_sample,
-    sample_types,
-)
-from foretouch.dataset.recording.verify import verify_file
-from foretouch.errors import DatasetError, FileError, VersionError
+from foretouch.dataset.recording.records import MAGIC, Damage, Declarations, MessageCounts, TopicCounts, next_chunk
+from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, sample_types
+from foretouch.dataset.recording.scan import readable, salvaged
+from foretouch.dataset.recording.verify import chain_faults, verify_file
+from foretouch.errors import FileError, VersionError
 from foretouch.files import FileBytes, free_name, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
@@ -111,7 +91,7 @@ def _repair_file(path: Path) -> RepairReport:
         data = FileBytes(path)
         if not MAGIC.startswith(data[: len(MAGIC)]) and next_chunk(data, 0) == len(data):
             raise FileError(path, "is not an MCAP file, and holds no part of one")
-        _Repair(data, found.declared, McapFile(part), report)
+        _copy_intact(data, found.declared, McapFile(part), report)
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -133,96 +113,57 @@ def _replace(path: Path, repaired: Path) -> Path:
     return kept
 
 
-class _Repair:
-    """The intact parts of a file, copied into a new one."""
+def _copy_intact(data: FileBytes, declared: Declarations, file: McapFile, report: RepairReport) -> None:
+    """Copy the intact parts of a file that declares this into a new one, and add to the report what is lost."""
+    topics: dict[int, str] = {}  # by the channel of the original
+    pending: list[Message] = []
+    written: Counter[str] = Counter()
 
-    def __init__(self, data: FileBytes, declared: Declarations, file: McapFile, report: RepairReport) -> None:
-        self._data = data
-        self._file = file
-        self._report = report
-        self._declared = declared
-        self._topics: dict[int, str] = {}  # by the channel of the original
-        self._pending: list[Message] = []
-        self._written: Counter[str] = Counter()
-        try:
-            file.write_metadata(ABOUT, {**declared.about, REPAIRED: LIBRARY})
-            self._declare()
-            for item in salvaged(data):
-                if isinstance(item, Damage):
-                    report.lost.append(item)
-                else:
-                    self._copy(item)
-            self._flush()
-            report.messages, report.samples = self._written.total(), self._written[SAMPLE_TOPIC]
-            file.write_metadata(COUNTS, self._counts().to_mapping())
-            file.finish()
-        finally:
-            file.abandon()
+    def flush() -> None:
+        file.write_chunk(pending)
+        pending.clear()
 
-    def _declare(self) -> None:
-        # The file's own copy of the definition may be damaged.
-        self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
-        for number, channel in sorted(self._declared.channels.items()):
-            schema = self._declared.schemas.get(channel.schema_id)
-            if schema is None or channel.message_encoding != "cdr" or schema.encoding != "ros2msg":
-                continue
-            self._topics[number] = channel.topic
-            if channel.topic not in self._file.types:
-                self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
-
-    def _copy(self, one: RecordedMessage) -> None:
-        """Write a message; a sample gets a chunk of its own."""
-        topic = self._topics.get(one.channel, SAMPLE_TOPIC)
-        is_sample = topic == SAMPLE_TOPIC
-        if is_sample and readable(self._data, one) is None:
-            self._report.lost.append(Damage(one.start, "a message whose declaration or content is damaged"))
-            return
-        if is_sample or sum(len(message.data) for message in self._pending) > _CHUNK_BYTES:
-            self._flush()
-        cdr = self._data[one.start : one.end]
-        self._pending.append(self._file.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
-        self._written[topic] += 1
-        if is_sample:
-            self._flush()
-
-    def _flush(self) -> None:
-        self._file.write_chunk(self._pending)
-        self._pending = []
-
-    def _counts(self) -> MessageCounts:
-        """The last message counts of the file, corrected for the contents of the new one."""
-        result = MessageCounts()
-        before = (self._declared.counts or result).topics
-        for topic in sorted(before.keys() | self._written.keys()):
-            old = before.get(topic, TopicCounts())
-            written, dropped = self._written[topic], Counter(old.dropped)
-            lost = old.received - written - dropped.total()
-            if lost > 0:
-                dropped["lost before repair"] += lost
-            result.topics[topic] = TopicCounts(written + dropped.total(), written, dropped, old.lost)
-        return result
-
-
-def salvaged(data: FileBytes, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:
-    """From offset `start` on, the messages of intact chunks, and the damage."""
-    for item in walk_on(data, start):
-        if isinstance(item, Damage):
-            yield item
-        elif isinstance(chunk := item.content, Chunk) and not chunk.intact(data):
-            yield Damage(item.offset, "damaged: a chunk that does not match its checksum")
-        elif isinstance(chunk, Chunk):
-            for inner in walk(data, chunk.start, chunk.end, IN_CHUNK):
-                if isinstance(inner, Damage):
-                    yield inner
-                elif isinstance(inner.content, RecordedMessage):
-                    yield inner.content
-
-
-def readable(data: FileBytes, message: RecordedMessage) -> StoredSample | None:
-    """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
-        return decode_sample(data[message.start : message.end])
-    except VersionError:
-        raise
-    except DatasetError:
-        return None
+        file.write_metadata(ABOUT, {**declared.about, REPAIRED: LIBRARY})
+        file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))  # the file's own may be damaged
+        for number, channel in sorted(declared.channels.items()):
+            schema = declared.schemas.get(channel.schema_id)
+            if schema is not None and (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg"):
+                topics[number] = channel.topic
+                if channel.topic not in file.types:
+                    file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
+        for one in salvaged(data):
+            if isinstance(one, Damage):
+                report.lost.append(one)
+                continue
+            topic = topics.get(one.channel, SAMPLE_TOPIC)
+            is_sample = topic == SAMPLE_TOPIC
+            if is_sample and readable(data, one) is None:
+                report.lost.append(Damage(one.start, "a message whose declaration or content is damaged"))
+                continue
+            if is_sample or sum(len(message.data) for message in pending) > _CHUNK_BYTES:
+                flush()
+            cdr = data[one.start : one.end]
+            pending.append(file.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
+            written[topic] += 1
+            if is_sample:  # which gets a chunk of its own
+                flush()
+        flush()
+        report.messages, report.samples = written.total(), written[SAMPLE_TOPIC]
+        file.write_metadata(COUNTS, _corrected(declared.counts or MessageCounts(), written).to_mapping())
+        file.finish()
+    finally:
+        file.abandon()
+
+
+def _corrected(counts: MessageCounts, written: Counter[str]) -> MessageCounts:
+    """The last message counts of a file, corrected for what is written in the new one."""
+    result = MessageCounts()
+    for topic in sorted(counts.topics.keys() | written.keys()):
+        old = counts.topics.get(topic, TopicCounts())
+        dropped = Counter(old.dropped)
+        lost = old.received - written[topic] - dropped.total()
+        if lost > 0:
+            dropped["lost before repair"] += lost
+        result.topics[topic] = TopicCounts(written[topic] + dropped.total(), written[topic], dropped, old.lost)
+    return result

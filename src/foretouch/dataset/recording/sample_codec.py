@@ -31,6 +31,7 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.cloud.messages import cloud_fields, decode_cloud, header_fields
+from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.files import require_version
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
@@ -40,7 +41,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, GraspSample, Touch
+from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -136,6 +137,11 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
     body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
+
+
+def serialize_cloud(cloud: Cloud) -> bytes:
+    """A cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
+    return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
 def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, convert: bool = False) -> StoredSample:

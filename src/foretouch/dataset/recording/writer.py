@@ -43,7 +43,6 @@ from foretouch.dataset.recording.chain import ID, Session, begin_session, copy_s
 from foretouch.dataset.recording.edits import Edit, append_edit
 from foretouch.dataset.recording.folder import new_session_path, opened_to_write
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import recorded_ids
 from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
@@ -54,6 +53,7 @@ from foretouch.dataset.recording.sample_codec import (
     encode_sample,
     sample_types,
 )
+from foretouch.dataset.recording.scan import recorded_ids
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor

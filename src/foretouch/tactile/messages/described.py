@@ -7,8 +7,7 @@ finger of which half or more are not valid was not read.
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,25 +17,33 @@ from foretouch.tactile.description import STAMP_UNITS, FingerConfig, Sensor
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.layout import nearest_valid
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Bool, Float32, Float64, Index
+from foretouch.types import Bool, Float64, Index
 
 _FLOAT32 = float(np.finfo(np.float32).max)
 _KEPT = 64  # sets of valid taxels whose neighbours are kept
 
 
-@dataclass(frozen=True, eq=False)
-class SensorReading:
-    """The content of one message: F fingers, N taxels, C values of a taxel, S scalars of a finger."""
+def make_reader(config: TactileConfig) -> TactileReader:
+    """The decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
+    sensor = config.described
+    _require_noise(sensor)
+    names = [one.name for one in sensor.config.scalars if not one.predicted]
+    others = tuple(f"{name}_{finger}" for finger in sensor.channels.fingers for name in names)
+    flags = () if sensor.config.source.stamp else (ARRIVAL_STAMPED,)
+    return TactileReader(SensorReader(sensor, config.fingers).read, others, flags, sensor)
 
-    stamp_ns: int | None  # time of measurement [ns]; None where the messages have none
-    values: Float32  # (F, N, C) float32, as sent; NaN of a finger that was not read
-    scalars: Float32  # (F, S) float32, as sent
-    valid: Bool  # (F, N) taxels of which all values can be used
-    invalid: Mapping[str, int]  # taxels that are not valid, by reason: `not_read`, `dead`, `out_of_range`
+
+def _require_noise(sensor: Sensor) -> None:
+    """Refuse a channel of floats with neither noise nor range: there is no least change that means contact."""
+    for one in (*sensor.config.scalars, *sensor.config.values):
+        if one.predicted and not one.noise and not all(map(math.isfinite, one.limits)):
+            raise ConfigError(
+                f"sensor: {sensor.config.name}: {one.name}: state its noise or its range in the description"
+            )
 
 
 class SensorReader:
-    """Decoder of the messages of a described sensor.
+    """Decoder of the messages of a described sensor: F fingers, N taxels, C values of a taxel, S scalars of a finger.
 
     Args:
         sensor: The sensor.
@@ -54,9 +61,16 @@ class SensorReader:
         self._scalars = [(FieldPath(one.field), *one.limits) for one in config.scalars]
         self._marks = [one.name in config.source.invalid for one in config.scalars]
         self._stamp = FieldPath(config.source.stamp)
+        self._predicted_scalars = np.array([one.predicted for one in config.scalars], np.bool_)
+        self._predicted_values = np.array([one.predicted for one in config.values], np.bool_)
+        self._nearest: dict[bytes, list[tuple[int, Index]]] = {}  # valid taxels of each invalid one, by those that are
 
-    def read(self, message: Any) -> SensorReading:
-        """Decode a message; a `TactileError` names the finger and the field that it lacks, or whose length is another."""
+    def read(self, message: Any) -> TactileReading:
+        """Decode a message; values of a finger that was not read are NaN.
+
+        A `TactileError` names the finger and the field that it lacks, or whose length is another, or a scalar that is not
+        finite. Taxels that are not valid are counted by reason: `not_read`, `dead`, `out_of_range`.
+        """
         size = (len(self._fingers), self.sensor.size)
         values = np.full((*size, len(self._values)), np.nan)
         scalars, valid = np.full((size[0], len(self._scalars)), np.nan), np.zeros(size, np.bool_)
@@ -66,10 +80,29 @@ class SensorReader:
                 self._read_finger(finger, path.get(message), values[number], scalars[number], valid[number], invalid)
             except TactileError as err:
                 raise TactileError(f"{self.sensor.config.name}: {finger.name}: {err}") from err
-        counts = {reason: count for reason, count in invalid.items() if count}
+        stamp = self._stamp_ns(message)
         with np.errstate(over="ignore"):  # what exceeds float32 is not valid
-            sent = values.astype(np.float32), scalars.astype(np.float32)
-        return SensorReading(self._stamp_ns(message), *sent, valid, counts)
+            sent, numbers = values.astype(np.float32), scalars.astype(np.float32)
+        if not np.isfinite(numbers).all():
+            raise TactileError(f"{self.sensor.config.name}: a scalar is not finite")
+        touched = numbers[:, self._predicted_scalars]
+        for row, usable in enumerate(valid):
+            if 2 * np.count_nonzero(usable) <= len(usable):
+                sent[row], touched[row] = np.nan, np.nan
+            elif not usable.all():
+                for index, nearest in self._nearest_of(usable):
+                    sent[row, index] = sent[row, nearest].mean(axis=0, dtype=np.float64)
+        counts = np.concatenate([touched.T.ravel(), sent[..., self._predicted_values].transpose(2, 0, 1).ravel()])
+        reasons = {reason: count for reason, count in invalid.items() if count}
+        return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), reasons)
+
+    def _nearest_of(self, valid: Bool) -> list[tuple[int, Index]]:
+        key = valid.tobytes()
+        if key not in self._nearest:
+            if len(self._nearest) == _KEPT:
+                self._nearest.clear()
+            self._nearest[key] = nearest_valid(self.sensor.layout.positions, valid)
+        return self._nearest[key]
 
     def _read_finger(
         self, finger: FingerConfig, content: Any, values: Float64, scalars: Float64, valid: Bool, invalid: Counter[str]
@@ -103,59 +136,6 @@ class SensorReader:
             raise TactileError(f"{self._stamp.text}: {shown(found)} is not a time")
         whole = int(found // 1)
         return whole * unit_ns + round(float(found - whole) * unit_ns)
-
-
-def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
-    sensor = config.described
-    _require_noise(sensor)
-    names = [one.name for one in sensor.config.scalars if not one.predicted]
-    others = tuple(f"{name}_{finger}" for finger in sensor.channels.fingers for name in names)
-    flags = () if sensor.config.source.stamp else (ARRIVAL_STAMPED,)
-    return TactileReader(_TouchReader(SensorReader(sensor, config.fingers)).read, others, flags, sensor)
-
-
-def _require_noise(sensor: Sensor) -> None:
-    """Refuse a channel of floats with neither noise nor range: there is no least change that means contact."""
-    for one in (*sensor.config.scalars, *sensor.config.values):
-        if one.predicted and not one.noise and not all(map(math.isfinite, one.limits)):
-            raise ConfigError(
-                f"sensor: {sensor.config.name}: {one.name}: state its noise or its range in the description"
-            )
-
-
-class _TouchReader:
-    """Readings of both fingers in the order of a touch."""
-
-    def __init__(self, reader: SensorReader) -> None:
-        config = reader.sensor.config
-        self._reader, self._positions = reader, reader.sensor.layout.positions
-        self._scalars = np.array([one.predicted for one in config.scalars], np.bool_)
-        self._values = np.array([one.predicted for one in config.values], np.bool_)
-        self._known: dict[bytes, list[tuple[int, Index]]] = {}  # the nearest valid taxels of each invalid one
-
-    def read(self, message: Any) -> TactileReading:
-        """Decode a message; values of a finger that was not read are NaN (raises as `SensorReader.read`)."""
-        found = self._reader.read(message)
-        if not np.isfinite(found.scalars).all():
-            raise TactileError(f"{self._reader.sensor.config.name}: a scalar is not finite")
-        values, scalars = found.values, found.scalars[:, self._scalars]
-        for finger, valid in enumerate(found.valid):
-            if 2 * np.count_nonzero(valid) <= len(valid):
-                values[finger], scalars[finger] = np.nan, np.nan
-            elif not valid.all():
-                for index, nearest in self._nearest(valid):
-                    values[finger, index] = values[finger, nearest].mean(axis=0, dtype=np.float64)
-        counts = np.concatenate([scalars.T.ravel(), values[..., self._values].transpose(2, 0, 1).ravel()])
-        return TactileReading(found.stamp_ns, counts, found.scalars[:, ~self._scalars].ravel(), found.invalid)
-
-    def _nearest(self, valid: Bool) -> list[tuple[int, Index]]:
-        key = valid.tobytes()
-        if key not in self._known:
-            if len(self._known) == _KEPT:
-                self._known.clear()
-            self._known[key] = nearest_valid(self._positions, valid)
-        return self._known[key]
 
 
 def _numbers(path: FieldPath, content: Any, count: int) -> Float64:
