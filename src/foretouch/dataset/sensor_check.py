@@ -9,29 +9,30 @@ import numpy as np
 from foretouch.dataset.record import REST, TouchSeries, readings
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import TactileError
+from foretouch.tactile.dead_taxels import dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, Float64, Index
+from foretouch.types import SECOND_NS, Bool, Float64, Index
 
 _STILL: Final = 20  # readings without change, through which a working taxel shows its noise
 _SATURATED: Final = 0.01  # of a taxel's readings at an end of its range
 
 
 class _Tally:
-    """What the readings of a sensor of D values show."""
+    """What the readings of a sensor of D values show: rows for the grasps, or sums over them."""
 
     def __init__(self, sensor: Sensor) -> None:
-        self._channels, size = sensor.channels, sensor.channels.size
-        self._bottom, self._top = self._channels.by_modality(_limits(sensor)).T
-        self.low, self.high = np.full(size, np.inf), np.full(size, -np.inf)
-        self.still, self.ends, self.outside = np.zeros((3, size), np.int64)
-        self.grasps, self.readings, self.repeated = 0, 0, 0
-        self.steps, self.noise, self.rests = list[Float64](), list[Float64](), list[Float64]()
+        channels = sensor.channels
+        limits = [one.saturation or one.limits for one, _ in sensor.predicted for _ in channels.fingers]
+        self._channels, (self._bottom, self._top) = channels, channels.by_modality(limits).T
+        self.still, self.ends, self.outside = np.zeros((3, channels.size), np.int64)
+        self.grasps = self.readings = self.repeated = 0
+        self.levels, self.steps, self.noise, self.rests = (list[Float64]() for _ in range(4))
 
     def add(self, series: TouchSeries) -> None:
         """Add the readings of a grasp."""
         values = series.counts.astype(np.float64)
         self.grasps, self.readings = self.grasps + 1, self.readings + len(values)
-        self.low, self.high = np.minimum(self.low, values.min(axis=0)), np.maximum(self.high, values.max(axis=0))
+        self.levels += [values.min(axis=0), np.median(values, axis=0), values.max(axis=0)]
         self.outside += ((values < self._channels.low) | (values > self._channels.high)).sum(axis=0)
         self.ends += ((values <= self._bottom) | (values >= self._top)).sum(axis=0)
         self.still += (np.ptp(values, axis=0) == 0.0) & (len(values) >= _STILL)
@@ -41,33 +42,28 @@ class _Tally:
             self.noise.append(rest.var(axis=0, ddof=1))
             self.rests.append(np.median(rest, axis=0))
 
-    def modality(self, columns: Index) -> dict[str, Any]:
-        """Row of one modality."""
-        dead = (self.low == self.high) & (self.readings >= _STILL)
+    def modality(self, columns: Index, dead: Bool) -> dict[str, Any]:
+        """Row of one modality, by which of its values are of dead taxels."""
+        levels = np.array(self.levels)[:, columns]
         calm = np.sort(self.noise, axis=0)[: max(1, int(0.9 * len(self.noise)))]  # a tenth was least at rest
+        drift = np.abs(np.diff(self.rests, axis=0)) if self.rests[1:] else None
         return {
-            "range": [float(self.low[columns].min()), float(self.high[columns].max())],
+            "range": [float(levels.min()), float(levels.max())],
             "outside": int(self.outside[columns].sum()),
             "noise": _median(np.sqrt(calm.mean(axis=0))[columns]) if self.noise else None,
-            "drift": _median(np.median(np.abs(np.diff(self.rests, axis=0)), axis=0)[columns])
-            if self.rests[1:]
-            else None,
+            "drift": None if drift is None else _median(np.median(drift, axis=0)[columns]),
             "saturated": np.flatnonzero(self.ends[columns] > _SATURATED * self.readings).tolist(),
-            "dead": np.flatnonzero(dead[columns]).tolist(),
-            "stuck": np.flatnonzero(~dead[columns] & (self.still[columns] > 0)).tolist(),
+            "dead": np.flatnonzero(dead).tolist(),
+            "stuck": np.flatnonzero(~dead & (self.still[columns] > 0)).tolist(),
         }
-
-
-def _limits(sensor: Sensor) -> Float64:
-    """(M, 2) lowest and highest number of each modality that still follows the contact."""
-    return np.array([one.saturation or one.limits for one, _ in sensor.predicted for _ in sensor.channels.fingers])
 
 
 def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
     """Ranges, noise, drift, rate and failed taxels of a dataset, beside those of a description, in plain types.
 
-    Dead taxels never changed, stuck ones not through at least one grasp. Noise is the standard deviation at rest, drift the change of the
-    rest level from a grasp to the next (medians over taxels). `corrections` lists setting, stated and recorded value.
+    Dead taxels are those that training would mask (see `foretouch.tactile.dead_taxels`), stuck ones did not change through at least one grasp.
+    Noise is the standard deviation at rest, drift the change of the rest level from a grasp to the next (medians over taxels).
+    `corrections` lists setting, stated and recorded value.
 
     Raises:
         FileError: If there is no dataset.
@@ -84,18 +80,20 @@ def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
         raise TactileError(f"{path}: holds no readings")
     step = float(np.median(np.concatenate(tally.steps))) if any(map(len, tally.steps)) else 0.0
     rate_hz = 1.0 / step if step > 0.0 else None
-    modalities = {name: tally.modality(columns) for name, columns in channels.modality_columns.items()}
+    dead, failed = dead_taxels(sensor, np.array(tally.levels)), np.zeros(channels.size, np.bool_)
+    failed[sensor.taxel_columns[dead]] = True
+    modalities = {name: tally.modality(columns, failed[columns]) for name, columns in channels.modality_columns.items()}
     return {
         "grasps": tally.grasps,
         "readings": tally.readings,
         "rate_hz": rate_hz,
         "repeated": tally.repeated / max(1, tally.readings - tally.grasps),
         "modalities": modalities,
-        "corrections": _corrections(sensor, rate_hz, modalities),
+        "corrections": _corrections(sensor, dead, rate_hz, modalities),
     }
 
 
-def _corrections(sensor: Sensor, rate_hz: float | None, modalities: dict[str, Any]) -> list[list[str]]:
+def _corrections(sensor: Sensor, dead: Bool, rate_hz: float | None, modalities: dict[str, Any]) -> list[list[str]]:
     rows, config = [], sensor.config
     if rate_hz is not None and abs(rate_hz / config.update_rate - 1.0) > 0.05:
         rows.append(["update_rate", f"{config.update_rate:g}", f"{rate_hz:.3g}"])
@@ -109,10 +107,9 @@ def _corrections(sensor: Sensor, rate_hz: float | None, modalities: dict[str, An
             rows.append(
                 [f"{one.name}: noise", "none" if one.noise is None else f"{one.noise:g}", f"{np.median(noises):.3g}"]
             )
-    for finger in config.chosen_fingers():
-        own = [modalities[f"{one.name}_{finger.name}"]["dead"] for one, size in sensor.predicted if size == sensor.size]
-        if (dead := sorted(set.intersection(*map(set, own)))) != sorted(finger.dead):
-            rows.append([f"{finger.name}: dead", str(list(finger.dead)), str(dead)])
+    for finger, failed in zip(config.chosen_fingers(), dead, strict=True):
+        if (recorded := np.flatnonzero(failed).tolist()) != sorted(finger.dead):
+            rows.append([f"{finger.name}: dead", str(list(finger.dead)), str(recorded)])
     return rows
 
 

@@ -8,7 +8,7 @@ import csv
 import io
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -29,6 +29,7 @@ _BLOCK: Final = 1 << 20  # bytes of a CSV file
 _ROWS: Final = 16_384  # of a block of other files
 _WHOLE: Final = 100_000_000  # bytes of a file whose lines are joined, and of an array in an NPZ file
 _SEPARATORS: Final = {"tab": "\t", "space": " "}
+_Reader = Callable[[Path, list[str]], Iterator[dict[str, AnyArray]]]
 _FAULTS: Final = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
 
 
@@ -66,11 +67,11 @@ def read_blocks(path: Path, table: TableConfig, wanted: Mapping[str, pa.DataType
         FileError: If a column is missing or occurs twice, a cell is no number, a row is of another length, or the file is empty
             or damaged; names file, row and column.
     """
-    read = {".parquet": _parquet, ".npz": _arrays, ".h5": _arrays, ".hdf5": _arrays}.get(path.suffix.lower(), _csv)
-    count = 0
+    suffix, count = path.suffix.lower(), 0
+    read = _parquet if suffix == ".parquet" else _arrays if suffix in (".npz", ".h5", ".hdf5") else None
     try:
-        for batch in read(path, table, wanted):
-            block = [one.cast(kind).to_numpy(False) for one, kind in zip(batch, wanted.values(), strict=True)]
+        for found in _csv(path, table, wanted) if read is None else _numbered(path, read, wanted):
+            block = [one.cast(kind).to_numpy(False) for one, kind in zip(found, wanted.values(), strict=True)]
             yield dict(zip(wanted, block, strict=True))
             count += len(block[0])
     except FileError:
@@ -93,7 +94,7 @@ def _located(path: Path, table: TableConfig, text: str) -> FileError:
     )
 
 
-def _require(path: Path, names: list[str], wanted: Mapping[str, Any]) -> None:
+def _require(path: Path, names: list[str], wanted: Iterable[str]) -> None:
     for name in wanted:
         if (count := names.count(name)) != 1:
             rule = f"occurs {count} times" if count else f"is missing: {none_of(name, names)}"
@@ -140,32 +141,30 @@ def _joined(path: Path, table: TableConfig) -> bytes:
     return b"\n".join(b",".join(cells[k : k + table.lines]) for k in range(0, len(cells), table.lines))
 
 
-def _numbered(wanted: Mapping[str, pa.DataType]) -> list[tuple[str, str, int | None]]:
-    """Each name with that of its column or array, and the number in it, which `NAME[0]`, `NAME[1]` and so on have."""
-    found: list[tuple[str, str, int | None]] = []
-    for name in wanted:
-        number = re.search(r"\[(\d+)\]$", name)
-        found.append((name, name[: number.start()], int(number[1])) if number else (name, name, None))
-    return found
+def _numbered(path: Path, read: _Reader, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:
+    """Columns, or numbers of arrays with a row for each first index: `NAME[0]`, `NAME[1]` and so on, in the order of all of a row."""
+    parts = [re.fullmatch(r"(.*?)(?:\[(\d+)\])?", name, re.DOTALL).groups() for name in wanted]  # type: ignore[union-attr]  # any text
+    for block in read(path, list(dict.fromkeys(base for base, _ in parts))):
+        rows, found = max(len(one) for one in block.values()), []
+        for name, (base, number) in zip(wanted, parts, strict=True):
+            array = block[base]
+            shape = array.shape
+            if shape[:1] != (rows,) or len(shape) != 1 + bool(number) or (number and int(number) >= shape[1]):
+                raise FileError(path, f"is of an array of shape {shape}, not {rows} rows", field=f"column {name}")
+            found.append(pa.array(array[:, int(number)] if number else array))
+        yield found
 
 
-def _parquet(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:
-    """Numbers of a column of lists are `NAME[0]`, `NAME[1]` and so on, of lists of lists in the order of all of a row."""
-    parts = _numbered(wanted)
-    bases = dict.fromkeys(base for _, base, _ in parts)
+def _parquet(path: Path, names: list[str]) -> Iterator[dict[str, AnyArray]]:
     with open_regular(path) as file:
         table = pq.ParquetFile(file)
-        _require(path, table.schema_arrow.names, bases)
-        for batch in table.iter_batches(_ROWS, columns=list(bases)):
-            columns = {name: _numbers_of(path, name, batch[name], len(batch)) for name in bases}
-            for name, base, k in parts:
-                if (k is None) != (columns[base].ndim == 1) or (k is not None and k >= columns[base].shape[1]):
-                    raise FileError(path, f"is of a column of shape {columns[base].shape}", field=f"column {name}")
-            yield [pa.array(columns[base] if k is None else columns[base][:, k]) for _, base, k in parts]
+        _require(path, table.schema_arrow.names, names)
+        for batch in table.iter_batches(_ROWS, columns=names):
+            yield {name: _array_of(path, name, batch[name], len(batch)) for name in names}
 
 
-def _numbers_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
-    """(n,) values of a column, or (n, k) of one of lists; a `FileError` if these are of several lengths."""
+def _array_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
+    """(n,) values of a column, or (n, k) of one of lists, also of lists of lists; a `FileError` if these are of several lengths."""
     lists = pa.types.is_nested(column.type)
     while pa.types.is_nested(column.type):
         if len(pc.unique(pc.list_value_length(column))) > 1:
@@ -175,21 +174,16 @@ def _numbers_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
     return found.reshape(rows, -1) if lists else found
 
 
-def _arrays(path: Path, _: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[list[Any]]:
-    """Of NPZ and HDF5 files, whose arrays have a row for each first index."""
+def _arrays(path: Path, names: list[str]) -> Iterator[dict[str, AnyArray]]:
+    """Of NPZ and HDF5 files."""
     with _opened(path) as file:
-        parts = _numbered(wanted)
-        _require(path, list(file), dict.fromkeys(base for _, base, _ in parts))
-        arrays = {base: file[base] for _, base, _ in parts}
-        size = max((array.shape or (0,))[0] for array in arrays.values())
-        for name, base, k in parts:
-            shape = arrays[base].shape
-            if shape[:1] != (size,) or len(shape) != 1 + (k is not None) or (k is not None and k >= shape[1]):
-                raise FileError(path, f"is of an array of shape {shape}, not {size} rows", field=f"column {name}")
-        for start in range(0, size, _ROWS):
-            block = {base: array[start : start + _ROWS] for base, array in arrays.items()}
-            block = {base: one.astype(str) if one.dtype.kind in "OS" else one for base, one in block.items()}
-            yield [pa.array(block[base] if k is None else block[base][:, k]) for _, base, k in parts]
+        _require(path, list(file), names)
+        arrays = {name: file[name] for name in names}
+        if alone := next((name for name, one in arrays.items() if not one.shape), None):
+            raise FileError(path, "is a single number", field=f"column {alone}")
+        for start in range(0, max(map(len, arrays.values())), _ROWS):
+            block = {name: one[start : start + _ROWS] for name, one in arrays.items()}
+            yield {name: one.astype(str) if one.dtype.kind in "OS" else one for name, one in block.items()}
 
 
 def _opened(path: Path) -> Any:

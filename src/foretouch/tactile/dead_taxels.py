@@ -29,21 +29,27 @@ def is_storable(readings: AnyArray, channels: Channels) -> bool:
     return bool((np.isfinite(readings) | (np.isnan(readings) & channels.of_taxels)).all())
 
 
-def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
-    """The sensor, with those of its taxels declared dead, too, that (S, D) readings show to be.
+def dead_taxels(sensor: Sensor, readings: Float64) -> Bool:
+    """(F, N) taxels that (S, D) readings show to be dead; none of fewer than five readings.
 
     A number that is zero at rest and has no noise, such as a force that no contact reached, may be constant. Of a finger of which half of the taxels or
-    more would be dead none is declared: it was not read.
+    more would be dead none is: it was not read.
     """
     if len(readings) < FEWEST_READINGS:
-        return sensor
+        return np.zeros(sensor.valid.shape, np.bool_)
     channels, values = sensor.channels, usable(readings, sensor.channels)
     spread = np.fmax.reduce(values) - np.fmin.reduce(values)  # NaN where none is usable
     at_limit = ~((values > channels.low) & (values < channels.high)).any(axis=0)
     noisy = channels.tared | channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])
     failed = np.isnan(spread) | (noisy & ((spread == 0.0) | at_limit))
-    dead = failed[sensor.taxel_columns].any(axis=-1)
+    dead: Bool = failed[sensor.taxel_columns].any(axis=-1)
     dead[2 * dead.sum(axis=1) >= sensor.size] = False
+    return dead
+
+
+def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
+    """The sensor, with those of its taxels declared dead, too, that (S, D) readings show to be."""
+    dead = dead_taxels(sensor, readings)
     return sensor.with_dead(dead) if (dead & sensor.valid).any() else sensor
 
 
