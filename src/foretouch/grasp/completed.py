@@ -72,6 +72,7 @@ _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not 
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
+_HOLLOW = 1.0  # of a line through a place that the camera sees through
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
@@ -215,7 +216,7 @@ class CompletedObject:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
         settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        found = np.empty((len(turns), n_lines, 5))
+        found = np.empty((len(turns), n_lines, 6))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
             *(others, len(others), found),
@@ -227,7 +228,7 @@ class CompletedObject:
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
         found = self._close(turns, _LINES)
-        low, high, height, top, blocker = np.moveaxis(found, 2, 0)
+        low, high, height, top, blocker, solid = np.moveaxis(found, 2, 0)
         slope = np.stack([_slopes(low), _slopes(high)])
         refused = self._refused(found) | {"n_too_steep": slope.max(axis=0) > _STEEPEST}
         left = alone = np.isfinite(height)
@@ -236,7 +237,7 @@ class CompletedObject:
             counts[name] = int(np.count_nonzero(left & refused[name]))
             alone, left = left, left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST), _MOST_COST)
+        every = np.minimum(np.nan_to_num(self._cost(high - low, slope) + _HOLLOW * (1.0 - solid), nan=_MOST_COST), _MOST_COST)
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
@@ -246,7 +247,7 @@ class CompletedObject:
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
         """Which lines (..., 5) of `_close` the hand cannot execute, by the names of `REASONS`."""
-        low, high, height, top, blocker = np.moveaxis(found, -1, 0)
+        low, high, height, top, blocker, _ = np.moveaxis(found, -1, 0)
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
             "n_too_wide": high - low > self._hand.opening_m,

@@ -14,7 +14,10 @@
 #define MOST 2.5        /* up to which */
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
-#define FOUND 5         /* values of a line */
+double dbg[24*17*6];
+static int64_t dbg_at = 0;
+double knob[8] = {1.0, 0.5, 0.0, 0.06, 0.22, 0.2, 0.15, 0.004};
+#define FOUND 6         /* values of a line */
 
 typedef struct {
     const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch of the grid */
@@ -170,10 +173,10 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
 }
 
 /* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
-INLINE double height_at_end(const Strip *one, float place, float sign) {
+INLINE double height_at_end(const Strip *one, float place, float sign, float at_end) {
     float sum = 0.0f, total = 1e-9f;
     for (int64_t i = 0; i < one->n; i++) {
-        const float beyond = sign * (one->along[i] - place) / (END_M / ALONG_M), share = beyond < 0.0f ? 0.0f : (beyond > 1.0f ? 1.0f : beyond);
+        const float beyond = sign == 0.0f ? 1.0f - fabsf(one->along[i] - place) / at_end : sign * (one->along[i] - place) / at_end, share = beyond < 0.0f ? 0.0f : (beyond > 1.0f ? 1.0f : beyond);
         sum += one->weight[i] * share * one->height[i], total += one->weight[i] * share;
     }
     return (double)(sum / total);
@@ -185,24 +188,27 @@ INLINE double height_at_end(const Strip *one, float place, float sign) {
 INLINE double round_underside(double top, double lowest, double end, double width, double horizontal) {
     const double radius = width / 2.0, below = lowest - (top - radius - radius * horizontal);
     const double tall = smooth(top / width, 1.2, 1.5), none = smooth(below, -0.4 * radius, -0.1 * radius);
-    const double bent = smooth(top - end, 0.2 * radius, 0.6 * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
+    const double bent = smooth(top - end, knob[3] * radius, knob[4] * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
     const double underside = top - width;
+    double *d = dbg + 6 * dbg_at;
+    d[0] = tall, d[1] = none, d[2] = bent, d[3] = (top - end) / radius, d[4] = below / radius, d[5] = top / width;
     return underside > 0.0 ? tall * none * bent * from_above * underside : 0.0;
 }
 
-/* Height down to which the object hides its columns, as a mean over three along a line, whose middle is at `mid`. */
-INLINE double seen_under(const Outline *seen, double c, double s, double mid, double offset, double top, double tip) {
-    double sum = 0.0;
-    for (int64_t j = -1; j <= 1; j++) {
-        const double along = mid + (double)j * tip / 2.0, x = c * along - s * offset, y = s * along + c * offset;
-        double hidden = 1.0;
-        for (int64_t k = 2; k <= STEPS; k++) { /* downwards from the top, until the table is seen through the column */
-            const double here = hidden > 0.0 ? hidden_by(seen, x, y, top * (1.0 - (double)k / STEPS), -SEEN_M) : 0.0;
-            hidden = here < hidden ? here : hidden;
-            sum += (1.0 - hidden) * top / STEPS;
+/* How certainly the object hides its column from the camera, in STEPS places from the top (0) to the table, as a mean over three columns along a
+ * line, whose middle is at `mid`; the middle of what is hidden is the answer. */
+INLINE double hidden_middle(const Outline *seen, double c, double s, double mid, double offset, double top, double tip, double *hidden) {
+    double sum = 1e-9, moment = 0.5e-9 * top;
+    for (int64_t k = 0; k < STEPS; k++) {
+        const double z = top * (1.0 - ((double)k + 0.5) / STEPS);
+        hidden[k] = 0.0;
+        for (int64_t j = -1; j <= 1; j++) {
+            const double along = mid + (double)j * tip / 2.0, x = c * along - s * offset, y = s * along + c * offset;
+            hidden[k] += k < 2 ? 1.0 / 3.0 : hidden_by(seen, x, y, z, -SEEN_M) / 3.0;
         }
+        sum += hidden[k], moment += hidden[k] * z;
     }
-    return sum / 3.0;
+    return moment / sum;
 }
 
 /* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
@@ -235,7 +241,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
     for (int64_t i = 0; i < n; i++) {
         if (weights[i] > 0.0) {
             const double bin = points[3 * i + 2] / (double)HEIGHT_M;
-            level[used] = bin < 0.0 ? 0.0f : (bin > HEIGHTS - 1.0 ? HEIGHTS - 1.0f : (float)bin);
+            level[used] = bin < 0.0 ? 0.0f : (bin > HEIGHTS - 2.0 ? HEIGHTS - 2.0f : (float)bin);
             highest = (int64_t)level[used] > highest ? (int64_t)level[used] : highest;
             x[used] = (float)points[3 * i], y[used] = (float)points[3 * i + 1], share_of[used] = (float)weights[i];
             used++;
@@ -281,26 +287,32 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 strip.first = least[j] < strip.first ? least[j] : strip.first;
                 strip.last = most[j] > strip.last ? most[j] : strip.last;
             }
-            clear(&heights, 0, highest);
+            clear(&heights, 0, highest + 1);
             for (int64_t i = 0; i < strip.n; i++) {
-                heights.bins[(int32_t)strip.height[i]] += strip.weight[i];
+                const float at = strip.height[i] < 0.5f ? 0.0f : strip.height[i] - 0.5f;
+                const int32_t bin = (int32_t)at;
+                heights.bins[bin] += strip.weight[i] * (1.0f - (at - (float)bin)), heights.bins[bin + 1] += strip.weight[i] * (at - (float)bin);
             }
             ends(&strip, &alongs, -FADE, share, &low, &high);
             heights.total = alongs.total;
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
-            double under = rows > 0 ? seen_under(&seen, c, s, mid, offset, top, tip) : 0.0;
+            double hidden[STEPS], level = top / 2.0, solid = 1.0;
+            if (rows > 0) {
+                level = hidden_middle(&seen, c, s, mid, offset, top, tip, hidden);
+            }
+            dbg_at = angles == 24 ? angle * lines + line : 407;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
-                const float at_end = END_M / ALONG_M; /* the weight of a point grows over that length */
-                const double first = height_at_end(&strip, (float)low + at_end, -1.0f), second = height_at_end(&strip, (float)high - at_end, 1.0f);
+                const float at_end = knob[2] > 0.0 ? (float)(knob[2] * (high - low)) : END_M / ALONG_M; /* the weight of a point grows over that length */
+                const float side = (float)(knob[5] * (high - low)), half = (float)(knob[6] * (high - low));
+                const double first = knob[5] > 0.0 ? height_at_end(&strip, (float)low + side, 0.0f, half) : height_at_end(&strip, (float)low + at_end, -1.0f, at_end), second = knob[5] > 0.0 ? height_at_end(&strip, (float)high - side, 0.0f, half) : height_at_end(&strip, (float)high - at_end, 1.0f, at_end);
                 const double end = (first > second ? first : second) * (double)HEIGHT_M;
                 const double round = round_underside(top, lowest, end, width, horizontal);
-                under = round > under ? round : under;
+                level = knob[0] > 0.0 && (round + top) / 2.0 > level ? (round + top) / 2.0 : level;
             }
-            double z = isnan(turns[3 * angle + 2]) ? (top + under) / 2.0 + shift : turns[3 * angle + 2];
+            double z = isnan(turns[3 * angle + 2]) ? level * 2.0 * knob[1] + shift : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
-            z = z < under ? under : z;
             z = z < floor_m ? floor_m : z;
             one[2] = z, one[3] = top;
             ends(&strip, &alongs, (float)((z - tip) / (double)HEIGHT_M), share, &low, &high);
@@ -308,7 +320,15 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 continue;
             }
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
-            one[4] = -1.0;
+            if (rows > 0) {
+                const double inset = 0.5 * (one[1] - one[0]) < knob[7] ? 0.5 * (one[1] - one[0]) : knob[7];
+                solid = 0.0;
+                for (int64_t side = 0; side < 2; side++) {
+                    const double at = side ? one[1] - inset : one[0] + inset;
+                    solid += 0.5 * hidden_by(&seen, c * at - s * offset, s * at + c * offset, z, -SEEN_M);
+                }
+            }
+            one[4] = -1.0, one[5] = solid;
             for (int64_t i = 0; i < m && one[4] < 0.0; i++) {
                 const double x = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
                 const int beside = fabs(y - offset) < tip && others[3 * i + 2] > z - tip;
