@@ -3,7 +3,7 @@
 
 import argparse
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import add_data, markdown, read_csv, replace_marked, scene, write_csv
+from benchmarks.common import add_data, print_rows, write_csv
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.segment import segment
@@ -25,9 +25,6 @@ from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, TouchPrediction
 from foretouch_lab.simulation.depth_scene import random_scene
-from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.engine import Engine
-from foretouch_lab.simulation.world import SampleKey
 
 MODELS = (DEFAULT_MODEL, "touchnet-v1")
 HERE = Path(__file__).parent
@@ -102,7 +99,7 @@ def changes() -> Iterator[Change]:
 
 
 LIST_ONLY = ("order of points", "points twice")
-OTHERS = ("1 grasp or 100", "offline or live", "flying pixels of the simulator")
+OTHERS = ("1 grasp or 100", "offline or live")
 
 
 def _half_image(xyz: Float64, rng: np.random.Generator) -> Float64:
@@ -134,37 +131,6 @@ Difference = Callable[[Float64, Float64], float]
 Found = dict[tuple[str, str], list[float]]  # differences by step and change; NaN where the changed cloud is refused
 
 
-def main() -> None:
-    """Measure, and write the CSV and the table of the README."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_data(parser)
-    parser.add_argument("--every", type=int, default=8, help="use each k-th recorded cloud")
-    parser.add_argument("--table", action="store_true", help="only write the table again")
-    arguments = parser.parse_args()
-    if not arguments.table:
-        write_csv(RESULTS, rows(measure(arguments.data, arguments.every)))
-    found = {(row["step"], row["change"]): row for row in read_csv(RESULTS)}
-    columns = ["change", *(f"{step} [{unit}]" for step, (unit, _) in STEPS.items())]
-    names = [*(change.name for change in changes()), *OTHERS]
-    replace_marked(
-        HERE / "README.md",
-        markdown(columns, [[name, *(text(found.get((step, name))) for step in STEPS)] for name in names]),
-    )
-
-
-def text(row: Mapping[str, str] | None) -> str:
-    """A cell of the table."""
-    if row is None:
-        return "–"
-    answered, over = int(row["n"]) - int(row["refused"]), int(row["over"])
-    if not answered:
-        return "refused"
-    refused = f"; {row['refused']} of {row['n']} refused" if int(row["refused"]) else ""
-    if over:
-        return f"**{100 * over / answered:.0f} %** > {row['limit']}, ≤ {row['largest']}{refused}"
-    return ("exact" if float(row["largest"]) == 0.0 else f"≤ {row['largest']}") + refused
-
-
 def scene_image(seed: int) -> Cloud:
     """A simulated scene of three objects."""
     return random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
@@ -188,7 +154,6 @@ def measure(data: Path | None, every: int) -> Found:
             if change.name not in LIST_ONLY:
                 scene_steps(found, image, change, np.random.default_rng(seed))
     live(found)
-    flying_pixels(found)
     return found
 
 
@@ -327,8 +292,7 @@ def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Gener
     shape = xyz.shape[:-1]
     names = ("segmentation: labels", "segmentation: table plane", "segmentation: clusters")
     before, after = segment(Cloud(xyz)), segment(Cloud(change.points(xyz, rng)))
-    assert before.plane is not None
-    if after.plane is None:
+    if before.plane is None or after.plane is None:
         for name in names:
             found[name, change.name].append(np.nan)
         return
@@ -366,21 +330,6 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
             found["novelty flag", OTHERS[0]].append(float(alone.flags != among.flags))
 
 
-def flying_pixels(found: Found, slots: int = 20) -> None:
-    """Simulated objects, cut out by their true outlines, without and with flying pixels on these."""
-    for name, slot in product(("rigid", "deformables", "unseen_objects"), range(slots)):
-        engines = [Engine(scene(name, camera__flying_pixels=one), EFFECTS, ("cloud",)) for one in (None, {})]
-        clean, flown = (engine.run(SampleKey(1, slot)).cloud.xyz for engine in engines)
-        table = Plane.from_coefficients(engines[0].world.view.table_plane())
-        for method in ("original", "completed"):
-            try:
-                before, after = (_best(method, xyz, None, table) for xyz in (clean, flown))
-                moved_mm = 1e3 * _largest_move(before, after)
-            except ForetouchError:  # wider than the hand opens
-                moved_mm = np.nan
-            found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(moved_mm)
-
-
 def live(found: Found) -> None:
     """The pipeline on a scene, and the same through the messages and functions of the live nodes."""
     try:
@@ -413,6 +362,18 @@ def live(found: Found) -> None:
         add("segmentation: labels", 100.0 * float((one.labels != other.labels).mean()))
         add("segmentation: table plane", 1e3 * _largest(one.plane.coefficients, other.plane.coefficients))
         add("segmentation: clusters", float(abs(len(one.objects) - len(other.objects))))
+
+
+def main() -> None:
+    """Measure, print and write the rows; those of the committed table hold one more change, which was measured once."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_data(parser)
+    parser.add_argument("--every", type=int, default=8, help="use each k-th recorded cloud")
+    parser.add_argument("-o", "--out", type=Path, default=Path("invariances.csv"))
+    arguments = parser.parse_args()
+    found = list(rows(measure(arguments.data, arguments.every)))
+    write_csv(arguments.out, found)
+    print_rows(found)
 
 
 if __name__ == "__main__":

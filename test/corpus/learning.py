@@ -31,33 +31,32 @@ from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.evaluation import metrics
 from foretouch_lab.learning.training import losses
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
-from foretouch_lab.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch_lab.learning.training.run import train_run
 from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
 
 Cases = Iterator[tuple[Any, ...]]
 
-_ROUNDING = {"float32": 1e-5, "bfloat16": 1e-2, "float16": 2e-3}  # relative, that an answer may show
-_LARGEST = {"float32": 1e18, "bfloat16": 1e18, "float16": 6e4}  # whose square or sum is still finite
 _MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16]}
 _TRAIN = {"epochs": 2, "batch_size": 4, "device": "cpu"}
 _SRGAN = {"epochs": 2, "batch_size": 2, "generator": {"noise_length": 4, "stride": 2}, "device": "cpu"}
 
 
 def loss_cases() -> Cases:
-    """Supervised and SR-GAN losses, their gradients included."""
-    ones, equal = np.ones((4, 2)), np.full((3, 4), 0.5)
-    for dtype, near in _ROUNDING.items():
-        for kind, three in (("rmse", 3.0), ("mse", 9.0)):
-            loss, case = partial(_labeled, dtype=dtype, kind=kind), f"losses: {kind} in {dtype}"
-            yield f"{case}, zero residual", partial(loss, 0.0 * ones, gradient=True), nearly(0.0)
-            yield f"{case}, one sample", partial(loss, np.array([[3.0, 3.0]])), nearly(three, near)
-            yield f"{case}, 70,000 equal residuals", partial(loss, np.ones((35_000, 2))), nearly(1.0, near)
+    """Supervised and SR-GAN losses, with their gradients; by hand and without hard numbers they are in test_losses.py."""
+    ones, equal, largest = np.ones((4, 2)), np.full((3, 4), 0.5), {"float32": 1e18, "bfloat16": 1e18, "float16": 6e4}
+    for dtype, far in largest.items():  # whose square or sum is still finite
+        yield (
+            f"losses: 70,000 equal residuals in {dtype}",
+            partial(_labeled, np.ones((35_000, 2)), dtype),
+            nearly(1, 0.01),
+        )
         for size in (1e-4, 300.0):
-            yield f"losses: residuals of {size:g} in {dtype}", partial(_labeled, size * ones, dtype), nearly(size, near)
-        denormal = partial(_labeled, 1e-7 * ones, dtype, gradient=True)
-        yield f"losses: denormal residuals in {dtype}", denormal, lambda found: 0.0 <= float(found[0].detach()) < 1e-6
-        far = _LARGEST[dtype]
+            yield f"losses: residuals of {size:g} in {dtype}", partial(_labeled, size * ones, dtype), nearly(size, 0.01)
+        yield (
+            f"losses: denormal residuals in {dtype}",
+            partial(_labeled, 1e-7 * ones, dtype),
+            lambda found: found < 1e-6,
+        )
         for variant in ("as_printed", "contrast", "srgan"):
             loss, case = partial(_srgan, variant, dtype), f"losses: {variant} in {dtype}"
             yield f"{case}, equal features", partial(loss, equal, equal, equal)
@@ -68,13 +67,14 @@ def loss_cases() -> Cases:
     yield "losses: an empty batch", lambda: _labeled(np.empty((0, 2)), "float32"), "no sample"
 
 
-def _labeled(residual: Any, dtype: str, kind: str = "rmse", *, gradient: bool = False) -> Any:
-    """Loss of residuals, with its gradient if wanted."""
+def _labeled(residual: Any, dtype: str) -> Any:
+    """Loss of residuals, whose gradient is finite."""
     number = getattr(torch, dtype)
     scaled = torch.from_numpy(residual).to(number).requires_grad_(number.is_floating_point)
-    loss = losses.labeled_loss(scaled, torch.zeros_like(scaled), [residual.shape[1]], kind)
+    loss = losses.labeled_loss(scaled, torch.zeros_like(scaled), [residual.shape[1]], "rmse")
     loss.backward()
-    return [loss, scaled.grad] if gradient else loss
+    assert scaled.grad.isfinite().all()
+    return loss
 
 
 def _srgan(variant: str, dtype: str, *features: Any) -> list[Any]:
@@ -94,11 +94,8 @@ def metric_cases() -> Cases:
     constant, one = np.full((6, TOUCH_SIZE), 2500.0), labels[:1]
     undefined = "the training mean is exact, so the skill is undefined"
     perfect = lambda found: all(row == [0.0, 0.0, 1.0] for row in found.values())  # noqa: E731
-    worthless = lambda found: abs(found["PDC_TH"][2]) < 1e-12  # noqa: E731
     for name, predicted, actual, reference, expected in (
         ("perfect", labels, labels, mean, perfect),
-        ("the mean", mean, labels, mean, worthless),
-        ("one sample", one, one, mean[:1], perfect),
         ("one sample, its own mean", one, one, one, undefined),
         ("constant labels", constant + 1, constant, constant, undefined),
         ("residuals of 1e-200", labels, labels, labels + 1e-200, undefined),
@@ -163,9 +160,8 @@ def calibration_cases() -> Cases:
     constant, noisy = np.full((12, TOUCH_SIZE), 2500.0), labels + 10.0 * rng.normal(size=labels.shape)
     for name, predicted, actual, objects, reason in (
         ("zero residuals", labels, labels, "aaabbbcccddd", None),
-        ("constant labels, zero residuals", constant, constant, "aaabbbcccddd", None),
+        ("constant labels and predictions", constant, constant, "aaabbbcccddd", None),
         ("constant labels", noisy, constant, "aaabbbcccddd", None),
-        ("constant predictions", constant, labels, "aaabbbcccddd", None),
         ("one object", noisy, labels, "aaaaaaaaaaaa", None),
         ("one object a sample", noisy, labels, "abcdefghijkl", None),
         ("one value off by 4000", labels + 4000.0 * np.eye(12, TOUCH_SIZE), labels, "aaabbbcccddd", None),
@@ -173,7 +169,6 @@ def calibration_cases() -> Cases:
         ("one sample", noisy[:1], labels[:1], "a", None),
         ("no sample", noisy[:0], labels[:0], "", "no sample"),
         ("a residual of NaN", noisy * math.nan, labels, "aaabbbcccddd", "finite"),
-        ("an infinite residual", noisy * math.inf, labels, "aaabbbcccddd", "finite"),
         ("residuals of 1e9", labels + 1e9, labels, "aaabbbcccddd", "exceeds"),
     ):
         yield f"calibration: {name}", partial(_calibrated, predicted, actual, objects), reason
@@ -211,27 +206,18 @@ def _labels(samples: list[GraspSample]) -> Any:
 def network_cases() -> Cases:
     """Batch norm of one cloud, and networks whose features leave the range of their numbers."""
     yield "network: batch norm of one cloud in training", lambda: _network(1)  # its points are a batch
-    yield "network: batch norm of one cloud in prediction", lambda: _network(1, training=False)
     yield "network: batch norm of equal clouds in training", lambda: _network(2)
     for number in ("float32", "bfloat16"):
-        for size in (1e-20, 1e4):
-            run = partial(_network, 2, number, size, training=False)
-            yield f"network: weights times {size:g} in {number}", run
         yield f"network: a step with weights times 1e25 in {number}", partial(_step, number, 1e25), "not finite"
         yield f"network: a step with weights of 0 in {number}", partial(_step, number, 0.0)
     yield "network: a prediction with weights times 1e15", _overflowing, "gives a value that is not finite"
 
 
-def _network(clouds: int, precision: str = "float32", size: float = 1.0, *, training: bool = True) -> Any:
+def _network(clouds: int) -> Any:
     torch.manual_seed(0)
     net = TouchNet(ModelConfig.from_mapping(_MODEL))
-    TrainingDevice.of(DeviceConfig(device="cpu", precision=precision)).prepare(net)
-    _multiply(net, size)
     points = torch.rand(1, 32, 3).expand(clouds, 32, 3).contiguous()
     grasps = torch.rand(1, net.config.grasp_size).expand(clouds, -1)
-    if not training:
-        with torch.inference_mode():
-            return net.eval()(points, grasps)
     answer = net.train()(points, grasps)
     answer.sum().backward()
     return [answer, *(one.grad for one in net.parameters() if one.grad is not None)]

@@ -37,9 +37,8 @@ def contact_cases() -> Cases:
     needle[12, 12] = 0.0
     for level in ("winkler", "layer"):
         pressed = partial(_pressed, level)
-        for kind, value in (("force_n", 0.0), ("depth_m", 0.0), ("depth_m", -1.0)):
-            yield f"contact: {level}, {kind} {value:g}", partial(pressed, lens, **{kind: value}), nearly(0.0)
-        for value in (5e-324, 1e-300, 1e300, math.inf, math.nan):
+        yield f"contact: {level}, out of reach", partial(pressed, lens, depth_m=-1.0), nearly(0.0)
+        for value in (5e-324, 1e300, math.nan):
             for kind in ("force_n", "depth_m"):
                 yield f"contact: {level}, {kind} {value:g}", partial(pressed, lens, **{kind: value}), kind
         yield f"contact: {level}, 1e-30 N", partial(pressed, lens, force_n=1e-30), nearly(1e-30)
