@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,6 @@ from rcl_interfaces.msg import ParameterValue  # noqa: E402
 from rcl_interfaces.srv import GetParameters, ListParameters  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 from benchmarks.common import ROOT, write_csv  # noqa: E402
 from benchmarks.fuzz import messages as valid  # noqa: E402
@@ -64,10 +63,6 @@ class Graph(Client):
         self._publishers: dict[str, Any] = {}
         self._action = ActionClient(self.node, SampleGrasps, "sample_grasps")
         self.serve()
-        self.start()
-
-    def start(self) -> None:
-        """Start the child, wait until all nodes are active, and begin a recording."""
         given = {
             "diagnostics_period_s": 0.2,
             "grasp_hold": 0.0,  # a held grasp would depend on the clouds before
@@ -76,9 +71,6 @@ class Graph(Client):
             "folder": self.folder,
         }
         self.process = spawn(NODES, given, self.folder / "graph.log")
-        with self.lock:
-            self.reports.clear()
-        self._known_errors.clear()
         self.wait(lambda: self.is_active(NODES), START_S, "the graph starts")
         self.record()
 
@@ -237,12 +229,6 @@ def ask_recording(graph: Graph, rng: np.random.Generator) -> str:
     return "read" if answer.success else judged(2, answer.message)
 
 
-def ask_trigger(graph: Graph, rng: np.random.Generator) -> str:
-    """`forget_touches` or `execute_grasp`."""
-    answer = graph.call(Trigger, pick(("forget_touches", "execute_grasp"), rng), Trigger.Request())
-    return "read" if answer.success else judged(2, answer.message)
-
-
 def ask_parameter(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd value of a parameter that can be changed; it is set back afterwards."""
     node = pick(NODES, rng)
@@ -265,7 +251,6 @@ REQUESTS: dict[str, Callable[[Graph, np.random.Generator], str]] = {
     "sample_grasps": ask_samples,
     "label_grasp": ask_label,
     "start_recording": ask_recording,
-    "forget_touches": ask_trigger,
     "set_parameters": ask_parameter,
 }
 KINDS = (*TOPICS, *REQUESTS)
@@ -276,21 +261,16 @@ def batch(graph: Graph, kind: str, rng: np.random.Generator, expected: Any, size
     counts: Counter[str] = Counter()
     faults: list[str] = []
     slowest, refused = 0.0, graph.refused
-    try:
-        if kind in TOPICS:
-            flood(graph, kind, rng, size)
-        for _ in range(0 if kind in TOPICS else size):
-            began = time.monotonic()
-            try:
-                counts[REQUESTS[kind](graph, rng)] += 1
-            except (valid.NotFiniteError, valid.UnnamedError) as err:
-                faults.append(f"uncaught: {err}")
-            slowest = max(slowest, time.monotonic() - began)
-        faults += graph.check(expected)
-    except (ChildProcessError, TimeoutError) as err:
-        faults.append(f"{'slow' if isinstance(err, TimeoutError) else 'signal'}: {err}: {graph.log()}")
-        end(graph.process)
-        graph.start()
+    if kind in TOPICS:
+        flood(graph, kind, rng, size)
+    for _ in range(0 if kind in TOPICS else size):
+        began = time.monotonic()
+        try:
+            counts[REQUESTS[kind](graph, rng)] += 1
+        except (valid.NotFiniteError, valid.UnnamedError) as err:
+            faults.append(f"uncaught: {err}")
+        slowest = max(slowest, time.monotonic() - began)
+    faults += graph.check(expected)
     counts.update(text.partition(":")[0] for text in faults)
     if kind in TOPICS:
         counts["refused"] = min(graph.refused - refused, size)
@@ -298,35 +278,32 @@ def batch(graph: Graph, kind: str, rng: np.random.Generator, expected: Any, size
     return counts, faults, slowest
 
 
-def run(graph: Graph, kind: str, batches: int, size: int, seed: int, expected: Any) -> Mapping[str, Any]:
-    """A row of the table; prints a line for each fault."""
-    total: Counter[str] = Counter()
-    slowest = 0.0
-    for number in range(batches):
-        rng = np.random.default_rng([seed, KINDS.index(kind), number])
-        counts, faults, longest = batch(graph, kind, rng, expected, size)
-        total, slowest = total + counts, max(slowest, longest)
-        print("".join(f"  {kind} {seed} {number}: {text}\n" for text in faults), end="", flush=True)
-    row = {"kind": f"live {kind}", "cases": batches * size, **{outcome: total[outcome] for outcome in OUTCOMES}}
-    return {**row, "slowest_ms": round(slowest * 1e3, 1)}
-
-
 def main() -> int:
-    """Run all kinds; the exit status is 1 if a rule was broken."""
+    """Run all kinds; the exit status is 1 if a rule was broken, and an error if the graph ends or does not answer."""
     options = parser(__doc__.splitlines()[0], KINDS, 1200)
     options.add_argument("--batch", type=int, default=50, help="messages between two checks (default 50)")
     arguments = options.parse_args()
-    kinds, rows = arguments.kind or KINDS, []
+    kinds, rows, size = arguments.kind or KINDS, [], arguments.batch
     with tempfile.TemporaryDirectory(prefix="foretouch-live-") as folder:
         graph = Graph(Path(folder))
         try:
             expected = graph.answer()
             if len(expected) < 2:
                 raise SystemExit(f"the good cloud has no prediction: {expected}")
-            batches = max(1, round(arguments.cases / len(kinds) / arguments.batch))
+            batches = max(1, round(arguments.cases / len(kinds) / size))
             for kind in kinds:
-                rows.append(run(graph, kind, batches, arguments.batch, arguments.seed, expected))
+                total, slowest = Counter[str](), 0.0
+                for number in range(batches):
+                    rng = np.random.default_rng([arguments.seed, KINDS.index(kind), number])
+                    counts, faults, longest = batch(graph, kind, rng, expected, size)
+                    total, slowest = total + counts, max(slowest, longest)
+                    print("".join(f"  {kind} {number}: {text}\n" for text in faults), end="", flush=True)
+                row = {"kind": f"live {kind}", "cases": batches * size} | {name: total[name] for name in OUTCOMES}
+                rows.append({**row, "slowest_ms": round(slowest * 1e3, 1)})
                 print("  ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
+        except (ChildProcessError, TimeoutError):
+            print(graph.log())
+            raise
         finally:
             end(graph.process)
             graph.leave()

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -99,7 +98,6 @@ def changes() -> Iterator[Change]:
 
 
 LIST_ONLY = ("order of points", "points twice")
-OTHERS = ("1 grasp or 100", "offline or live")
 
 
 def _half_image(xyz: Float64, rng: np.random.Generator) -> Float64:
@@ -146,14 +144,12 @@ def measure(data: Path | None, every: int) -> Found:
     for seed, xyz in enumerate(clouds):
         for change in changes():
             object_steps(found, xyz, change, models, spread, np.random.default_rng(seed))
-        batch(found, xyz, models)
     for seed in range(6):
         image = scene_image(seed).xyz
         for change in changes():
             scene_steps(found, image.reshape(-1, 3), change, np.random.default_rng(seed))
             if change.name not in LIST_ONLY:
                 scene_steps(found, image, change, np.random.default_rng(seed))
-    live(found)
     return found
 
 
@@ -312,60 +308,8 @@ def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Gener
     found[names[2], change.name].append(float(abs(len(before.objects) - len(after.objects))))
 
 
-def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
-    """One grasp alone, and the same as the 57th of 100."""
-    grasp, _ = given_grasp(xyz)
-    rng = np.random.default_rng(0)
-    others = []
-    for _ in range(100):
-        g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
-        others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
-    others[57] = grasp
-    scene = HandFrameFeatures(xyz)
-    found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
-    for name, model in models.items():
-        alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
-        found[f"{name}: prediction", OTHERS[0]].append(_largest(_vector(alone), _vector(among)))
-        if name == MODELS[0]:
-            found["novelty flag", OTHERS[0]].append(float(alone.flags != among.flags))
-
-
-def live(found: Found) -> None:
-    """The pipeline on a scene, and the same through the messages and functions of the live nodes."""
-    try:
-        from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
-        from foretouch.ros.messages.conversions import plane_from_msg, plane_to_msg
-        from foretouch.ros.messages.requests import plan_targets, read_cloud, read_targets
-    except ImportError:
-        print("no ROS 2: offline and live are not compared")
-        return
-    from foretouch.cloud.geometry.limits import ObjectLimits
-    from foretouch.grasp.messages import decode_grasp
-    from foretouch.pipeline import Pipeline, PipelineConfig
-
-    def add(step: str, difference: float) -> None:
-        found[step, OTHERS[1]].append(difference)
-
-    for seed, method in product(range(3), ("original", "completed")):
-        cloud, pipeline = scene_image(seed), Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
-        message, offline = cloud_to_msg(cloud), pipeline.run(cloud)
-        scene = pipeline.segment(read_cloud(message))
-        table = plane_from_msg(plane_to_msg(scene.targets[0].plane))
-        targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table, ObjectLimits())
-        grasp, expected = offline.targets[0].plan.grasps[0], offline.targets[0].predictions[0]
-        sent = decode_grasp(plan_targets(pipeline, targets, message.header).grasps[0])
-        predicted = pipeline.predict(targets[0], [sent])[0]
-        add(f"GeoGrasp {method}: best grasp", 1e3 * max(_largest(grasp.g1, sent.g1), _largest(grasp.g2, sent.g2)))
-        add(f"{DEFAULT_MODEL}: prediction", _largest(_vector(expected), _vector(predicted)))
-        add("novelty flag", float(expected.flags != predicted.flags))
-        one, other = offline.scene.segmentation, scene.segmentation
-        add("segmentation: labels", 100.0 * float((one.labels != other.labels).mean()))
-        add("segmentation: table plane", 1e3 * _largest(one.plane.coefficients, other.plane.coefficients))
-        add("segmentation: clusters", float(abs(len(one.objects) - len(other.objects))))
-
-
 def main() -> None:
-    """Measure, print and write the rows; those of the committed table hold one more change, which was measured once."""
+    """Measure, print and write the rows; the committed table holds three more changes."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_data(parser)
     parser.add_argument("--every", type=int, default=8, help="use each k-th recorded cloud")

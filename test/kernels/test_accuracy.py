@@ -27,7 +27,6 @@ from kernels.references.exact import (
     real,
     relative_gap,
     rotation,
-    solve,
     span,
     spread_points,
     sqrt,
@@ -37,18 +36,12 @@ from benchmarks.common import read_csv
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import _least_squares
 from foretouch.grasp.axis import ObjectAxis, find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.frame import WeightedPoints, object_frame
 from foretouch.grasp.pose import hand_rotation
-from foretouch.models.contact.features import FEATURES, HandFrameFeatures
-from foretouch.models.hand_history import ObjectSignature
-from foretouch.models.object_shape import object_sizes
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane
+from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_lab.learning.training.calibration import _shrunk
-from foretouch_lab.simulation.contact.grip import weigh
-from foretouch_lab.simulation.fingertip import BOTTOMING_M, BULGE_AREA_M2, _displaced_volume, _skin_approach
 
 pytestmark = pytest.mark.committed_numbers
 
@@ -56,7 +49,6 @@ LEVELS, DRAWS = map(int, os.environ.get("FORETOUCH_ACCURACY", "3x1").split("x"))
 TABLE = {
     row["kernel"]: row for row in read_csv(Path(__file__).parents[2] / "benchmarks" / "references" / "kernels.csv")
 }
-COLUMN = {name: k for k, name in enumerate(FEATURES)}
 
 Family = Callable[[float, np.random.Generator], tuple[float, float]]
 """From t, 0 for benign and 1 for the hardest input, to κ and the error."""
@@ -95,23 +87,8 @@ def test_a_difference_of_large_numbers_and_what_is_no_number_break_the_bound() -
         variance = (exact(x) ** 2).sum() / 50 - (exact(x).sum() / 50) ** 2
         return 1e4 / 0.05, relative_gap((x**2).mean() - x.mean() ** 2, variance)  # the mistake
 
-    assert max(ratios("object identity: touches", family, 3, 1)) > 100.0
-    assert max(ratios("object identity: touches", lambda *_: (1.0, float("nan")), 3, 1)) == float("inf")
-
-
-@kernel("ray fit")
-def _ray_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The points with depth shrink to a small window in the far corner of the image."""
-    pixels = np.floor(rng.uniform(0.0, span(t, 700.0, 3.0), (30, 2))) + span(t, 1.0, 4.0) * np.array([1000.0, 500.0])
-    design = np.column_stack([np.ones(30), pixels])
-    tangents = (pixels - [640.0, 360.0]) / 900.0 + 1e-3 * rng.normal(size=(30, 2))
-    rays = _least_squares(design, tangents)
-    p = exact(design)
-    best = solve(p.T @ p, p.T @ exact(tangents))
-    squared = float(np.linalg.cond(design)) ** 2
-    # `pinv` drops the smallest direction, by which the tangents change by about σ / c of pixels at c that spread by σ.
-    kappa = squared if squared < 1e12 else 1e12 + 1e-6 * pixels.max() / EPS
-    return kappa, gap(p @ exact(rays), p @ best)
+    assert max(ratios("object axis, original", family, 3, 1)) > 100.0
+    assert max(ratios("object axis, original", lambda *_: (1.0, float("nan")), 3, 1)) == float("inf")
 
 
 @kernel("plane fit")
@@ -130,23 +107,6 @@ def _plane_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     far = float(np.abs(points).max())
     low, middle, high = real(values)
     return high / (middle - low), max(gap(plane.normal, normal), gap(plane.offset, offset) / far)
-
-
-def _far_cloud(t: float, rng: np.random.Generator, n: int = 60) -> tuple[Cloud, Exact, Exact, float]:
-    """A cloud of 5 cm at 0.3 m to 10 km, its mean and standard deviation, and κ."""
-    points = float32_cloud(
-        rng.normal(size=(n, 3)) * [0.05, 0.03, 0.02] + span(t, 0.3, 1e4) * np.array([0.2, -0.3, 1.0])
-    )
-    mean, spread = covariance(exact(points))
-    deviation = sqrt(np.diag(spread))
-    return Cloud(points), mean, deviation, float(np.abs(points).max() / real(deviation).min())
-
-
-@kernel("object identity: touches")
-def _extent(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    cloud, mean, deviation, kappa = _far_cloud(t, rng)
-    computed = ObjectSignature.of(cloud).numbers
-    return kappa, gap(computed, np.concatenate([mean, deviation])) / float(min(deviation))
 
 
 def _near_round(t: float, rng: np.random.Generator) -> tuple[ObjectAxis, Exact, Exact, float]:
@@ -241,58 +201,6 @@ def _hand(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 / float(sine), gap(hand_rotation(g1, g2, axis), np.column_stack([x, np.cross(z, x), z]))
 
 
-def _scene(t: float, rng: np.random.Generator) -> tuple[Float64, Grasp]:
-    """An object far away, or with two nearly equal eigenvalues, and a grasp on it."""
-    far, difference = far_or_round(t, rng, 1e4)
-    shape = spread_points(rng, 40, [0.008, 0.03 * (1.0 - difference), 0.03])
-    place = far * np.array([0.1, -0.1, 1.0])
-    points = float32_cloud(shape @ rotation(rng).T + place).astype(np.float64)
-    hand = rotation(rng)
-    middle = points.mean(axis=0) + 0.005
-    return points, Grasp(middle + 0.03 * hand[:, 2], middle - 0.03 * hand[:, 2], hand)
-
-
-def _sizes(points: Float64) -> tuple[Exact, Exact, Float64]:
-    """Mean, eigenvectors and eigenvalues."""
-    mean, spread = covariance(exact(points))
-    values, vectors = eigen(spread)
-    return mean, vectors, real(values)
-
-
-def _quantile(values: Exact, share: float) -> Exact:
-    ordered = np.sort(values)
-    at = exact(share) * (len(ordered) - 1)
-    k = min(int(at), len(ordered) - 2)
-    return ordered[k] + (at - k) * (ordered[k + 1] - ordered[k])
-
-
-@kernel("features: lengths")
-def _lengths(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    points, grasp = _scene(t, rng)
-    row, sizes = HandFrameFeatures(points).describe([grasp])[0], object_sizes(points)
-    mean, _, values = _sizes(points)
-    p, hand, size = exact(points), exact(grasp.rotation), np.sqrt(values[2])
-    away = norm(p - mean)
-    middle = (exact(grasp.g1) + exact(grasp.g2)) / 2
-    _, exact_values = covariance(p)
-    spreads = sqrt(eigen(exact_values)[0])
-    sign = -1.0 if grasp.rotation[2, 0] < 0.0 else 1.0  # the hand's X points away from the camera
-    centre = (mean - middle) @ hand * exact(np.array([sign, sign, 1.0]))
-    wanted: dict[str, Exact] = {
-        **{f"spread_{k + 1}": value for k, value in enumerate(spreads)},
-        **{f"radius_q{round(100 * q)}": _quantile(away, q) for q in (0.25, 0.5, 0.75)},
-        **{f"centre_hand_{axis}": centre[k] for k, axis in enumerate("xyz")},
-        "width": norm(exact(grasp.g1) - exact(grasp.g2)),
-        "offset": norm(middle - mean),
-        "distance": norm(mean),
-    }
-    kappa = float(np.abs(points).max()) / size * np.sqrt(values[2] / values[0])
-    errors = [gap(row[COLUMN[name]], value) for name, value in wanted.items()]
-    lengths = [*(p[:, k].max() - p[:, k].min() for k in range(3)), *spreads, away.max()]
-    errors += [gap(found, value) for found, value in zip(sizes[:-1], lengths, strict=True)]
-    return kappa, max(errors) / size
-
-
 @kernel("calibration: B")
 def _between(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Moments of 25 pairs of values: from covariances to what has a negative eigenvalue, or almost no variance."""
@@ -315,38 +223,3 @@ def _between(t: float, rng: np.random.Generator) -> tuple[float, float]:
         np.fill_diagonal(correlation, exact(1.0).item())
         error = max(error, gap(exact(found[np.ix_(pair, pair)]) / np.outer(deviation, deviation), correlation))
     return 1.0, error
-
-
-@kernel("grip: shares of the weight")
-def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Contacts that approach each other, far from the origin."""
-    place = rng.normal(size=3) * span(t, 0.1, 1e3)
-    g1 = place + span(t, 0.05, 1e-5) * rng.normal(size=3)
-    g2, centre, weight = place - 1e-5 * rng.normal(size=3), place + 1e-5 * rng.normal(size=3), rng.normal(size=3)
-    found = weigh(weight, g1, g2, centre)
-    a, b, c, w = map(exact, (g1, g2, centre, weight))
-    length = norm(b - a)
-    axis = (b - a) / length
-    moment = np.cross(c - (a + b) / 2, w)
-    across = w - (w @ axis) * axis
-    couple = -np.cross(moment, axis) / (length / 2)
-    size = float(norm(w))
-    error = max(
-        gap(found.axial_n, w @ axis),
-        gap(found.tangential_n, np.stack([(-across - couple) / 2, (-across + couple) / 2])),
-    )
-    return 1.0 + float((norm(a) + norm(b) + norm(c)) / length), error / size
-
-
-@kernel("electrodes: approach of the skin")
-def _approach(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Indentation and bulge that cancel more and more."""
-    u = rng.uniform(0.0, 5e-4, (6, 6))
-    volume = _displaced_volume(u, 2.5e-7)
-    reference = np.minimum(exact(u), exact(BOTTOMING_M)).sum() * exact(2.5e-7)
-    weights = rng.random((1, 36))
-    bulge = float(reference) / BULGE_AREA_M2
-    weights *= bulge * (1.0 + span(t, 1.0, 1e-9)) / (weights @ u.ravel())
-    wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(BULGE_AREA_M2)
-    kappa = float((weights @ u.ravel())[0] + bulge) / abs(float(wanted))
-    return kappa, relative_gap(_skin_approach(weights, u, volume)[0], wanted)

@@ -72,12 +72,6 @@ def eigen(matrix: Exact) -> tuple[Exact, Exact]:
     return np.array([values[k] for k in order], object), np.array(columns, object)[:, order]
 
 
-def solve(matrix: Exact, right: Exact) -> Exact:
-    """Solution of a linear system with one or more right sides."""
-    inverse = mpmath.inverse(mpmath.matrix(exact(matrix).tolist()))  # of 40 digits: exact enough for a double
-    return np.array(inverse.tolist(), object) @ exact(right)
-
-
 def covariance(points: Exact, weight: Exact | None = None) -> tuple[Exact, Exact]:
     """Mean and covariance (divided by the sum of the weights) of points (N, 3)."""
     weight = exact(np.ones(len(points))) if weight is None else weight
