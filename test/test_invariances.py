@@ -24,11 +24,10 @@ EXACT = {(row["step"], row["change"]) for row in ROWS if float(row["largest"]) =
 def test_objects_and_scenes() -> None:
     xyz, image = next(bench.made_objects()), bench.scene_image(0).xyz
     models = {name: load_model(name) for name in bench.MODELS}
-    spread = np.ones_like(bench.feature_spread([xyz]))
     found: bench.Found = defaultdict(list)
     for change in bench.changes():
         if change.name in FAST:
-            bench.object_steps(found, xyz, change, models, spread, np.random.default_rng(0))
+            bench.object_steps(found, xyz, change, models, np.random.default_rng(0))
             if change.name not in bench.LIST_ONLY:
                 bench.scene_steps(found, image, change, np.random.default_rng(0))
     assert ("GeoGrasp completed: best grasp", "order of points") in EXACT & found.keys()

@@ -11,17 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import add_data, print_rows, write_csv
-from foretouch.cloud.geometry.limits import check_object
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
-from foretouch.grasp.reach import DEFAULT_REACH, check_reach
 from foretouch.models import DEFAULT_MODEL, load_model
-from foretouch.models.contact.features import HandFrameFeatures
-from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import biotac_touch
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, TouchPrediction
 from foretouch_lab.simulation.depth_scene import random_scene
 
@@ -35,11 +30,7 @@ STEPS = {
     "segmentation: clusters": ("objects", 0.5),
     "GeoGrasp original: best grasp": ("mm", 10.0),
     "GeoGrasp completed: best grasp": ("mm", 10.0),
-    "reach and limits": ("other verdicts", 0.5),
-    "contact features": ("% of the spread over objects, rms", 25.0),
     **{f"{name}: prediction": ("counts", 50.0) for name in MODELS},
-    "novelty flag": ("other flags", 0.5),
-    "calibration after 3 touches": ("counts", 50.0),
 }
 """What is compared, in which unit, and from where on a difference counts as a jump."""
 
@@ -140,10 +131,9 @@ def measure(data: Path | None, every: int) -> Found:
     models = {name: load_model(name) for name in MODELS}
     paths = sorted(Path(data).glob("vision2tactile/*/*/cloud-object.pcd"))[::every] if data else []
     clouds = [read_cloud(path).xyz.reshape(-1, 3) for path in paths] + list(made_objects())
-    spread = feature_spread(clouds)
     for seed, xyz in enumerate(clouds):
         for change in changes():
-            object_steps(found, xyz, change, models, spread, np.random.default_rng(seed))
+            object_steps(found, xyz, change, models, np.random.default_rng(seed))
     for seed in range(6):
         image = scene_image(seed).xyz
         for change in changes():
@@ -193,13 +183,6 @@ def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
     return plan.grasps[0], plan.axis
 
 
-def feature_spread(clouds: list[Float32]) -> Float64:
-    """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
-    described = [HandFrameFeatures(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
-    spread = np.std(described, axis=0)
-    return np.where(spread > 0.0, spread, np.inf)
-
-
 def _largest(before: Float64, after: Float64) -> float:
     return float(np.abs(after - before).max())
 
@@ -209,7 +192,7 @@ def _largest_move(before: Float64, after: Float64) -> float:
 
 
 def object_steps(
-    found: Found, xyz: Float32, change: Change, models: dict[str, TouchModel], spread: Float64, rng: np.random.Generator
+    found: Found, xyz: Float32, change: Change, models: dict[str, TouchModel], rng: np.random.Generator
 ) -> None:
     """The steps on the cloud of one object, before and after a change."""
     other = change.points(xyz, rng)
@@ -233,32 +216,10 @@ def object_steps(
 
     for method in ("original", "completed"):
         compare(f"GeoGrasp {method}: best grasp", partial(_best, method), moved)
-    compare("reach and limits", _verdict)
-    compare(
-        "contact features",
-        lambda points, one, _: HandFrameFeatures(points).describe([one])[0] / spread,
-        lambda before, after: float(np.sqrt(np.mean((after - before) ** 2)) * 100.0),
-    )
     for name, model in models.items():
         compare(
             f"{name}: prediction", lambda points, one, _, model=model: _vector(model.predict(Cloud(points), [one])[0])
         )
-    contact = models[MODELS[0]]
-
-    def flagged(points: Float32, one: Grasp, _: Plane) -> Float64:
-        return np.array([float("unfamiliar" in contact.predict(Cloud(points), [one])[0].flags)])
-
-    def touched(points: Float32, one: Grasp, _: Plane) -> Float64:
-        history = HandHistory(contact)
-        for _ in range(3):
-            history.add_touch(1, Cloud(points), one, _READING)
-        return _vector(contact.predict(Cloud(points), [one], history=history.snapshot(1, same_object=True))[0])
-
-    compare("novelty flag", flagged)
-    compare("calibration after 3 touches", touched)
-
-
-_READING = biotac_touch(np.concatenate([[2850.0, 1850.0], np.full(24, 3000.0), np.full(24, 3400.0)]))
 
 
 def _vector(prediction: TouchPrediction) -> Float64:
@@ -272,15 +233,6 @@ def _best(method: str, points: Float32, _: Grasp | None, table: Plane) -> Float6
     if not plan.grasps:
         raise ForetouchError(plan.reason)
     return np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-
-
-def _verdict(points: Float32, grasp: Grasp, _: Plane) -> Float64:
-    try:
-        check_object(points)
-        check_reach(grasp, points, DEFAULT_REACH.max_width_m, DEFAULT_REACH.max_distance_m)
-    except ForetouchError:
-        return np.array([1.0])
-    return np.array([0.0])
 
 
 def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Generator) -> None:
@@ -309,7 +261,7 @@ def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Gener
 
 
 def main() -> None:
-    """Measure, print and write the rows; the committed table holds three more changes."""
+    """Measure, print and write the rows; the committed table holds more steps and changes."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_data(parser)
     parser.add_argument("--every", type=int, default=8, help="use each k-th recorded cloud")
