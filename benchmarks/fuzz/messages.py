@@ -13,7 +13,7 @@ from importlib import import_module
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from rcl_interfaces.msg import ParameterType
@@ -31,7 +31,6 @@ from foretouch.cli.answers import answer_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import print_json
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.config import Settings
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError
@@ -40,6 +39,7 @@ from foretouch.grasp.messages import decode_grasp, has_orientation
 from foretouch.models import load_model
 from foretouch.models.hand_history import ObjectSignature
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.ros.executables import NODES
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
@@ -424,24 +424,14 @@ def touches() -> Reader:
     return [touch_message()], read
 
 
-CONFIGS = (
-    "foretouch.ros.nodes.segmentation:SegmentationNodeConfig",
-    "foretouch.ros.nodes.grasp:GraspNodeConfig",
-    "foretouch.ros.touch.config:TouchPredictorConfig",
-    "foretouch.ros.nodes.recorder:RecorderConfig",
-    "foretouch.ros.nodes.camera:CameraNodeConfig",
-    "foretouch_lab.ros.hand:HandNodeConfig",
-)
-
-
 def parameters() -> Reader:
     """Changes of the parameters of all nodes, and what these make of them."""
     numbers, configs = count(), []
-    for place in CONFIGS:
+    for place in NODES.values():
         module, name = place.split(":")
-        config: Settings = getattr(import_module(module), name)()
-        flat = config.to_mapping()
-        configs += [(type(config), flat, one) for one in _flattened(flat)]
+        (kind,) = get_args(getattr(import_module(module), name).__orig_bases__[0])
+        flat = kind().to_mapping()
+        configs += [(kind, flat, one) for one in _flattened(flat)]
 
     def read(value: Any) -> None:
         if value.type > ParameterType.PARAMETER_STRING_ARRAY:
